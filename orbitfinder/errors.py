@@ -1,0 +1,44 @@
+"""The exception tree: everything orbitfinder raises on purpose derives from `OrbitfinderError`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+class OrbitfinderError(Exception):
+    """Base class; its message is one sentence that a person can act on."""
+
+
+class InputError(OrbitfinderError, ValueError):
+    """What the user gave is not usable (command line: exit code 2)."""
+
+
+class CountError(InputError):
+    """Equations and unknowns do not match; the message carries the count and the reason."""
+
+
+class IntegrationError(OrbitfinderError):
+    """An integrator gave up: where (segment, time in s, state) and why.
+
+    `segment` is the 0-based index of the shooting segment, or None outside shooting.
+    """
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        segment: int | None = None,
+        time: float | None = None,
+        state: np.ndarray | None = None,
+    ) -> None:
+        self.reason, self.segment, self.time, self.state = reason, segment, time, state
+        where = [] if segment is None else [f"segment {segment}"]
+        if time is not None:
+            where.append(f"t = {time:.6g} s")
+        if state is not None:
+            where.append("state at its start " + np.array2string(np.asarray(state), precision=6))
+        super().__init__(f"integration failed ({', '.join(where) or 'unknown place'}): {reason}")
+
+
+class ConvergenceError(OrbitfinderError):
+    """The solver ended without an orbit; the message says which defect and what to try."""

@@ -1,0 +1,233 @@
+"""Integrate a Model and differentiate the result: CVODES on the variational equations.
+
+The state and its derivatives are one system of ordinary differential equations,
+
+    x' = f(t, x, s),    Phi' = (df/dx) Phi,    w_k' = (df/dx) w_k + df/ds_k,
+
+solved together under one error control (Adams, functional iteration), because the derivatives
+that CasADi makes of an integrator can be silently wrong (casadi issue 4383) and are slower.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import IntegrationError
+from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.quiet import captured
+
+
+@dataclass(frozen=True)
+class IntegratorSettings:
+    """Tolerances of CVODES; the one place where they are defaulted."""
+
+    relative_tolerance: float = 1e-13
+    absolute_tolerance: float = 1e-13
+    max_steps: int = 50_000
+    """internal steps in one segment after which the integration is given up"""
+
+    def options(self) -> dict[str, Any]:
+        """The same in CasADi's words."""
+        return {
+            "reltol": self.relative_tolerance,
+            "abstol": self.absolute_tolerance,
+            "max_num_steps": self.max_steps,
+            "linear_multistep_method": "adams",
+            "nonlinear_solver_iteration": "functional",
+        }
+
+
+@dataclass(frozen=True)
+class Flow:
+    """The flow of a Model with unfolding parameters s and freed physical parameters.
+
+    `field(t, x, s, free)` -> f; `end(t0, x0, duration, s, free)` -> x(t0 + duration), which
+    carries its own Jacobian; `derivatives(t0, x0, duration, s, free)` -> (x, [Phi | dx/ds | dx/dfree]).
+    """
+
+    model: Model
+    settings: IntegratorSettings
+    free: tuple[str, ...]
+    unfolded: tuple[Invariant, ...]
+    field: ca.Function
+    end: ca.Function
+    derivatives: ca.Function
+
+
+def build_flow(
+    model: Model,
+    free: Sequence[str] = (),
+    unfolded: Sequence[Invariant] = (),
+    settings: IntegratorSettings | None = None,
+) -> Flow:
+    """Flow of a Model; `free` names physical parameters kept variable, `unfolded` the invariants
+    whose unfolding acceleration s_k u_k(q, v) is added to the equations of motion."""
+    settings = settings or IntegratorSettings()
+    names = ["t0", "x0", "duration", "s", "free"]
+    field = vector_field(model, free, unfolded)
+    sizes = [1, field.size1_in(1), 1, len(unfolded), len(free)]
+    inputs = [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+    derivatives = ca.Function(
+        "flow_derivatives", inputs, _variational(field, settings, inputs), names, ["xf", "sensitivity"]
+    )
+    end = ca.Function(
+        "flow_end", inputs, [_plain(field, settings, inputs)], names, ["xf"],
+        {"custom_jacobian": _custom_jacobian(field, derivatives, inputs, names),
+         "never_inline": True, "jac_penalty": 0},
+    )  # fmt: skip
+    return Flow(model, settings, tuple(free), tuple(unfolded), field, end, derivatives)
+
+
+def vector_field(model: Model, free: Sequence[str], unfolded: Sequence[Invariant]) -> ca.Function:
+    """f(t, x, s, free) = (v, a(t, q, v, p) + sum_k s_k u_k(q, v, p))."""
+    n = model.degrees_of_freedom
+    symbol: Any = ca.SX.sym if model.acceleration.is_a("SXFunction") else ca.MX.sym
+    t, x = symbol("t"), symbol("x", 2 * n)
+    s, chosen = symbol("s", len(unfolded)), symbol("free", len(free))
+    parameters = model.parameters(free, chosen)
+    acceleration = model.acceleration(t, x[:n], x[n:], parameters)
+    for k, invariant in enumerate(unfolded):
+        acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
+    return ca.Function("field", [t, x, s, chosen], [ca.vertcat(x[n:], acceleration)])
+
+
+def _integrator(name: str, ode: tuple[Any, Any, Any, Any], settings: IntegratorSettings) -> ca.Function:
+    clock, state, parameters, rate = ode
+    problem = {"t": clock, "x": state, "p": parameters, "ode": rate}
+    return ca.integrator(name, "cvodes", problem, 0, 1, settings.options())
+
+
+def _symbols(field: ca.Function) -> tuple[Any, ...]:
+    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
+    clock, t0, duration = symbol("clock"), symbol("t0"), symbol("duration")
+    x, s, free = (symbol(f"a{k}", field.size1_in(k)) for k in (1, 2, 3))
+    return symbol, clock, t0, duration, x, s, free
+
+
+def _plain(field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX]) -> ca.MX:
+    """x at the end of a segment; time is scaled to [0, 1] so that the duration is a parameter."""
+    _, clock, t0, duration, x, s, free = _symbols(field)
+    rate = duration * field(t0 + clock * duration, x, s, free)
+    packed = ca.vertcat(t0, duration, s, free)
+    solver = _integrator("state", (clock, x, packed, rate), settings)
+    return solver(x0=inputs[1], p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
+
+
+def _variational(field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX]) -> list[ca.MX]:
+    symbol, clock, t0, duration, x, s, free = _symbols(field)
+    size, extra = x.numel(), s.numel() + free.numel()
+    columns = symbol("columns", size, size + extra)
+    rate = field(t0 + clock * duration, x, s, free)
+    slopes = ca.jtimes(rate, x, columns)
+    if extra:
+        forcing = ca.horzcat(ca.jacobian(rate, s), ca.jacobian(rate, free))
+        slopes += ca.horzcat(type(x)(size, size), forcing)
+    if symbol is ca.SX.sym:
+        state, whole = ca.vertcat(x, ca.vec(columns)), ca.vertcat(rate, ca.vec(slopes))
+    else:
+        state = ca.MX.sym("whole", size * (1 + size + extra))
+        inner = ca.Function("inner", [clock, x, columns, t0, duration, s, free], [rate, slopes])
+        parts = inner(clock, state[:size], ca.reshape(state[size:], columns.shape), t0, duration, s, free)
+        whole = ca.vertcat(parts[0], ca.vec(parts[1]))
+    packed = ca.vertcat(t0, duration, s, free)
+    solver = _integrator("variational", (clock, state, packed, duration * whole), settings)
+    start = ca.vertcat(inputs[1], ca.vec(ca.MX(ca.DM.eye(size))), ca.MX(ca.DM.zeros(size * extra)))
+    end = solver(x0=start, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
+    return [end[:size], ca.reshape(end[size:], size, size + extra)]
+
+
+def _custom_jacobian(
+    field: ca.Function, derivatives: ca.Function, inputs: list[ca.MX], names: list[str]
+) -> ca.Function:
+    """Jacobian blocks of `end` from the variational equations.
+
+    The start time only ever multiplies a prescribed period, so its column is left at zero.
+    """
+    t0, _, duration, s, free = inputs
+    size = field.size1_in(1)
+    end, sensitivity = derivatives(*inputs)
+    blocks = [
+        ca.MX(size, 1),
+        sensitivity[:, :size],
+        field(t0 + duration, end, s, free),
+        sensitivity[:, size : size + s.numel()],
+        sensitivity[:, size + s.numel() :],
+    ]
+    outputs = [f"jac_xf_{name}" for name in names]
+    ignored = ca.MX.sym("out_xf", size)
+    return ca.Function("jac_flow_end", [*inputs, ignored], blocks, [*names, "out_xf"], outputs)
+
+
+def end_state(flow: Flow, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray:
+    """x(start + duration) from x(start) = state (2n); duration in s. Raises `IntegrationError`."""
+    return np.asarray(_call(flow, flow.end, state, duration, start)[0])
+
+
+def transition(
+    flow: Flow, state: np.ndarray, duration: float, start: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """End state (2n) and state-transition matrix dx(end)/dx(start) (2n x 2n)."""
+    end, sensitivity = _call(flow, flow.derivatives, state, duration, start)
+    return np.asarray(end), np.asarray(sensitivity)[:, : end.size]
+
+
+def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float, start: float) -> list[Any]:
+    free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
+    error: Exception | None = None
+    with captured() as output:
+        try:
+            result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
+        except RuntimeError as failure:
+            error = failure
+    if error is not None:
+        raise integration_error(f"{output.text}\n{error}", state, start, duration)
+    numbers = [value.full().squeeze() if value.shape[1] == 1 else value.full() for value in result]
+    if not all(np.all(np.isfinite(number)) for number in numbers):
+        raise integration_error("the state is not finite", state, start, duration)
+    return numbers
+
+
+def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: float = 0.0) -> np.ndarray:
+    """States (count x 2n) at `count` equal times from 0 to `duration` inclusive, by CVODES."""
+    _, clock, t0, span, x, s, free = _symbols(flow.field)
+    rate = span * flow.field(t0 + clock * span, x, s, free)
+    problem = {"t": clock, "x": x, "p": ca.vertcat(t0, span, s, free), "ode": rate}
+    grid = list(np.linspace(0.0, 1.0, count))
+    steps = dict(flow.settings.options(), max_num_steps=20 * flow.settings.max_steps)
+    chosen = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
+    packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), chosen)
+    error: Exception | None = None
+    with captured() as output:
+        try:
+            solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
+            states = solver(x0=state, p=packed)["xf"].full().T
+        except RuntimeError as failure:
+            error = failure
+    if error is not None:
+        raise integration_error(f"{output.text}\n{error}", state, start, duration)
+    return np.asarray(states)
+
+
+def integration_error(
+    text: str, state: np.ndarray, start: float, duration: float, segment: int | None = None
+) -> IntegrationError:
+    """One typed error out of what SUNDIALS printed; the time is read from its message if it is there."""
+    found = re.search(r"[Aa]t t = ([-+0-9.eE]+)", text)
+    time = start + (float(found.group(1)) if found else 0.0) * duration
+    causes = {
+        r"mxstep|TOO_MUCH_WORK": "too many internal steps; the motion is too fast or blows up there",
+        r"not finite|nan|NaN": "the equations of motion are not finite there",
+        r"hmin|ERR_FAILURE|error test failures": "the step size fell to nothing; the motion is singular there",
+        r"CONV_FAILURE|convergence test": "the corrector does not converge; the motion is singular there",
+        r"too much accuracy|TOO_MUCH_ACC": "the tolerance asked for is below round-off; loosen it",
+        r"tout too close|TOO_CLOSE": "the time span is too short to integrate",
+    }
+    reason = next((said for pattern, said in causes.items() if re.search(pattern, text)), None)
+    last = text.strip().splitlines()[-1][:200] if text.strip() else "no message"
+    return IntegrationError(reason or last, segment=segment, time=time, state=np.asarray(state))

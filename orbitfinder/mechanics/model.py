@@ -1,0 +1,108 @@
+"""A mechanical system as CasADi functions: the only thing the upper floors know of mechanics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import InputError
+
+
+@dataclass(frozen=True)
+class Invariant:
+    """A first integral I(q, v, p) with what shooting needs to unfold it.
+
+    `value(q, v, p)` is the integral; `unfolding(q, v, p)` is the fictitious acceleration u (n)
+    with dI/dt = s (grad_v I).u != 0 along an orbit, so that s must return to 0 on any periodic
+    solution; `generator(q, v, p)` is the symmetry direction (2n) that the integral belongs to,
+    or None for time translation (the energy).
+
+    Source: F. J. Muñoz-Almaraz, E. Freire, J. Galán, E. Doedel, A. Vanderbauwhede, "Continuation
+    of periodic orbits in conservative and Hamiltonian systems", Physica D 181 (2003) 1-38.
+    """
+
+    name: str
+    value: ca.Function
+    unfolding: ca.Function
+    generator: ca.Function | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """Equations of motion M(q, p) a + h(t, q, v, p) = 0 in minimal coordinates q (n), v = dq/dt.
+
+    All functions take the full parameter vector p; `parameter_values` are the numbers that go
+    there when a parameter is not freed. The state is x = (q, v), SI units, angles in rad.
+
+    `acceleration(t, q, v, p)` (n), `kinetic(q, v, p)`, `potential(q, p)`, `forces(t, q, v, p)`
+    (generalized, non-conservative, n) and `points(q, p)` (2 x k, drawn as one polyline; for a
+    chain the joints), `centres(q, p)` (2 x links, centres of mass). Positions have x down, y right.
+    """
+
+    system: Mapping[str, Any]
+    state_names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
+    parameter_values: np.ndarray
+    acceleration: ca.Function
+    kinetic: ca.Function
+    potential: ca.Function
+    forces: ca.Function | None = None
+    invariants: tuple[Invariant, ...] = ()
+    angles: tuple[bool, ...] = ()
+    points: ca.Function | None = None
+    centres: ca.Function | None = None
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """n, the number of generalized coordinates."""
+        return len(self.state_names) // 2
+
+    def parameters(self, free: Sequence[str] = (), symbols: Any = None) -> Any:
+        """The vector p with the parameters named in `free` replaced by the entries of `symbols`."""
+        values = type(symbols)(ca.DM(self.parameter_values)) if free else ca.DM(self.parameter_values)
+        for position, name in enumerate(free):
+            values[self.parameter_index(name)] = symbols[position]
+        return values
+
+    def parameter_index(self, name: str) -> int:
+        """Position of a physical parameter; `InputError` names the known ones."""
+        if name not in self.parameter_names:
+            known = ", ".join(self.parameter_names[:12])
+            raise InputError(f"free: unknown physical parameter {name!r}; this system has {known}")
+        return self.parameter_names.index(name)
+
+    def state_index(self, name: str) -> int:
+        """Position of a state component; `InputError` names the known ones."""
+        if name not in self.state_names:
+            known = ", ".join(self.state_names)
+            raise InputError(f"unknown state component {name!r}; this system has {known}")
+        return self.state_names.index(name)
+
+
+def energy(model: Model, state: np.ndarray) -> float:
+    """Total energy E = T(q, v) + V(q) of one state (2n), in J."""
+    q, v = np.split(np.asarray(state, float), 2)
+    p = model.parameter_values
+    return float(model.kinetic(q, v, p)) + float(model.potential(q, p))
+
+
+def energies(model: Model, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Kinetic and potential energy (two arrays of k) along states (k x 2n), in J."""
+    q, v = np.split(np.asarray(states, float).T, 2)
+    count = q.shape[1]
+    p = np.tile(model.parameter_values[:, None], (1, count))
+    kinetic = model.kinetic.map(count)(q, v, p).full().ravel()
+    return kinetic, model.potential.map(count)(q, p).full().ravel()
+
+
+def positions(model: Model, states: np.ndarray, which: str = "points") -> np.ndarray:
+    """Joint (`points`) or centre-of-mass (`centres`) positions along states (k x 2n): (k, 2, m), m."""
+    function = model.points if which == "points" else model.centres
+    if function is None:
+        raise InputError(f"this system declares no {which}; pass {which}= when you build it")
+    q = np.asarray(states, float).T[: model.degrees_of_freedom]
+    return np.stack([function(column, model.parameter_values).full() for column in q.T])

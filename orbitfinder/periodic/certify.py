@@ -1,0 +1,271 @@
+"""Is it true? Everything about an orbit recomputed by other means, check by check.
+
+The finder integrates accelerations with CVODES; the certificate integrates Hamilton's equations,
+derived from the energies alone, with DOP853 at its tightest, and never sees an unfolding term.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfinder.errors import IntegrationError
+from orbitfinder.mechanics.canonical import canonical
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model, energies
+from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
+from orbitfinder.periodic.orbit import Certificate, Check, Orbit, digest, orbit_to_document
+from orbitfinder.periodic.symmetry import recognise
+from orbitfinder.reference import SECOND, TIGHTEST, ReferenceSettings, integrate, vector_field
+
+SAMPLES = 512
+"""Intervals at which the certifying integration is inspected."""
+LARGEST_COVER = 30
+"""A recorded period is tested for being up to this many times the true one."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What each check allows; closure and its kin are multiplied by the certificate's scale."""
+
+    second_closure: float = 1e-9
+    energy_drift: float = 1e-11
+    cover: float = 1e-6
+    motion: float = 1e-6
+    trivial: float = 1e-8
+    symplectic: float = 1e-8
+    unfolding: float = 1e-9
+    record: float = 1e-10
+    multipliers: float = 1e-6
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the second integrator on the second formulation says of a state and a period."""
+
+    times: np.ndarray
+    states: np.ndarray
+    closure: float
+    action: float
+    drift: float
+    energy: float
+    trivial: float
+    symplectic: float
+    floquet: Floquet
+
+
+def gather(
+    model: Model, state: np.ndarray, period: float, turns: np.ndarray, settings: ReferenceSettings = TIGHTEST
+) -> Evidence:
+    """Integrate Hamilton's equations with their variations once round and measure (see `Evidence`)."""
+    n = model.degrees_of_freedom
+    equations = canonical(model)
+    values = model.parameter_values
+    start = np.concatenate([state[:n], equations.momentum(state[:n], state[n:]).full().ravel()])
+    times = np.linspace(0.0, period, SAMPLES + 1)
+    extended = np.concatenate([start, np.eye(2 * n).ravel("F"), [0.0]])
+    path = integrate(vector_field(equations.variational), extended, times, settings)
+    field = vector_field(equations.field)
+    momenta = integrate(field, start, times, settings)
+    states = _velocities(momenta, field, n)
+    monodromy = path[-1, 2 * n : -1].reshape(2 * n, 2 * n, order="F")
+    kinetic, potential = energies(model, states)
+    total = kinetic + potential
+    gradients, directions = _invariant_frame(model, start, field)
+    reduced = reduce_monodromy(monodromy, gradients, directions)
+    floquet = analyse(reduced, conservative=bool(model.invariants))
+    scale = max(1.0, float(np.abs(monodromy).max()))
+    span = float(np.ptp(potential)) + float(kinetic.max())
+    return Evidence(
+        times=times,
+        states=states,
+        closure=gap(states[0], states[-1], turns),
+        action=float(path[-1, -1]),
+        drift=float(np.abs(total - total[0]).max()) / max(span, 1e-300),
+        energy=float(model.kinetic(state[:n], state[n:], values)) + float(model.potential(state[:n], values)),
+        trivial=_trivial_defect(monodromy, gradients, directions) / scale,
+        symplectic=_symplectic_defect(monodromy) / scale**2 if model.forces is None else 0.0,
+        floquet=floquet,
+    )
+
+
+def _velocities(momenta: np.ndarray, field: object, n: int) -> np.ndarray:
+    """States (q, v) from canonical states; dH/dp, the first half of the field, is the velocity."""
+    rates = np.stack([field(0.0, row)[:n] for row in momenta])  # type: ignore[operator]
+    return np.hstack([momenta[:, :n], rates])
+
+
+def gap(start: np.ndarray, end: np.ndarray, turns: np.ndarray) -> float:
+    """Largest component of x(T) - x(0) - 2 pi k."""
+    shift = np.concatenate([2 * np.pi * turns, np.zeros(start.size - turns.size)])
+    return float(np.abs(end - start - shift).max())
+
+
+def _invariant_frame(model: Model, start: np.ndarray, field: object) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients of the invariants and their symmetry directions at a canonical state.
+
+    Both are symplectic transposes of each other: X = J grad I, so grad I = -J X.
+    """
+    n = model.degrees_of_freedom
+    flow = field(0.0, start)  # type: ignore[operator]
+    directions = [flow]
+    for one in model.invariants:
+        if one.generator is not None:
+            q = start[:n]
+            turn = one.generator(q, flow[:n], model.parameter_values).full().ravel()
+            directions.append(np.concatenate([turn[:n], np.zeros(n)]))
+    rows = np.asarray(directions)
+    if not model.invariants:
+        return np.zeros((0, 2 * n)), rows
+    gradients = np.hstack([-rows[:, n:], rows[:, :n]])
+    return gradients, rows
+
+
+def _trivial_defect(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> float:
+    """How far Phi f = f and grad I Phi = grad I are from true, relative."""
+    def relative(found: np.ndarray, wanted: np.ndarray) -> float:
+        return float(np.abs(found - wanted).max() / max(np.abs(wanted).max(), 1e-300)) if wanted.size else 0.0
+
+    return max(relative(directions @ monodromy.T, directions), relative(gradients @ monodromy, gradients))
+
+
+def _symplectic_defect(monodromy: np.ndarray) -> float:
+    n = monodromy.shape[0] // 2
+    unit = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+    return float(np.abs(monodromy.T @ unit @ monodromy - unit).max())
+
+
+def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | None = None) -> Certificate:
+    """The certificate of an orbit, from its state and period alone.
+
+    The closure is required to be below `orbit.tolerance` times max(1, largest multiplier), which
+    is what double precision can hold. `model` is needed for systems that no file describes.
+    """
+    allowed = tolerances or Tolerances()
+    model = model or build_model(orbit.system)
+    turns = np.asarray(orbit.winding, int)
+    if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
+        return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
+    try:
+        evidence = gather(model, orbit.state, orbit.period, turns)
+        second = _second_closure(model, orbit, turns)
+    except IntegrationError as error:
+        return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
+    scale = max(1.0, float(np.abs(evidence.floquet.multipliers).max(initial=1.0)))
+    checks = [
+        _at_most("closure", evidence.closure, orbit.tolerance * scale, "DOP853 on Hamilton's equations"),
+        _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
+        _at_most("energy_drift", evidence.drift, allowed.energy_drift * scale, "relative to the energy exchanged")
+        if model.invariants
+        else None,
+        _minimal_period(evidence, model, allowed.cover),
+        _at_least("not_equilibrium", _motion(evidence), allowed.motion, "extent of the motion"),
+        _at_most("trivial_multipliers", evidence.trivial, allowed.trivial, "flow and energy gradient are kept"),
+        _at_most("symplectic", evidence.symplectic, allowed.symplectic, "Phi^T J Phi = J"),
+        _at_most("unfolding", max(map(abs, orbit.unfolding), default=0.0), allowed.unfolding * scale, "back at 0"),
+        *_record_checks(orbit, evidence, model, allowed, scale),
+        *_expected_checks(orbit),
+    ]
+    return Certificate(tuple(check for check in checks if check), scale)
+
+
+def _at_most(name: str, value: float, tolerance: float, note: str = "") -> Check:
+    return Check(name, float(value), float(tolerance), bool(value <= tolerance), note)
+
+
+def _at_least(name: str, value: float, tolerance: float, note: str = "") -> Check:
+    return Check(name, float(value), float(tolerance), bool(value >= tolerance), note)
+
+
+def _second_closure(model: Model, orbit: Orbit, turns: np.ndarray) -> float:
+    """Closure of the accelerations themselves at a second tolerance: other equations, other steps."""
+    from orbitfinder.flow import vector_field as equations_of_motion
+    import casadi as ca
+
+    field = equations_of_motion(model, (), ())
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", orbit.state.size)
+    function = ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])
+    ends = integrate(vector_field(function), orbit.state, np.array([0.0, orbit.period]), SECOND)
+    return gap(ends[0], ends[-1], turns)
+
+
+def _motion(evidence: Evidence) -> float:
+    return float(np.ptp(evidence.states, axis=0).max())
+
+
+def _minimal_period(evidence: Evidence, model: Model, tolerance: float) -> Check:
+    """The smallest distance between x(T/k) and x(0), k = 2, 3, ..., relative to the motion's extent."""
+    distance, cover = closest_return(evidence.times, evidence.states, np.asarray(model.angles))
+    return _at_least("minimal_period", distance, tolerance, f"nearest early return at T/{cover}")
+
+
+def closest_return(times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> tuple[float, int]:
+    """Relative distance of x(T/k) from x(0), angles modulo 2 pi, at its smallest over k; and that k.
+
+    States between samples come from a periodic spline of the deviation, good to about 1e-9.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    n = states.shape[1] // 2
+    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
+    extent = np.maximum(np.ptp(states, axis=0).max(), 1e-300)
+    found = []
+    for cover in range(2, LARGEST_COVER + 1):
+        moment = times[-1] / cover
+        position = spline(moment) - states[0, :n]
+        position = np.where(angles, (position + np.pi) % (2 * np.pi) - np.pi, position)
+        rate = spline(moment, 1) - states[0, n:]
+        found.append((float(max(np.abs(position).max(), np.abs(rate).max()) / extent), cover))
+    return min(found)
+
+
+def _record_checks(
+    orbit: Orbit, evidence: Evidence, model: Model, allowed: Tolerances, scale: float
+) -> list[Check]:
+    """What the record claims against what was recomputed; catches a file edited by hand."""
+    size = max(1.0, abs(evidence.energy))
+    bulk = max(1.0, abs(evidence.action))
+    checks = [
+        _at_most("energy", abs(orbit.energy - evidence.energy) / size, allowed.record, "recorded - recomputed"),
+        _at_most("action", abs(orbit.action - evidence.action) / bulk, allowed.record * scale, "recorded - recomputed"),
+        _at_most("recorded_closure", abs(orbit.closure - evidence.closure), orbit.tolerance * scale, "recorded - recomputed"),
+        _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
+        _same("stability", orbit.stability, evidence.floquet.stability),
+        _same("symmetry", orbit.symmetry, recognise(evidence.times, evidence.states, np.asarray(model.angles))),
+    ]
+    if model.invariants:
+        defect = evidence.floquet.pair_defect
+        checks.append(_at_most("pair_defect", defect, max(allowed.trivial, 1e-15 * scale**2), "reciprocal pairs"))
+    if orbit.record is not None:
+        checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
+    return checks
+
+
+def _same(name: str, recorded: str, found: str) -> Check:
+    note = "as recorded" if recorded == found else f"recorded {recorded[:60]}, found {found[:60]}"
+    return Check(name, 0.0 if recorded == found else 1.0, 0.0, recorded == found, note)
+
+
+def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
+    """Largest relative distance between recorded and recomputed multipliers, matched one to one."""
+    from scipy.optimize import linear_sum_assignment
+
+    recorded, found = orbit.floquet_multipliers, floquet.multipliers
+    if recorded.shape != found.shape:
+        return float("inf")
+    if not found.size:
+        return 0.0
+    largest = np.abs(found).max()
+    # a double pair at +-1 is the square root of the monodromy's error away from where it should be
+    distance = np.abs(recorded[:, None] - found[None, :]) / np.maximum(1.0, np.abs(found))[None, :]
+    rows, columns = linear_sum_assignment(np.minimum(distance, 1e6 * max(1.0, largest)))
+    return float(distance[rows, columns].max())
+
+
+def _expected_checks(orbit: Orbit) -> list[Check]:
+    checks = []
+    for name, (value, tolerance) in orbit.expected.items():
+        difference = abs(getattr(orbit, name) - value)
+        checks.append(_at_most(f"expected_{name}", difference, tolerance, f"against {value!r}"))
+    return checks

@@ -1,0 +1,91 @@
+"""Floquet multipliers of a periodic orbit, exactly reduced, and what they say of stability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+ERROR_FACTOR = 30.0
+"""A verdict needs its margin to exceed this many times the error bar."""
+ERROR_FLOOR = 1e-8
+"""No stability index of a double-precision monodromy is trusted below this."""
+
+
+@dataclass(frozen=True)
+class Floquet:
+    """Non-trivial multipliers (complex, largest first), their pair defect and the verdict.
+
+    `indices` are the stability indices mu + 1/mu, one for each reciprocal pair.
+    """
+
+    multipliers: np.ndarray
+    pair_defect: float
+    indices: np.ndarray
+    stability: str
+
+
+def reduce_monodromy(
+    monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray
+) -> np.ndarray:
+    """The monodromy on the level set of the invariants modulo the symmetry directions.
+
+    `monodromy` (2n x 2n), `gradients` (k x 2n) of the invariants and `directions` (k x 2n), the
+    flow first, at one point. Phi maps ker(gradients) to itself and each direction to itself, so
+    with an orthonormal basis B of the complement of both, B^T Phi B is Phi on the quotient and
+    the trivial multipliers (exactly 1, in Jordan blocks) never enter an eigenvalue solver.
+    """
+    removed = np.vstack([gradients, directions])
+    scale = np.linalg.norm(removed, axis=1, keepdims=True)
+    _, singular, rows = np.linalg.svd(removed / scale)
+    rank = int(np.sum(singular > 1e-10 * singular[0]))
+    basis = rows[rank:].T
+    return np.asarray(basis.T @ monodromy @ basis)
+
+
+def analyse(reduced: np.ndarray, conservative: bool = True) -> Floquet:
+    """Multipliers, pairs and verdict of a reduced monodromy.
+
+    Conservative: reciprocal pairs, "elliptic" when every index is real and in (-2, 2), "unstable"
+    when one is clearly outside, "marginal" when the error bar decides. Dissipative:
+    "asymptotically stable" | "unstable" | "marginal" by the largest |mu|.
+    """
+    multipliers = np.linalg.eigvals(reduced).astype(complex) if reduced.size else np.zeros(0, complex)
+    order = np.lexsort((multipliers.imag, -multipliers.real, -np.round(np.abs(multipliers), 9)))
+    multipliers = multipliers[order]
+    if not conservative:
+        return Floquet(multipliers, 0.0, np.zeros(0, complex), _dissipative_verdict(multipliers))
+    first, second = reciprocal_pairs(multipliers)
+    defects = np.abs(multipliers[first] * multipliers[second] - 1.0)
+    defect = float(defects.max(initial=0.0))
+    indices = multipliers[first] + multipliers[second]
+    return Floquet(multipliers, defect, indices, _conservative_verdict(indices, defect))
+
+
+def reciprocal_pairs(multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (two arrays) that pair each multiplier with the one nearest to its reciprocal."""
+    left = list(range(multipliers.size))
+    first, second = [], []
+    while len(left) > 1:
+        i = left.pop(0)
+        j = min(left, key=lambda k: abs(multipliers[i] * multipliers[k] - 1.0))
+        left.remove(j)
+        first.append(i)
+        second.append(j)
+    return np.asarray(first, int), np.asarray(second, int)
+
+
+def _conservative_verdict(indices: np.ndarray, defect: float) -> str:
+    error = max(ERROR_FACTOR * defect * float(np.abs(indices).max(initial=0.0)), ERROR_FLOOR)
+    outside = np.maximum(np.abs(indices.real) - 2.0, np.abs(indices.imag) - 0.0)
+    outside = np.where(np.abs(indices.imag) > error, np.abs(indices.imag), np.abs(indices.real) - 2.0)
+    if np.any(outside > error):
+        return "unstable"
+    return "marginal" if np.any(outside > -error) else "elliptic"
+
+
+def _dissipative_verdict(multipliers: np.ndarray) -> str:
+    largest = float(np.abs(multipliers).max(initial=0.0))
+    if abs(largest - 1.0) < ERROR_FLOOR:
+        return "marginal"
+    return "unstable" if largest > 1.0 else "asymptotically stable"

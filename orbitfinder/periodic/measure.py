@@ -1,0 +1,121 @@
+"""From the solver's nodes to an Orbit: the whole period, its multipliers, action and symmetry."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbitfinder.flow import Flow, build_flow, sample, transition
+from orbitfinder.mechanics.model import Model, energies
+from orbitfinder.mechanics.model import energy as total_energy
+from orbitfinder.periodic.certify import gap
+from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
+from orbitfinder.periodic.orbit import Orbit
+from orbitfinder.periodic.polish import path
+from orbitfinder.periodic.problem import Problem
+from orbitfinder.periodic.shooting import boundary_shift
+from orbitfinder.periodic.symmetry import recognise
+
+SAMPLES = 512
+"""Intervals of the dense picture of an orbit."""
+
+
+def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfolding: np.ndarray) -> Orbit:
+    """An Orbit (without certificate) from converged node states over the problem's horizon."""
+    model = problem.model
+    whole = full_period(problem, flow, nodes, period)
+    plain = build_flow(model, (), (), flow.settings)
+    times, states = dense(plain, whole, period)
+    floquet = multipliers(model, plain, whole, period)
+    loop = path(plain, whole[0], np.array([0.0, period]))
+    return Orbit(
+        name=problem.name,
+        title=problem.title,
+        source=problem.source,
+        system=model.system,
+        state=whole[0],
+        period=period,
+        energy=total_energy(model, whole[0]),
+        action=action(model, times, states),
+        closure=gap(loop[0], loop[-1], problem.turns),
+        symmetry=recognise(times, states, np.asarray(model.angles)),
+        winding=tuple(int(k) for k in problem.turns),
+        floquet_multipliers=floquet.multipliers,
+        pair_defect=floquet.pair_defect,
+        stability=floquet.stability,
+        unfolding=tuple(float(s) for s in unfolding),
+        nodes=whole,
+        times=times,
+        samples=states,
+        tolerance=problem.tolerance,
+        expected=problem.expected,
+    )
+
+
+def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) -> np.ndarray:
+    """Nodes at equal times over the whole period from those over the symmetric part of it.
+
+    Brake: x(-t) = B x(t), B reversing the rates, about both rest points. Reflection:
+    x(t + T/2) = shift - x(t).
+    """
+    symmetry, n = problem.boundary, problem.model.degrees_of_freedom
+    if symmetry.name == "none":
+        return nodes
+    shift = np.concatenate([boundary_shift(problem, nodes), np.zeros(n)])
+    if "brake" in symmetry.name:
+        reverse = np.concatenate([np.ones(n), -np.ones(n)])
+        horizon = symmetry.fraction * period
+        step = horizon / len(nodes)
+        end = path(flow, nodes[-1], np.array([horizon - step, horizon]))[-1:]
+        mirrored = nodes[:0:-1] * reverse
+        if symmetry.name == "brake":
+            return np.vstack([nodes, end, mirrored])
+        nodes = np.vstack([nodes, end, shift - mirrored])
+    return np.vstack([nodes, shift - nodes])
+
+
+def dense(flow: Flow, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times (SAMPLES + 1) and states over one period, each segment sampled from its node."""
+    count = len(nodes)
+    each = -(-SAMPLES // count)
+    pieces = [
+        sample(flow, node, period / count, each + 1, k * period / count)[:-1] for k, node in enumerate(nodes)
+    ]
+    last = sample(flow, nodes[-1], period / count, 2, (count - 1) * period / count)[-1:]
+    states = np.vstack([*pieces, last])
+    return np.linspace(0.0, period, len(states)), states
+
+
+def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> Floquet:
+    """Reduced Floquet multipliers by the product of the segments' state-transition matrices."""
+    n, count = model.degrees_of_freedom, len(nodes)
+    monodromy = np.eye(2 * n)
+    for k, node in enumerate(nodes):
+        monodromy = transition(flow, node, period / count, k * period / count)[1] @ monodromy
+    gradients, directions = frame(model, flow, nodes[0])
+    return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=bool(model.invariants))
+
+
+def frame(model: Model, flow: Flow, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients of the invariants (k x 2n) and symmetry directions, the flow first, in (q, v)."""
+    import casadi as ca
+
+    n = model.degrees_of_freedom
+    x, p = ca.MX.sym("x", 2 * n), ca.DM(model.parameter_values)
+    rate = flow.field(0.0, state, ca.DM(0, 1), ca.DM(0, 1)).full().ravel()
+    rows, directions = [], [rate]
+    for one in model.invariants:
+        gradient = ca.Function("gradient", [x], [ca.gradient(one.value(x[:n], x[n:], p), x)])
+        rows.append(gradient(state).full().ravel())
+        if one.generator is not None:
+            directions.append(one.generator(state[:n], state[n:], p).full().ravel())
+    return np.asarray(rows).reshape(len(rows), 2 * n), np.asarray(directions)
+
+
+def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:
+    """Integral of momentum.dq over the loop, = integral of 2 T dt when T is quadratic in v.
+
+    The trapezoidal rule on equally spaced samples of a periodic function converges exponentially
+    (L. N. Trefethen, J. A. C. Weideman, SIAM Review 56 (2014) 385-458).
+    """
+    kinetic, _ = energies(model, states)
+    return float(np.trapezoid(2.0 * kinetic, times)) if hasattr(np, "trapezoid") else float(np.trapz(2 * kinetic, times))

@@ -1,0 +1,171 @@
+"""A Problem: a Model, a guess and the conditions that single out one orbit, counted before solving."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import CountError, InputError
+from orbitfinder.mechanics.model import Model
+from orbitfinder.periodic.conditions import SYMMETRIES, Pin, Symmetry, check_pin, unfolded_invariants
+
+CLOSURE_TOLERANCE = 1e-12
+"""Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A starting point: state (2n) at t = 0 and period T in s; optionally a whole trajectory.
+
+    `times` (k, from 0 to T) and `states` (k x 2n) give the trajectory when there is one;
+    without it the start is simulated from `state`.
+    """
+
+    state: Any
+    period: float
+    times: np.ndarray | None = None
+    states: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Count:
+    """Equations against unknowns of a Problem, by name."""
+
+    equations: Mapping[str, int]
+    unknowns: Mapping[str, int]
+
+    @property
+    def freedom(self) -> int:
+        """Unknowns minus equations: 0 is square, positive leaves room for an objective."""
+        return sum(self.unknowns.values()) - sum(self.equations.values())
+
+    def __str__(self) -> str:
+        def listed(parts: Mapping[str, int]) -> str:
+            return " + ".join(f"{number} {name}" for name, number in parts.items() if number)
+
+        return (
+            f"{sum(self.equations.values())} equations ({listed(self.equations)}) "
+            f"in {sum(self.unknowns.values())} unknowns ({listed(self.unknowns)})"
+        )
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What to find. `pin=()` takes the orbit nearest to the guess.
+
+    `symmetry` is none | brake | reflection | brake+reflection; `winding` the whole turns of each
+    coordinate in one period; `segments` the shooting intervals of the horizon (None: chosen from
+    the instability of the guess); `tolerance` the closure that the certificate asks for; `free`
+    physical parameters the solver may change; `expected` {"period": (value, tolerance)} that the
+    result must agree with.
+    """
+
+    model: Model
+    guess: Guess
+    pin: tuple[Pin, ...] = ()
+    symmetry: str = "none"
+    winding: tuple[int, ...] | None = None
+    segments: int | None = None
+    tolerance: float = CLOSURE_TOLERANCE
+    free: tuple[str, ...] = ()
+    expected: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    name: str = "orbit"
+    title: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @property
+    def boundary(self) -> Symmetry:
+        """The symmetry as a boundary condition."""
+        return SYMMETRIES[self.symmetry]
+
+    @property
+    def turns(self) -> np.ndarray:
+        """Whole turns of each coordinate in one period (n)."""
+        n = self.model.degrees_of_freedom
+        return np.zeros(n, int) if self.winding is None else np.asarray(self.winding, int)
+
+    def count(self, segments: int | None = None) -> Count:
+        """Equations and unknowns of the shooting system with this many segments."""
+        intervals = segments or self.segments or 1
+        size, symmetry = len(self.model.state_names), self.boundary
+        others = sum(one.generator is not None for one in self.model.invariants)
+        equations = {
+            "defects": size * (intervals - 1),
+            "boundary": size,
+            "phase conditions": int(symmetry.time_phase) + others * symmetry.other_phases,
+            "pins": len(self.pin),
+        }
+        unknowns = {
+            "node states": size * intervals,
+            "period": 1,
+            "unfolding": len(unfolded_invariants(self.model, symmetry)),
+            "freed parameters": len(self.free),
+        }
+        return Count(equations, unknowns)
+
+    def check_count(self) -> Count:
+        """The count of a solvable problem; `CountError` with count and reason otherwise."""
+        count = self.count()
+        if count.freedom < 0:
+            room = len(self.pin) + count.freedom
+            raise CountError(
+                f"pin: over-determined, {count}: {len(self.pin)} pins where the family has room for "
+                f"{room}; remove {-count.freedom} or free as many physical parameters"
+            )
+        if self.pin and not self.free and count.freedom > 0:
+            names = ", ".join(one.name for one in self.model.invariants)
+            raise CountError(
+                f"pin: under-determined, {count}: orbits of this system come in "
+                f"{count.freedom + len(self.pin)}-parameter families (invariants: {names}); add "
+                f"{count.freedom} pins, or give none for the nearest orbit"
+            )
+        return count
+
+
+def _check(problem: Problem) -> None:
+    model, guess = problem.model, problem.guess
+    state = np.asarray(guess.state, float)
+    size = len(model.state_names)
+    if state.shape != (size,):
+        raise InputError(
+            f"guess.state: {state.size} numbers for {size // 2} coordinates; give {size} "
+            f"({', '.join(model.state_names)})"
+        )
+    if not np.all(np.isfinite(state)):
+        raise InputError(f"guess.state: must be finite, got {state.tolist()}; replace NaN and infinity by numbers")
+    if not np.isfinite(guess.period) or guess.period <= 0:
+        raise InputError(f"guess.period: must be positive and finite, got {guess.period}; give a period in s")
+    if problem.symmetry not in SYMMETRIES:
+        raise InputError(f"symmetry: unknown {problem.symmetry!r}; use one of {', '.join(SYMMETRIES)}")
+    _check_winding(problem)
+    if problem.segments is not None and problem.segments < 1:
+        raise InputError(f"segments: must be at least 1, got {problem.segments}; leave it out for the default")
+    if not 0 < problem.tolerance < 1:
+        raise InputError(f"tolerance: must be between 0 and 1, got {problem.tolerance}; the default is 1e-12")
+    for name in problem.free:
+        model.parameter_index(name)
+    for one in problem.pin:
+        check_pin(model, one)
+    if not model.invariants and "energy" in {one.name for one in problem.pin}:
+        raise InputError("pin: energy is not conserved by this system; pin the period or a state component")
+
+
+def _check_winding(problem: Problem) -> None:
+    if problem.winding is None:
+        return
+    n = problem.model.degrees_of_freedom
+    if len(problem.winding) != n:
+        raise InputError(f"winding: {len(problem.winding)} numbers for {n} coordinates; give one per coordinate")
+    if any(k and not angle for k, angle in zip(problem.winding, problem.model.angles, strict=True)):
+        raise InputError(f"winding: {list(problem.winding)} turns a coordinate that is not an angle; set it to 0")
+    if any(problem.winding) and problem.symmetry != "none":
+        raise InputError(
+            f"winding: a {problem.symmetry} orbit comes back, so {list(problem.winding)} cannot hold; "
+            "use symmetry = 'none' for running orbits"
+        )

@@ -1,0 +1,190 @@
+"""Multiple shooting: a Problem as a nonlinear program over node states, period and unfolding.
+
+The decision vector is w = (node 0, ..., node N-1, T, s, freed parameters), and only this file
+knows that order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.flow import Flow, build_flow
+from orbitfinder.periodic.conditions import boundary_rows, pin_row, unfolded_invariants
+from orbitfinder.periodic.problem import Problem
+
+PERIOD_RANGE = 5.0
+"""The period may change by this factor either way; keeps it away from 0, where every state closes."""
+UNFOLDING_RANGE = 10.0
+"""Bound on |s| in 1/s; a fictitious damping of this size has left the problem."""
+RATE_RANGE = 100.0
+"""Bound on rates, in units of the largest rate of the guess."""
+ANGLE_RANGE = 30.0
+"""Bound on how far a coordinate may move from the guess, in units of max(1, its largest value)."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything sits in the decision vector w."""
+
+    size: int
+    segments: int
+    unfolding: int
+    free: int
+
+    @property
+    def total(self) -> int:
+        """Length of w."""
+        return self.size * self.segments + 1 + self.unfolding + self.free
+
+    def nodes(self, w: np.ndarray) -> np.ndarray:
+        """Node states (segments x 2n) of a numeric w."""
+        return np.asarray(w[: self.size * self.segments]).reshape(self.segments, self.size)
+
+    def tail(self, w: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Period, unfolding parameters and freed parameters of a numeric w."""
+        rest = np.asarray(w[self.size * self.segments :])
+        return float(rest[0]), rest[1 : 1 + self.unfolding], rest[1 + self.unfolding :]
+
+    def join(self, nodes: np.ndarray, period: float, free: np.ndarray) -> np.ndarray:
+        """w from its parts, with the unfolding at 0."""
+        return np.concatenate([np.ravel(nodes), [period], np.zeros(self.unfolding), free])
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """The nonlinear program: min f(w) subject to g(w) = 0 and bounds.
+
+    `ends(w)` are the segments' end states (2n x N), `rows(w, ends)` is g, `constraints(w)` is
+    rows(w, ends(w)) and `jacobian(w)` its derivative by the variational equations;
+    `objective` is 1/2 sum weight (w - guess)^2, whose Hessian is diagonal.
+    """
+
+    problem: Problem
+    flow: Flow
+    layout: Layout
+    start: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    weights: np.ndarray
+    variables: ca.MX
+    objective: ca.MX
+    rows: ca.Function
+    constraints: ca.MX
+    jacobian: ca.Function
+
+
+def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) -> Shooting:
+    """The multiple-shooting program of a Problem started from node states (N x 2n).
+
+    2n N rows of continuity and boundary, one phase condition per continuous symmetry and one row
+    per pin, in {2n N node states, T, s per invariant, freed parameters}: square and regular at an
+    orbit (Muñoz-Almaraz et al., Physica D 181 (2003) 1-38).
+    """
+    problem.check_count()
+    unfolded = unfolded_invariants(problem.model, problem.boundary)
+    flow = flow or build_flow(problem.model, problem.free, unfolded)
+    size = len(problem.model.state_names)
+    layout = Layout(size, len(nodes), len(unfolded), len(problem.free))
+    free = np.array([problem.model.parameter_values[problem.model.parameter_index(f)] for f in problem.free])
+    start = layout.join(nodes, problem.guess.period, free)
+    parts = [ca.MX.sym("node", size) for _ in range(layout.segments)]
+    tail = [ca.MX.sym("period"), ca.MX.sym("unfolding", layout.unfolding), ca.MX.sym("free", layout.free)]
+    w = ca.vertcat(*parts, *tail)
+    ends = _ends(problem, flow, parts, tail)
+    given = ca.MX.sym("ends", size, layout.segments)
+    rows = ca.Function("rows", [w, given], [_rows(problem, nodes, parts, tail, given)])
+    constraints = rows(w, ends)
+    lower, upper = _bounds(problem, layout, start)
+    weights = _weights(problem, layout, start)
+    return Shooting(
+        problem, flow, layout, start, lower, upper, weights, w,
+        0.5 * ca.dot(ca.DM(weights), (w - start) ** 2), rows, constraints,
+        ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]),
+    )  # fmt: skip
+
+
+def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -> ca.MX:
+    """End states of all segments, joined (2n x N)."""
+    period, s, free = tail
+    duration = period * (problem.boundary.fraction / len(parts))
+    return ca.horzcat(*[flow.end(k * duration, node, duration, s, free) for k, node in enumerate(parts)])
+
+
+def _rows(
+    problem: Problem, guess: np.ndarray, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX
+) -> ca.MX:
+    """All rows of g: continuity, boundary, phase conditions, pins."""
+    model, symmetry = problem.model, problem.boundary
+    period, _, free = tail
+    parameters = model.parameters(problem.free, free)
+    rows = [ends[:, k] - parts[k + 1] for k in range(len(parts) - 1)]
+    rows.append(boundary_rows(symmetry, parts[0], ends[:, -1], boundary_shift(problem, guess)))
+    for direction in phase_directions(problem, guess[0]):
+        rows.append(ca.dot(ca.DM(direction), parts[0] - ca.DM(guess[0])))
+    rows += [pin_row(model, one, parts[0], period, parameters) for one in problem.pin]
+    return ca.vertcat(*rows)
+
+
+def boundary_shift(problem: Problem, guess: np.ndarray) -> np.ndarray:
+    """Multiples of 2 pi (n) by which the boundary rows are displaced.
+
+    The winding for a full period; for a reflection, the multiple that the guess is nearest to
+    (the motion may be symmetric about an upright link).
+    """
+    n = problem.model.degrees_of_freedom
+    if problem.symmetry == "none":
+        return 2 * np.pi * problem.turns
+    angles = np.asarray(problem.model.angles)
+    if problem.symmetry == "brake":
+        return np.zeros(n)
+    centre = np.mean(guess[:, :n], axis=0) if problem.symmetry == "reflection" else np.zeros(n)
+    return np.where(angles, 2 * np.pi * np.round(centre / np.pi), 0.0)
+
+
+def phase_directions(problem: Problem, state: np.ndarray) -> list[np.ndarray]:
+    """Unit normals (2n) of the hyperplanes through the guess that fix time and other symmetries."""
+    model, symmetry = problem.model, problem.boundary
+    n = model.degrees_of_freedom
+    q, v, p = state[:n], state[n:], model.parameter_values
+    found = []
+    if symmetry.time_phase:
+        acceleration = model.acceleration(0.0, q, v, p).full().ravel()
+        found.append(np.concatenate([v, acceleration]))
+    if symmetry.other_phases:
+        found += [one.generator(q, v, p).full().ravel() for one in model.invariants if one.generator]
+    return [direction / max(float(np.linalg.norm(direction)), 1e-300) for direction in found]
+
+
+def _scales(problem: Problem, start: np.ndarray, layout: Layout) -> tuple[np.ndarray, float]:
+    nodes = layout.nodes(start)
+    n = layout.size // 2
+    coordinates = np.maximum(1.0, np.abs(nodes[:, :n]).max(axis=0))
+    rate = max(float(np.abs(nodes[:, n:]).max()), 2 * np.pi / problem.guess.period)
+    return coordinates, rate
+
+
+def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    coordinates, rate = _scales(problem, start, layout)
+    n = layout.size // 2
+    reach = np.tile(np.concatenate([ANGLE_RANGE * coordinates, np.full(n, RATE_RANGE * rate)]), layout.segments)
+    centre = start[: reach.size]
+    unfolding, free = np.full(layout.unfolding, UNFOLDING_RANGE), start[layout.total - layout.free :]
+    spread = 0.95 * np.abs(free) + (free == 0)
+    period = problem.guess.period
+    lower = np.concatenate([centre - reach, [period / PERIOD_RANGE], -unfolding, free - spread])
+    upper = np.concatenate([centre + reach, [period * PERIOD_RANGE], unfolding, free + 10 * spread])
+    return lower, upper
+
+
+def _weights(problem: Problem, layout: Layout, start: np.ndarray) -> np.ndarray:
+    """Weights of the distance to the guess: 1 for angles in rad, rates and periods made comparable."""
+    n = layout.size // 2
+    clock = problem.guess.period / (2 * np.pi)
+    node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / layout.segments
+    free = start[layout.total - layout.free :]
+    relative = 1.0 / np.maximum(np.abs(free), 1e-6) ** 2
+    tail = [[1.0 / problem.guess.period**2], np.zeros(layout.unfolding), relative]
+    return np.concatenate([np.tile(node, layout.segments), *tail])

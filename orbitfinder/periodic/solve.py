@@ -1,0 +1,310 @@
+"""From a Problem to a certified Orbit: shoot with IPOPT, polish, reduce the period, measure, certify."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.flow import Flow, IntegratorSettings, build_flow, end_state, integration_error, sample, transition
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.periodic.certify import certify, gap
+from orbitfinder.periodic.conditions import Pin, unfolded_invariants
+from orbitfinder.periodic.measure import measure
+from orbitfinder.periodic.orbit import Orbit
+from orbitfinder.periodic.polish import polish
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.shooting import Shooting, transcribe
+from orbitfinder.quiet import captured
+
+
+@dataclass(frozen=True)
+class SolveSettings:
+    """How to solve; the mathematics is in the Problem."""
+
+    integrator: IntegratorSettings = field(default_factory=IntegratorSettings)
+    ipopt_tolerance: float = 1e-9
+    """IPOPT's own tolerance; the digits beyond it come from the polish"""
+    max_iterations: int = 100
+    growth_per_segment: float = 200.0
+    """segments are added until no state-transition matrix is larger than this"""
+    most_segments: int = 40
+    with_certificate: bool = True
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a progress callback gets: the stage's name, iteration, largest defect, period, seconds so far."""
+
+    stage: str
+    iteration: int
+    defect: float
+    period: float
+    elapsed: float
+
+
+Callback = Callable[[Progress], None]
+
+
+def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress: Callback | None = None) -> Orbit:
+    """The periodic orbit that a Problem singles out, with its certificate.
+
+    Multiple shooting solved by IPOPT with an explicit Hessian (so that a square problem is solved
+    by Newton's method), two or more Newton steps on the residual of a high-order integrator, the
+    minimal period. Raises `CountError` before solving an over- or under-determined problem,
+    `ConvergenceError` with a sentence to act on, `IntegrationError` when a segment cannot be
+    integrated from the guess. The result may still fail its certificate: look at
+    `orbit.certificate.passed`.
+    """
+    settings = settings or SolveSettings()
+    began = time.perf_counter()
+    problem.check_count()
+    unfolded = unfolded_invariants(problem.model, problem.boundary)
+    flow = build_flow(problem.model, problem.free, unfolded, settings.integrator)
+    nodes = initial_nodes(problem, flow, settings)
+    shooting = transcribe(problem, nodes, flow)
+    w = solve_nlp(shooting, settings, _reporter(progress, began))
+    refined, w = _polished(shooting, w, settings)
+    refined, w = _minimal(refined, w, settings)
+    orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), *refined.layout.tail(w)[:2])
+    orbit = replace(orbit, provenance=provenance(problem, settings, began))
+    if settings.with_certificate:
+        orbit = replace(orbit, certificate=certify(orbit, problem_model(refined.problem)))
+        orbit = replace(orbit, provenance=provenance(problem, settings, began))
+    if progress:
+        progress(Progress("certified", 0, orbit.closure, orbit.period, time.perf_counter() - began))
+    return orbit
+
+
+def problem_model(problem: Problem) -> Any:
+    """The model of a problem (its freed parameters already at their found values after the polish)."""
+    return problem.model
+
+
+def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.ndarray:
+    """Node states (N x 2n) of the guess: sampled from its trajectory, else simulated from its state."""
+    guess, horizon = problem.guess, problem.boundary.fraction * problem.guess.period
+    count = problem.segments or _segments_needed(problem, flow, horizon, settings)
+    moments = np.arange(count) * horizon / count
+    if guess.times is not None and guess.states is not None:
+        return np.stack([np.interp(moments, guess.times, column) for column in guess.states.T], axis=1)
+    nodes = [np.asarray(guess.state, float)]
+    for k in range(1, count):
+        try:
+            nodes.append(end_state(flow, nodes[-1], horizon / count, moments[k - 1]))
+        except IntegrationError as error:
+            raise IntegrationError(error.reason, segment=k - 1, time=error.time, state=nodes[-1]) from None
+    return np.asarray(nodes)
+
+
+def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: SolveSettings) -> int:
+    """As many segments as keep each state-transition matrix below `growth_per_segment`."""
+    state = np.asarray(problem.guess.state, float)
+    clock = np.concatenate([np.ones(state.size // 2), np.full(state.size // 2, problem.guess.period / (2 * np.pi))])
+    matrix = transition(flow, state, horizon)[1]
+    growth = float(np.linalg.norm(matrix * clock[:, None] / clock[None, :], 2))
+    needed = int(np.ceil(np.log(max(growth, 2.0)) / np.log(settings.growth_per_segment)))
+    return min(max(needed, 1), settings.most_segments)
+
+
+def _reporter(progress: Callback | None, began: float) -> Callback | None:
+    if progress is None:
+        return None
+    return lambda event: progress(replace(event, elapsed=time.perf_counter() - began))
+
+
+class _IterationCallback(ca.Callback):  # type: ignore[misc]
+    """CasADi's iteration hook turned into `Progress` events."""
+
+    def __init__(self, shooting: Shooting, report: Callback) -> None:
+        ca.Callback.__init__(self)
+        self.shooting, self.report, self.iteration = shooting, report, 0
+        self.construct("progress", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        return "stop"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        sizes = {"x": self.shooting.layout.total, "lam_x": self.shooting.layout.total, "f": 1}
+        rows = {"g": self.shooting.constraints.numel(), "lam_g": self.shooting.constraints.numel()}
+        return ca.Sparsity.dense(sizes.get(ca.nlpsol_out(i), rows.get(ca.nlpsol_out(i), 0)), 1)
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
+        period = self.shooting.layout.tail(arguments[0].full().ravel())[0]
+        defect = float(ca.norm_inf(arguments[ca.nlpsol_out().index("g")]))
+        self.report(Progress("shooting", self.iteration, defect, period, 0.0))
+        self.iteration += 1
+        return [0]
+
+
+def solve_nlp(shooting: Shooting, settings: SolveSettings, report: Callback | None = None) -> np.ndarray:
+    """The decision vector w that IPOPT finds; `ConvergenceError` or `IntegrationError` otherwise."""
+    options: dict[str, Any] = {
+        "hess_lag": hessian(shooting),
+        "print_time": False,
+        "error_on_fail": False,
+        "ipopt": {
+            "print_level": 0, "sb": "yes", "tol": settings.ipopt_tolerance, "mu_init": 1e-8,
+            "max_iter": settings.max_iterations, "acceptable_iter": 0, "bound_relax_factor": 0.0,
+        },
+    }  # fmt: skip
+    if report is not None:
+        callback = _IterationCallback(shooting, report)
+        options["iteration_callback"] = callback
+    square = shooting.problem.count(shooting.layout.segments).freedom == 0
+    objective = ca.MX(0) if square else shooting.objective
+    program = {"x": shooting.variables, "f": objective, "g": shooting.constraints}
+    with captured() as output:
+        solver = ca.nlpsol("shooting", "ipopt", program, options)
+        result = solver(x0=shooting.start, lbx=shooting.lower, ubx=shooting.upper, lbg=0, ubg=0)
+        stats = solver.stats()
+    w = result["x"].full().ravel()
+    if not stats["success"]:
+        raise _failure(shooting, w, stats["return_status"], output.text)
+    return np.asarray(w)
+
+
+def hessian(shooting: Shooting) -> ca.Function:
+    """Upper triangle of the Hessian handed to IPOPT: lam_f times that of the objective, constraints left out.
+
+    Square problems have objective 0 and take a small multiple of the identity: the step is Newton's
+    whatever it is. Least-squares objectives take their Gauss-Newton Hessian, diag(weights).
+    """
+    w, parameters = ca.MX.sym("w", shooting.layout.total), ca.MX.sym("p", 0)
+    factor, rows = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", shooting.constraints.numel())
+    square = shooting.problem.count(shooting.layout.segments).freedom == 0
+    diagonal = ca.DM.ones(w.numel()) * 1e-8 if square else factor * ca.DM(shooting.weights + 1e-8)
+    return ca.Function("hess_lag", [w, parameters, factor, rows], [ca.triu(ca.diag(ca.MX(diagonal)))])
+
+
+def _failure(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Exception:
+    """Why IPOPT ended without an orbit, as one sentence with the worst defect and what to try."""
+    layout = shooting.layout
+    period, unfolding, _ = layout.tail(w)
+    if not np.all(np.isfinite(w)):
+        return integration_error(text, layout.nodes(shooting.start)[0], 0.0, shooting.problem.guess.period)
+    try:
+        defects = worst_defects(shooting, w)
+    except IntegrationError as error:
+        return error
+    worst = int(np.argmax(defects))
+    guess = shooting.problem.guess.period
+    advice = "try a guess nearer to an orbit, more segments, or another pin"
+    if period < 1.05 * shooting.lower[layout.size * layout.segments]:
+        advice = "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
+    elif float(np.abs(shooting.flow.field(0, layout.nodes(w)[0], unfolding, layout.tail(w)[2])).full().max()) < 1e-6:
+        advice = "the search fell on an equilibrium; pin a larger energy or start further from rest"
+    return ConvergenceError(
+        f"no orbit found ({status}): largest defect {defects[worst]:.3g} at segment {worst}, "
+        f"period {period:.6g} s (guess {guess:.6g} s), unfolding {np.max(np.abs(unfolding), initial=0.0):.2g}; {advice}"
+    )
+
+
+def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """Largest gap at the end of each segment (N) of a decision vector."""
+    layout, problem = shooting.layout, shooting.problem
+    nodes, (period, _, _) = layout.nodes(w), layout.tail(w)
+    duration = period * problem.boundary.fraction / layout.segments
+    ends = np.stack([end_state(shooting.flow, node, duration, k * duration) for k, node in enumerate(nodes)])
+    gaps = np.abs(ends[:-1] - nodes[1:]).max(axis=1)
+    rows = shooting.rows(w, ends.T).full().ravel()
+    boundary = rows[layout.size * (layout.segments - 1) : layout.size * layout.segments]
+    return np.append(gaps, float(np.abs(boundary).max()))
+
+
+def _polished(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
+    """Newton on the high-order residual, the freed parameters and the family's position held."""
+    problem = shooting.problem
+    period, _, free = shooting.layout.tail(w)
+    nodes = shooting.layout.nodes(w)
+    model = with_parameters(problem.model, dict(zip(problem.free, free, strict=True)))
+    held = problem.pin
+    if problem.count(shooting.layout.segments).freedom or problem.free:
+        held = natural_pins(replace(problem, model=model), nodes[0], period)
+    guess = Guess(nodes[0], period)
+    fixed = replace(problem, model=model, pin=held, free=(), guess=guess, segments=len(nodes))
+    square = transcribe(fixed, nodes, None if problem.free else shooting.flow)
+    return square, polish(square, square.start)
+
+
+def natural_pins(problem: Problem, state: np.ndarray, period: float) -> tuple[Pin, ...]:
+    """Pins that hold an orbit where it is in its family: its invariants' values (none: nothing to hold)."""
+    n = problem.model.degrees_of_freedom
+    symmetry = problem.boundary
+    return tuple(
+        Pin(one.name, float(one.value(state[:n], state[n:], problem.model.parameter_values)))
+        for one in problem.model.invariants
+        if one.generator is None or symmetry.pin_others
+    )
+
+
+def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
+    """The same orbit over its minimal period, when the solver went round it several times."""
+    problem, layout = shooting.problem, shooting.layout
+    if problem.symmetry != "none":
+        return shooting, w
+    cover = cover_of(shooting, w)
+    if cover == 1:
+        return shooting, w
+    period = layout.tail(w)[0] / cover
+    count = max(1, layout.segments // cover)
+    state = layout.nodes(w)[0]
+    turns = tuple(int(k) for k in problem.turns // cover)
+    pins = natural_pins(problem, state, period)
+    shorter = replace(problem, guess=Guess(state, period), pin=pins, segments=count, winding=turns)
+    shot = transcribe(shorter, initial_nodes(shorter, shooting.flow, settings), shooting.flow)
+    return shot, polish(shot, shot.start)
+
+
+def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float = 1e-6) -> int:
+    """The largest k <= `most` for which x(T/k) = x(0), the winding divided by k."""
+    from orbitfinder.periodic.polish import path
+
+    layout, problem = shooting.layout, shooting.problem
+    period, state = layout.tail(w)[0], layout.nodes(w)[0]
+    covers = np.arange(most, 1, -1)
+    states = path(shooting.flow, state, np.concatenate([[0.0], period / covers]))
+    extent = max(float(np.ptp(layout.nodes(w), axis=0).max()), float(np.abs(state).max()))
+    for cover, reached in zip(covers, states[1:], strict=True):
+        if np.any(problem.turns % cover):
+            continue
+        if gap(state, reached, problem.turns // cover) < tolerance * extent:
+            return int(cover)
+    return 1
+
+
+def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[str, Any]:
+    """Versions, tolerances, wall time and guess: enough to repeat the search."""
+    import platform
+
+    import scipy
+
+    from orbitfinder.version import __version__
+
+    return {
+        "orbitfinder": __version__,
+        "casadi": ca.__version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "python": platform.python_version(),
+        "relative_tolerance": settings.integrator.relative_tolerance,
+        "absolute_tolerance": settings.integrator.absolute_tolerance,
+        "ipopt_tolerance": settings.ipopt_tolerance,
+        "guess": {"state": [float(x) for x in problem.guess.state], "period": float(problem.guess.period)},
+        "pin": {one.name: one.value for one in problem.pin},
+        "wall_time": round(time.perf_counter() - began, 3),
+    }
