@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import IntegrationError
+from orbitfinder.flow import vector_field as equations_of_motion
 from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
 from orbitfinder.periodic.orbit import Certificate, Check, Orbit, digest, orbit_to_document
 from orbitfinder.periodic.symmetry import recognise
-from orbitfinder.reference import SECOND, TIGHTEST, ReferenceSettings, integrate, vector_field
+from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, integrate, vector_field
 
 SAMPLES = 512
 """Intervals at which the certifying integration is inspected."""
@@ -67,7 +69,7 @@ def gather(
     extended = np.concatenate([start, np.eye(2 * n).ravel("F"), [0.0]])
     path = integrate(vector_field(equations.variational), extended, times, settings)
     field = vector_field(equations.field)
-    momenta = integrate(field, start, times, settings)
+    momenta = integrate(field, start, times, settings, period / STEPS_PER_PERIOD)
     states = _velocities(momenta, field, n)
     monodromy = path[-1, 2 * n : -1].reshape(2 * n, 2 * n, order="F")
     kinetic, potential = energies(model, states)
@@ -180,9 +182,6 @@ def _at_least(name: str, value: float, tolerance: float, note: str = "") -> Chec
 
 def _second_closure(model: Model, orbit: Orbit, turns: np.ndarray) -> float:
     """Closure of the accelerations themselves at a second tolerance: other equations, other steps."""
-    from orbitfinder.flow import vector_field as equations_of_motion
-    import casadi as ca
-
     field = equations_of_motion(model, (), ())
     t, x = ca.MX.sym("t"), ca.MX.sym("x", orbit.state.size)
     function = ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])

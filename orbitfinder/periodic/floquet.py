@@ -77,7 +77,6 @@ def reciprocal_pairs(multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _conservative_verdict(indices: np.ndarray, defect: float) -> str:
     error = max(ERROR_FACTOR * defect * float(np.abs(indices).max(initial=0.0)), ERROR_FLOOR)
-    outside = np.maximum(np.abs(indices.real) - 2.0, np.abs(indices.imag) - 0.0)
     outside = np.where(np.abs(indices.imag) > error, np.abs(indices.imag), np.abs(indices.real) - 2.0)
     if np.any(outside > error):
         return "unstable"

@@ -26,7 +26,7 @@ def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfo
     plain = build_flow(model, (), (), flow.settings)
     times, states = dense(plain, whole, period)
     floquet = multipliers(model, plain, whole, period)
-    loop = path(plain, whole[0], np.array([0.0, period]))
+    loop = path(plain, whole[0], np.array([0.0, period]), period)
     return Orbit(
         name=problem.name,
         title=problem.title,
@@ -65,7 +65,7 @@ def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) 
         reverse = np.concatenate([np.ones(n), -np.ones(n)])
         horizon = symmetry.fraction * period
         step = horizon / len(nodes)
-        end = path(flow, nodes[-1], np.array([horizon - step, horizon]))[-1:]
+        end = path(flow, nodes[-1], np.array([horizon - step, horizon]), period)[-1:]
         mirrored = nodes[:0:-1] * reverse
         if symmetry.name == "brake":
             return np.vstack([nodes, end, mirrored])

@@ -13,27 +13,32 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.flow import Flow
 from orbitfinder.periodic.shooting import Shooting
 from orbitfinder.quiet import captured
-from orbitfinder.reference import integrate, vector_field
+from orbitfinder.reference import STEPS_PER_PERIOD, integrate, vector_field
 
 MOST_STEPS = 6
 
 
-def path(flow: Flow, state: np.ndarray, times: np.ndarray, unfolding: np.ndarray | None = None) -> np.ndarray:
-    """States (k x 2n) at increasing times by DOP853 on the flow's own field."""
+def path(
+    flow: Flow, state: np.ndarray, times: np.ndarray, period: float, tail: tuple[np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
+    """States (k x 2n) at increasing times by DOP853 on the flow's own field.
+
+    `period` sets the longest step, `tail` the unfolding and freed parameters (0 and the model's own).
+    """
     t, x = ca.MX.sym("t"), ca.MX.sym("x", state.size)
-    s = ca.DM.zeros(len(flow.unfolded)) if unfolding is None else ca.DM(unfolding)
-    free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
+    known = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
+    s, free = (ca.DM.zeros(len(flow.unfolded)), known) if tail is None else (ca.DM(tail[0]), ca.DM(tail[1]))
     field = ca.Function("polish_field", [t, x], [flow.field(t, x, s, free)])
-    return integrate(vector_field(field), state, times)
+    return integrate(vector_field(field), state, times, longest_step=period / STEPS_PER_PERIOD)
 
 
 def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     """All rows of g(w) with the segments integrated by DOP853."""
     layout, problem = shooting.layout, shooting.problem
-    period, unfolding, _ = layout.tail(w)
+    period, unfolding, free = layout.tail(w)
     duration = period * problem.boundary.fraction / layout.segments
     ends = [
-        path(shooting.flow, node, np.array([k * duration, (k + 1) * duration]), unfolding)[-1]
+        path(shooting.flow, node, np.array([k, k + 1]) * duration, period, (unfolding, free))[-1]
         for k, node in enumerate(layout.nodes(w))
     ]
     return np.asarray(shooting.rows(w, np.asarray(ends).T).full().ravel())

@@ -48,9 +48,12 @@ class Layout:
         rest = np.asarray(w[self.size * self.segments :])
         return float(rest[0]), rest[1 : 1 + self.unfolding], rest[1 + self.unfolding :]
 
-    def join(self, nodes: np.ndarray, period: float, free: np.ndarray) -> np.ndarray:
-        """w from its parts, with the unfolding at 0."""
-        return np.concatenate([np.ravel(nodes), [period], np.zeros(self.unfolding), free])
+    def join(
+        self, nodes: np.ndarray, period: float, free: np.ndarray, unfolding: np.ndarray | None = None
+    ) -> np.ndarray:
+        """w from its parts; the unfolding is 0 where none is given."""
+        s = np.zeros(self.unfolding) if unfolding is None else unfolding
+        return np.concatenate([np.ravel(nodes), [period], s, free])
 
 
 @dataclass(frozen=True)

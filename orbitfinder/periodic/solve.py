@@ -11,13 +11,13 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.flow import Flow, IntegratorSettings, build_flow, end_state, integration_error, sample, transition
+from orbitfinder.flow import Flow, IntegratorSettings, build_flow, end_state, integration_error, transition
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.measure import measure
 from orbitfinder.periodic.orbit import Orbit
-from orbitfinder.periodic.polish import polish
+from orbitfinder.periodic.polish import path, polish
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import Shooting, transcribe
 from orbitfinder.quiet import captured
@@ -31,7 +31,9 @@ class SolveSettings:
     ipopt_tolerance: float = 1e-9
     """IPOPT's own tolerance; the digits beyond it come from the polish"""
     max_iterations: int = 100
-    growth_per_segment: float = 200.0
+    fewest_segments: int = 8
+    """per period, where the problem does not say: fewer make the basin of convergence smaller"""
+    growth_per_segment: float = 20.0
     """segments are added until no state-transition matrix is larger than this"""
     most_segments: int = 40
     with_certificate: bool = True
@@ -69,21 +71,14 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     nodes = initial_nodes(problem, flow, settings)
     shooting = transcribe(problem, nodes, flow)
     w = solve_nlp(shooting, settings, _reporter(progress, began))
-    refined, w = _polished(shooting, w, settings)
-    refined, w = _minimal(refined, w, settings)
+    refined, w = _minimal(*_polished(shooting, w), settings)
     orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), *refined.layout.tail(w)[:2])
     orbit = replace(orbit, provenance=provenance(problem, settings, began))
     if settings.with_certificate:
-        orbit = replace(orbit, certificate=certify(orbit, problem_model(refined.problem)))
-        orbit = replace(orbit, provenance=provenance(problem, settings, began))
+        orbit = replace(orbit, certificate=certify(orbit, refined.problem.model))
     if progress:
         progress(Progress("certified", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
-
-
-def problem_model(problem: Problem) -> Any:
-    """The model of a problem (its freed parameters already at their found values after the polish)."""
-    return problem.model
 
 
 def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.ndarray:
@@ -109,7 +104,8 @@ def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: Sol
     matrix = transition(flow, state, horizon)[1]
     growth = float(np.linalg.norm(matrix * clock[:, None] / clock[None, :], 2))
     needed = int(np.ceil(np.log(max(growth, 2.0)) / np.log(settings.growth_per_segment)))
-    return min(max(needed, 1), settings.most_segments)
+    fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
+    return min(max(needed, fewest), settings.most_segments)
 
 
 def _reporter(progress: Callback | None, began: float) -> Callback | None:
@@ -206,7 +202,7 @@ def _failure(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Excep
     advice = "try a guess nearer to an orbit, more segments, or another pin"
     if period < 1.05 * shooting.lower[layout.size * layout.segments]:
         advice = "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
-    elif float(np.abs(shooting.flow.field(0, layout.nodes(w)[0], unfolding, layout.tail(w)[2])).full().max()) < 1e-6:
+    elif float(np.abs(shooting.flow.field(0, layout.nodes(w)[0], unfolding, layout.tail(w)[2]).full()).max()) < 1e-6:
         advice = "the search fell on an equilibrium; pin a larger energy or start further from rest"
     return ConvergenceError(
         f"no orbit found ({status}): largest defect {defects[worst]:.3g} at segment {worst}, "
@@ -226,30 +222,32 @@ def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     return np.append(gaps, float(np.abs(boundary).max()))
 
 
-def _polished(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
-    """Newton on the high-order residual, the freed parameters and the family's position held."""
-    problem = shooting.problem
-    period, _, free = shooting.layout.tail(w)
-    nodes = shooting.layout.nodes(w)
+def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
+    """Newton on the high-order residual; freed parameters are then written into the model.
+
+    A problem with an objective is first made square by holding its place in the family.
+    """
+    problem, layout = shooting.problem, shooting.layout
+    square = problem.count(layout.segments).freedom == 0
+    if square:
+        w = polish(shooting, w)
+    if square and not problem.free:
+        return shooting, w
+    period, unfolding, free = layout.tail(w)
+    nodes = layout.nodes(w)
     model = with_parameters(problem.model, dict(zip(problem.free, free, strict=True)))
-    held = problem.pin
-    if problem.count(shooting.layout.segments).freedom or problem.free:
-        held = natural_pins(replace(problem, model=model), nodes[0], period)
-    guess = Guess(nodes[0], period)
-    fixed = replace(problem, model=model, pin=held, free=(), guess=guess, segments=len(nodes))
-    square = transcribe(fixed, nodes, None if problem.free else shooting.flow)
-    return square, polish(square, square.start)
+    settled = replace(problem, model=model, free=(), guess=Guess(nodes[0], period), segments=len(nodes), pin=())
+    settled = replace(settled, pin=problem.pin[:1] or natural_pin(settled, nodes[0]))
+    held = transcribe(settled, nodes, None if problem.free else shooting.flow)
+    return held, polish(held, held.layout.join(nodes, period, np.zeros(0), unfolding))
 
 
-def natural_pins(problem: Problem, state: np.ndarray, period: float) -> tuple[Pin, ...]:
-    """Pins that hold an orbit where it is in its family: its invariants' values (none: nothing to hold)."""
+def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
+    """The pin that holds an orbit where it is in its family: its energy; nothing where none is conserved."""
     n = problem.model.degrees_of_freedom
-    symmetry = problem.boundary
-    return tuple(
-        Pin(one.name, float(one.value(state[:n], state[n:], problem.model.parameter_values)))
-        for one in problem.model.invariants
-        if one.generator is None or symmetry.pin_others
-    )
+    values = problem.model.parameter_values
+    first = problem.model.invariants[:1]
+    return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in first)
 
 
 def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
@@ -264,7 +262,7 @@ def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tupl
     count = max(1, layout.segments // cover)
     state = layout.nodes(w)[0]
     turns = tuple(int(k) for k in problem.turns // cover)
-    pins = natural_pins(problem, state, period)
+    pins = natural_pin(problem, state)
     shorter = replace(problem, guess=Guess(state, period), pin=pins, segments=count, winding=turns)
     shot = transcribe(shorter, initial_nodes(shorter, shooting.flow, settings), shooting.flow)
     return shot, polish(shot, shot.start)
@@ -272,12 +270,10 @@ def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tupl
 
 def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float = 1e-6) -> int:
     """The largest k <= `most` for which x(T/k) = x(0), the winding divided by k."""
-    from orbitfinder.periodic.polish import path
-
     layout, problem = shooting.layout, shooting.problem
     period, state = layout.tail(w)[0], layout.nodes(w)[0]
     covers = np.arange(most, 1, -1)
-    states = path(shooting.flow, state, np.concatenate([[0.0], period / covers]))
+    states = path(shooting.flow, state, np.concatenate([[0.0], period / covers]), period)
     extent = max(float(np.ptp(layout.nodes(w), axis=0).max()), float(np.abs(state).max()))
     for cover, reached in zip(covers, states[1:], strict=True):
         if np.any(problem.turns % cover):

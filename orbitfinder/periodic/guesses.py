@@ -1,0 +1,60 @@
+"""Starting points that need no search: the linear normal modes of an equilibrium."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import Model
+from orbitfinder.periodic.problem import Guess
+
+
+def normal_modes(model: Model, equilibrium: Sequence[float] | np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Squared angular frequencies (n, rad^2/s^2, slowest first) and shapes (n x n, one per column).
+
+    K u = w^2 M u with M = d2T/dv2 and K = d2V/dq2 at the equilibrium (default: q = 0, hanging).
+    Source: Goldstein, Classical Mechanics, section 6.2.
+    """
+    from scipy.linalg import eigh
+
+    n = model.degrees_of_freedom
+    q, v = ca.MX.sym("q", n), ca.MX.sym("v", n)
+    values = ca.DM(model.parameter_values)
+    stiffness, slope = ca.hessian(model.potential(q, values), q)
+    mass, _ = ca.hessian(model.kinetic(q, v, values), v)
+    at_rest = ca.Function("at_rest", [q], [ca.densify(ca.substitute(mass, v, ca.DM.zeros(n))), stiffness, slope])
+    place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
+    m, k, force = (part.full() for part in at_rest(place))
+    if np.abs(force).max() > 1e-9 * max(1.0, float(np.abs(k).max())):
+        raise InputError(f"guess.mode: {place.tolist()} is not an equilibrium; give the coordinates of one")
+    squared, shapes = eigh(k, m)
+    return np.asarray(squared), np.asarray(shapes)
+
+
+def normal_mode(
+    model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray | None = None
+) -> Guess:
+    """Guess on a linear normal mode: `mode` counts from 1, slowest first; largest deviation `amplitude` (rad or m).
+
+    The motion starts at rest at its turning point. Raises `InputError` when there is no such mode
+    or when the equilibrium is unstable in it.
+    """
+    n = model.degrees_of_freedom
+    if isinstance(mode, bool) or not 1 <= mode <= n:
+        raise InputError(f"guess.mode: must be between 1 and {n}, got {mode}; this system has {n} normal modes")
+    if not (np.isfinite(amplitude) and amplitude > 0):
+        raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
+    squared, shapes = normal_modes(model, equilibrium)
+    chosen = float(squared[mode - 1])
+    if chosen <= 1e-12 * float(np.abs(squared).max(initial=0.0)):
+        raise InputError(
+            f"guess.mode: mode {mode} does not oscillate (squared frequency {chosen:.3g}); "
+            "give a state and a period, or use gravity so that the system hangs"
+        )
+    shape = shapes[:, mode - 1]
+    largest = shape[np.abs(shape).argmax()]
+    place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
+    return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
