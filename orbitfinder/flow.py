@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -56,8 +57,26 @@ class Flow:
     free: tuple[str, ...]
     unfolded: tuple[Invariant, ...]
     field: ca.Function
-    end: ca.Function
-    derivatives: ca.Function
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """The variational integrator; built when first asked for, since it is large for long chains."""
+        names, inputs = self._inputs()
+        outputs = _variational(self.field, self.settings, inputs)
+        return ca.Function("flow_derivatives", inputs, outputs, names, ["xf", "sensitivity"])
+
+    @cached_property
+    def end(self) -> ca.Function:
+        """The state integrator with the variational equations as its custom Jacobian."""
+        names, inputs = self._inputs()
+        jacobian = _custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
+        options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
+        return ca.Function("flow_end", inputs, [_plain(self.field, self.settings, inputs)], names, ["xf"], options)
+
+    def _inputs(self) -> tuple[list[str], list[ca.MX]]:
+        names = ["t0", "x0", "duration", "s", "free"]
+        sizes = [1, self.field.size1_in(1), 1, len(self.unfolded), len(self.free)]
+        return names, [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
 
 
 def build_flow(
@@ -68,20 +87,8 @@ def build_flow(
 ) -> Flow:
     """Flow of a Model; `free` names physical parameters kept variable, `unfolded` the invariants
     whose unfolding acceleration s_k u_k(q, v) is added to the equations of motion."""
-    settings = settings or IntegratorSettings()
-    names = ["t0", "x0", "duration", "s", "free"]
     field = vector_field(model, free, unfolded)
-    sizes = [1, field.size1_in(1), 1, len(unfolded), len(free)]
-    inputs = [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
-    derivatives = ca.Function(
-        "flow_derivatives", inputs, _variational(field, settings, inputs), names, ["xf", "sensitivity"]
-    )
-    end = ca.Function(
-        "flow_end", inputs, [_plain(field, settings, inputs)], names, ["xf"],
-        {"custom_jacobian": _custom_jacobian(field, derivatives, inputs, names),
-         "never_inline": True, "jac_penalty": 0},
-    )  # fmt: skip
-    return Flow(model, settings, tuple(free), tuple(unfolded), field, end, derivatives)
+    return Flow(model, settings or IntegratorSettings(), tuple(free), tuple(unfolded), field)
 
 
 def vector_field(model: Model, free: Sequence[str], unfolded: Sequence[Invariant]) -> ca.Function:
@@ -143,17 +150,21 @@ def _variational(field: ca.Function, settings: IntegratorSettings, inputs: list[
 
 
 def _custom_jacobian(
-    field: ca.Function, derivatives: ca.Function, inputs: list[ca.MX], names: list[str]
+    field: ca.Function, derivatives: ca.Function, inputs: list[ca.MX], names: list[str], forced: bool
 ) -> ca.Function:
     """Jacobian blocks of `end` from the variational equations.
 
-    The start time only ever multiplies a prescribed period, so its column is left at zero.
+    Starting later by dt at the same state and duration changes the end by
+    (f(t0 + duration, end) - Phi f(t0, start)) dt, which is zero for autonomous equations.
     """
-    t0, _, duration, s, free = inputs
+    t0, start, duration, s, free = inputs
     size = field.size1_in(1)
     end, sensitivity = derivatives(*inputs)
+    later = ca.MX(size, 1)
+    if forced:
+        later = field(t0 + duration, end, s, free) - sensitivity[:, :size] @ field(t0, start, s, free)
     blocks = [
-        ca.MX(size, 1),
+        later,
         sensitivity[:, :size],
         field(t0 + duration, end, s, free),
         sensitivity[:, size : size + s.numel()],
@@ -201,7 +212,7 @@ def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: fl
     grid = list(np.linspace(0.0, 1.0, count))
     steps = dict(flow.settings.options(), max_num_steps=20 * flow.settings.max_steps)
     chosen = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
-    packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), chosen)
+    packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), ca.vec(chosen))
     error: Exception | None = None
     with captured() as output:
         try:

@@ -25,7 +25,7 @@ class Canonical:
 
 
 def canonical(model: Model) -> Canonical:
-    """Hamilton's equations from L = T - V through the Legendre transform.
+    """Hamilton's equations from L = T + G - V (G linear in v) through the Legendre transform.
 
     v = M(q)^-1 (momentum - dT/dv at v = 0), dH/dp = v, -dH/dq = dL/dq(q, v) at that v.
     Source: Goldstein, Classical Mechanics, section 8.1.
@@ -35,6 +35,8 @@ def canonical(model: Model) -> Canonical:
     t, q, v, y = symbol("t"), symbol("q", n), symbol("v", n), symbol("y", 2 * n)
     values = model.parameters()
     kinetic, potential = model.kinetic(q, v, values), model.potential(q, values)
+    if model.gyroscopic is not None:
+        kinetic += model.gyroscopic(q, v, values)
     momentum = ca.gradient(kinetic, v)
     legendre = ca.Function("legendre", [q, v], [momentum, ca.jacobian(momentum, v)])
     offset, matrix = legendre(y[:n], type(y)(ca.DM.zeros(n)))

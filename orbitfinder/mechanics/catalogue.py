@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.constrained import ConstrainedModel, reduced
+from orbitfinder.mechanics.linkage import linkage
+from orbitfinder.mechanics.maximal import chain_dae
 from orbitfinder.mechanics.model import Model
+
+REBUILDABLE = ("chain", "linkage")
 
 
 def build_model(system: Mapping[str, Any]) -> Model:
-    """The Model that a description stands for. Raises `InputError` for an unknown or wrong one."""
-    kind = system.get("kind")
-    if kind != "chain":
+    """The Model that a description stands for; of a linkage its reduced form in maximal coordinates.
+
+    Raises `InputError` for an unknown or wrong description.
+    """
+    if system.get("kind") == "linkage":
+        return reduced(build_constrained(system))
+    return _built(chain, system)  # type: ignore[no-any-return]
+
+
+def build_constrained(system: Mapping[str, Any]) -> ConstrainedModel:
+    """The native DAE that a description of a linkage, or of a chain, stands for. Raises `InputError`."""
+    if system.get("kind") == "linkage":
+        return _built(linkage, system)  # type: ignore[no-any-return]
+    return _built(chain_dae, {key: value for key, value in system.items() if key != "formulation"})  # type: ignore[no-any-return]
+
+
+def _built(builder: Callable[..., Any], system: Mapping[str, Any]) -> Any:
+    if (kind := system.get("kind")) not in REBUILDABLE:
         raise InputError(
-            f"system.kind: cannot rebuild {kind!r} from a file; give the Model itself (model=...) or use kind = 'chain'"
+            f"system.kind: cannot rebuild {kind!r} from a file; give the Model itself (model=...) or use kind = "
+            + " or ".join(repr(known) for known in REBUILDABLE)
         )
-    arguments = {key: value for key, value in system.items() if key != "kind"}
     try:
-        return chain(**arguments)
+        return builder(**{key: value for key, value in system.items() if key != "kind"})
     except TypeError as error:
         raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
 
@@ -31,7 +51,7 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
-    if model.system.get("kind") != "chain":
+    if model.system.get("kind") not in REBUILDABLE:
         return replace(model, parameter_values=numbers)
     system = dict(model.system)
     for name, value in values.items():

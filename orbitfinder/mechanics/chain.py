@@ -60,23 +60,35 @@ def chain(
     (kg m^2, about the centre of mass; default m l^2 / 12) and `com` (centre of mass as a fraction
     of the length, from the upper joint) are scalars or one number per link; `gravity` in m/s^2.
     The potential is zero at the fixed joint: V = -sum m g x_G. `formulation` is "recursive" (O(n)
-    elimination of the joint forces) or "lagrange" (dense mass matrix). Raises `InputError`.
+    elimination of the joint forces), "lagrange" (dense mass matrix), "newton-euler" (balances about
+    the joints) or "dae" (maximal coordinates, reduced to the angles). Raises `InputError`.
     """
     derivers = formulations()
-    if formulation not in derivers:
+    if not isinstance(formulation, str) or formulation not in derivers:
         raise InputError(f"formulation: unknown {formulation!r}; use one of {', '.join(derivers)}")
     system = chain_system(links, length, mass, inertia, com, gravity=gravity, formulation=formulation)
     return derivers[formulation](chain_symbols(system), system)
 
 
 def formulations() -> dict[str, Callable[[ChainSymbols, dict[str, Any]], Model]]:
-    """Every way of deriving the chain's equations, by name."""
-    return {"lagrange": lagrange_chain, "recursive": recursive_chain}
+    """Every way of deriving the chain's equations, by name (imported here: they build on this module)."""
+    from orbitfinder.mechanics.maximal import dae_chain
+    from orbitfinder.mechanics.newton_euler import newton_euler_chain
+
+    return {
+        "lagrange": lagrange_chain,
+        "newton-euler": newton_euler_chain,
+        "dae": dae_chain,
+        "recursive": recursive_chain,
+    }
 
 
 def per_link(name: str, value: Numbers, links: int, lowest: float, inclusive: bool = False) -> list[float]:
     """A scalar or one number per link as a list; `InputError` names the field and the value."""
-    numbers = np.asarray(value, float)
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: must be numbers, got {value!r}; give one number or one per link") from None
     if numbers.ndim == 0:
         numbers = np.full(links, float(numbers))
     if numbers.shape != (links,):
@@ -104,7 +116,7 @@ def chain_system(
     """The plain description (JSON) that a chain is built from, checked."""
     if isinstance(links, bool) or not isinstance(links, (int, np.integer)) or links < 1:
         raise InputError(f"links: must be a whole number of at least 1, got {links!r}; give the number of links")
-    if not np.isfinite(gravity):
+    if not isinstance(gravity, (int, float, np.number)) or not np.isfinite(gravity):
         raise InputError(f"gravity: must be finite, got {gravity!r}; use 9.8 on Earth, 0 for none")
     count = int(links)
     system: dict[str, Any] = {
@@ -218,19 +230,23 @@ def recursive_chain(symbols: ChainSymbols, system: dict[str, Any]) -> Model:
     return model_from_acceleration(symbols, system, recursive_acceleration(symbols)[0])
 
 
-def model_from_acceleration(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.SX) -> Model:
-    """A chain Model around accelerations (n) that were derived without the energies."""
+def model_from_acceleration(
+    symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.SX | ca.Function
+) -> Model:
+    """A chain Model around accelerations (n, or a Function of t, q, v, p) derived without the energies."""
     q, v, p = symbols.angles, symbols.rates, symbols.parameters
     count = len(symbols.links)
     kinetic, potential = chain_energies(symbols)
     joints, centres = geometry(symbols)
     labels = tuple(f"theta{i + 1}" for i in range(count))
+    if not isinstance(acceleration, ca.Function):
+        acceleration = ca.Function("acceleration", [ca.SX.sym("t"), q, v, p], [acceleration])
     return Model(
         system=system,
         state_names=labels + tuple(f"{label}dot" for label in labels),
         parameter_names=symbols.names,
         parameter_values=symbols.values,
-        acceleration=ca.Function("acceleration", [ca.SX.sym("t"), q, v, p], [acceleration]),
+        acceleration=acceleration,
         kinetic=ca.Function("kinetic", [q, v, p], [kinetic]),
         potential=ca.Function("potential", [q, p], [potential]),
         invariants=tuple(chain_invariants(symbols, kinetic, potential)),

@@ -21,7 +21,8 @@ class Symbols:
     """The CasADi SX symbols that the energies are written in.
 
     `coordinates` q (n), `velocities` v (n), `parameters` (k) with names and default values,
-    and `time` for systems that are forced explicitly.
+    and `time` for systems that are forced explicitly, with `forcing_period` (s), which may be
+    an expression in the parameters.
     """
 
     coordinates: ca.SX
@@ -30,21 +31,59 @@ class Symbols:
     parameter_names: tuple[str, ...] = ()
     parameter_values: tuple[float, ...] = ()
     time: ca.SX | None = None
+    forcing_period: ca.SX | float | None = None
+
+
+@dataclass(frozen=True)
+class Terms:
+    """A Lagrangian taken apart: kinetic (quadratic in v) + gyroscopic (linear in v) - potential, and forces."""
+
+    kinetic: ca.SX
+    potential: ca.SX
+    gyroscopic: ca.SX | None = None
+    forces: ca.SX | None = None
 
 
 def mass_matrix_and_bias(
-    kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX, forces: ca.SX | None = None
+    kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX, forces: ca.SX | None = None, t: ca.SX | None = None
 ) -> tuple[ca.SX, ca.SX]:
     """M (n x n) and h (n) with M a + h = 0, from L = T - V by the multivariable chain rule.
 
-    d/dt dL/dv = (d2L/dv dq) v + (d2L/dv2) a, hence M = d2L/dv2 and
-    h = (d2L/dv dq) v - dL/dq - Q. Source: Goldstein, Classical Mechanics, section 1.4.
+    d/dt dL/dv = d2L/dv dt + (d2L/dv dq) v + (d2L/dv2) a, hence M = d2L/dv2 and
+    h = d2L/dv dt + (d2L/dv dq) v - dL/dq - Q. Source: Goldstein, Classical Mechanics, section 1.4.
     """
     lagrangian = kinetic - potential
     momentum = ca.gradient(lagrangian, v)
     mass_matrix = ca.jacobian(momentum, v)
     bias = ca.jtimes(momentum, q, v) - ca.gradient(lagrangian, q)
+    if t is not None:
+        bias += ca.jacobian(momentum, t)
     return mass_matrix, bias if forces is None else bias - forces
+
+
+def take_apart(kinetic: ca.SX, potential: ca.SX, forces: ca.SX | None, arguments: Sequence[ca.SX]) -> Terms:
+    """The terms of L = T - V in (t, q, v, p) that the rest of the library works with.
+
+    T = T2 + T1 + T0 by powers of v. Autonomous: T2 stays, T1 is gyroscopic and V - T0 the potential,
+    so that T2 + V - T0 is the Jacobi integral v.dL/dv - L (Goldstein, section 2.7). What depends on
+    time becomes a force: with h the bias of all terms and h0 that of T2 and V at t = 0, Q = h0 - h.
+    """
+    t, q, v, _ = arguments
+    nothing = ca.SX.zeros(v.numel())
+    rest = ca.substitute(kinetic, v, nothing)
+    slope = ca.substitute(ca.gradient(kinetic, v), v, nothing)
+    if ca.depends_on(ca.vertcat(kinetic, potential), t):
+        mass = ca.hessian(kinetic, v)[0]
+        if ca.depends_on(mass, t):
+            raise InputError("kinetic: its terms quadratic in v depend on time; only the linear and constant ones may")
+        steady = Terms(0.5 * ca.dot(v, mass @ v), ca.substitute(potential, t, ca.SX(0)))
+        moving = mass_matrix_and_bias(kinetic, potential, q, v, forces, t)[1]
+        return Terms(steady.kinetic, steady.potential, None,
+                     mass_matrix_and_bias(steady.kinetic, steady.potential, q, v)[1] - moving)  # fmt: skip
+    if slope.is_zero() and rest.is_zero():
+        return Terms(kinetic, potential, None, forces)
+    gyroscopic = None if slope.is_zero() else ca.dot(slope, v)
+    return Terms(0.5 * ca.dot(v, ca.hessian(kinetic, v)[0] @ v), potential - rest, gyroscopic, forces)
 
 
 def solve_positive_definite(matrix: ca.SX, right: ca.SX) -> ca.SX:
@@ -75,6 +114,32 @@ def energy_invariant(kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX, p: ca
     )
 
 
+def detected_invariants(terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX]) -> list[Invariant]:
+    """Energy where no force acts, and the momentum dL/dv_i of each coordinate that L does not contain.
+
+    Source: Goldstein, Classical Mechanics, section 2.6. A force on such a coordinate ends it.
+    """
+    t, q, v, p = arguments
+    lagrangian = terms.kinetic - terms.potential + (0 if terms.gyroscopic is None else terms.gyroscopic)
+    found = [] if terms.forces is not None else [energy_invariant(terms.kinetic, terms.potential, q, v, p)]
+    momentum = ca.gradient(lagrangian, v)
+    for i, label in enumerate(labels):
+        acted_on = terms.forces is not None and not ca.SX(terms.forces)[i].is_zero()
+        if ca.depends_on(lagrangian, q[i]) or acted_on:
+            continue
+        along = ca.SX.zeros(q.numel())
+        along[i] = 1
+        found.append(
+            Invariant(
+                f"momentum_{label}",
+                ca.Function(f"momentum_{label}", [q, v, p], [momentum[i]]),
+                ca.Function(f"momentum_{label}_unfolding", [q, v, p], [along]),
+                ca.Function(f"shift_{label}", [q, v, p], [ca.vertcat(along, ca.SX.zeros(q.numel()))]),
+            )
+        )
+    return found
+
+
 def acceleration_function(
     matrix: ca.SX, bias: ca.SX, arguments: Sequence[ca.SX], limit: int = UNROLLED_FACTORISATION_LIMIT
 ) -> ca.Function:
@@ -103,45 +168,61 @@ def lagrange(
 ) -> Model:
     """Model of a system given by its kinetic and potential energy (CasADi SX expressions).
 
-    Lagrange: d/dt dL/dv - dL/dq = Q with L = T(q, v, p) - V(q, p) and generalized forces
-    Q(t, q, v, p). Energy is taken as a first integral when Q is absent; pass `invariants=()` or
-    your own to override. `names` are the coordinates' names (rates get a trailing "dot").
-    Raises `InputError` when an expression is not a scalar or the kinetic energy is not
-    quadratic and positive in v at the origin.
+    Lagrange: d/dt dL/dv - dL/dq = Q with L = T(t, q, v, p) - V(t, q, p) and generalized forces
+    Q(t, q, v, p). T may have terms linear in v (moving pivots, rotating frames). First integrals are
+    detected: the Jacobi integral ("energy") when Q and time are absent, and the momenta of absent
+    coordinates; pass `invariants=()` or your own to override (find_orbit checks their drift).
+    `names` are the coordinates' names (rates get a trailing "dot"). Raises `InputError` when an
+    energy is not a scalar, depends on a foreign symbol, or T is not quadratic in all velocities.
     """
     q, v = symbols.coordinates, symbols.velocities
-    _check_shapes(kinetic, potential, q, v)
     p = symbols.parameters if symbols.parameters is not None else ca.SX(0, 1)
     t = symbols.time if symbols.time is not None else ca.SX.sym("t")
     arguments = [t, q, v, p]
-    matrix, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
+    _check_energies(kinetic, potential, forces, arguments)
+    terms = take_apart(ca.SX(kinetic), ca.SX(potential), forces, arguments)
+    lagrangian = terms.kinetic if terms.gyroscopic is None else terms.kinetic + terms.gyroscopic
+    matrix, bias = mass_matrix_and_bias(lagrangian, terms.potential, q, v, terms.forces)
     size = q.numel()
     labels = tuple(names) if names is not None else tuple(f"q{i + 1}" for i in range(size))
     if invariants is None:
-        conservative = forces is None and symbols.time is None
-        invariants = [energy_invariant(kinetic, potential, q, v, p)] if conservative else []
+        invariants = detected_invariants(terms, labels, arguments)
+    clock = symbols.forcing_period
     return Model(
         system=dict(system or {"kind": "custom"}),
         state_names=labels + tuple(f"{label}dot" for label in labels),
         parameter_names=tuple(symbols.parameter_names),
         parameter_values=np.asarray(symbols.parameter_values, float),
         acceleration=acceleration_function(matrix, bias, arguments),
-        kinetic=ca.Function("kinetic", [q, v, p], [kinetic]),
-        potential=ca.Function("potential", [q, p], [potential]),
-        forces=None if forces is None else ca.Function("forces", arguments, [forces]),
+        kinetic=ca.Function("kinetic", [q, v, p], [terms.kinetic]),
+        potential=ca.Function("potential", [q, p], [terms.potential]),
+        forces=None if terms.forces is None else ca.Function("forces", arguments, [terms.forces]),
         invariants=tuple(invariants),
         angles=tuple(angles) if angles is not None else (False,) * size,
         points=None if points is None else ca.Function("points", [q, p], [points]),
         centres=None if centres is None else ca.Function("centres", [q, p], [centres]),
+        gyroscopic=None if terms.gyroscopic is None else ca.Function("gyroscopic", [q, v, p], [terms.gyroscopic]),
+        forcing_period=None if clock is None else ca.Function("forcing_period", [p], [ca.SX(clock)]),
     )
 
 
-def _check_shapes(kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX) -> None:
+def _check_energies(kinetic: ca.SX, potential: ca.SX, forces: ca.SX | None, arguments: Sequence[ca.SX]) -> None:
+    t, q, v, p = arguments
     for name, value in (("kinetic", kinetic), ("potential", potential)):
         if ca.SX(value).numel() != 1:
             raise InputError(f"{name}: expected a scalar expression, got shape {ca.SX(value).shape}")
     if q.numel() != v.numel():
         raise InputError(f"velocities: {v.numel()} given for {q.numel()} coordinates; give one per coordinate")
+    if forces is not None and ca.SX(forces).shape != (q.numel(), 1):
+        raise InputError(f"forces: shape {ca.SX(forces).shape} for {q.numel()} coordinates; give one per coordinate")
+    allowed = {"kinetic": "t, q, v and p", "potential": "t, q and p", "forces": "t, q, v and p"}
+    for name, value, known in (
+        ("kinetic", kinetic, arguments), ("potential", potential, [t, q, p]), ("forces", forces, arguments)
+    ):  # fmt: skip
+        symbols = [] if value is None else ca.symvar(ca.SX(value))
+        stray = [str(s) for s in symbols if not ca.depends_on(ca.vertcat(*known), s)]
+        if stray:
+            raise InputError(f"{name}: depends on {', '.join(stray)}; it may depend on {allowed[name]} only")
     hessian = ca.hessian(ca.SX(kinetic), v)[0]
-    if ca.depends_on(hessian, v) or hessian.nnz() == 0:
-        raise InputError("kinetic: not quadratic in the velocities; write T = 1/2 v.M(q) v + ...")
+    if ca.depends_on(hessian, v) or ca.sprank(hessian) < v.numel():
+        raise InputError("kinetic: not quadratic in the velocities, or not in all; write T = 1/2 v.M(q) v + ...")

@@ -41,6 +41,10 @@ class Model:
     `acceleration(t, q, v, p)` (n), `kinetic(q, v, p)`, `potential(q, p)`, `forces(t, q, v, p)`
     (generalized, non-conservative, n) and `points(q, p)` (2 x k, drawn as one polyline; for a
     chain the joints), `centres(q, p)` (2 x links, centres of mass). Positions have x down, y right.
+
+    `gyroscopic(q, v, p)` is the part of the Lagrangian that is linear in v; `kinetic` is then its
+    quadratic part and `potential` minus the rest, so that kinetic + potential is the Jacobi
+    integral v.dL/dv - L. `forcing_period(p)` (s) is the period of an explicit dependence on time.
     """
 
     system: Mapping[str, Any]
@@ -55,6 +59,18 @@ class Model:
     angles: tuple[bool, ...] = ()
     points: ca.Function | None = None
     centres: ca.Function | None = None
+    gyroscopic: ca.Function | None = None
+    forcing_period: ca.Function | None = None
+
+    @property
+    def conservative(self) -> bool:
+        """True when an energy is among the invariants (the one that belongs to time translation)."""
+        return any(one.generator is None for one in self.invariants)
+
+    @property
+    def forced(self) -> bool:
+        """True when the equations depend on time explicitly."""
+        return self.forcing_period is not None
 
     @property
     def degrees_of_freedom(self) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from orbitfinder.errors import IntegrationError
+from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.flow import vector_field as equations_of_motion
 from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanics.catalogue import build_model
@@ -147,6 +147,9 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     allowed = tolerances or Tolerances()
     model = model or build_model(orbit.system)
     turns = np.asarray(orbit.winding, int)
+    if (orbit.state.size, turns.size) != (2 * model.degrees_of_freedom, model.degrees_of_freedom):
+        sizes = f"{orbit.state.size} numbers and {turns.size} turns for {model.degrees_of_freedom} coordinates"
+        raise InputError(f"state: {sizes}; the record contradicts its system, run the problem again")
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
         return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
     try:

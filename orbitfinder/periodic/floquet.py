@@ -36,6 +36,8 @@ def reduce_monodromy(
     the trivial multipliers (exactly 1, in Jordan blocks) never enter an eigenvalue solver.
     """
     removed = np.vstack([gradients, directions])
+    if not removed.size:  # forced: nothing is trivial
+        return monodromy
     scale = np.linalg.norm(removed, axis=1, keepdims=True)
     _, singular, rows = np.linalg.svd(removed / scale)
     rank = int(np.sum(singular > 1e-10 * singular[0]))

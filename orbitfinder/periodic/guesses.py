@@ -12,7 +12,9 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.problem import Guess
 
 
-def normal_modes(model: Model, equilibrium: Sequence[float] | np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def normal_modes(
+    model: Model, equilibrium: Sequence[float] | np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies (n, rad^2/s^2, slowest first) and shapes (n x n, one per column).
 
     K u = w^2 M u with M = d2T/dv2 and K = d2V/dq2 at the equilibrium (default: q = 0, hanging).

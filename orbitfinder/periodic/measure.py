@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.integrate import trapezoid
 
-from orbitfinder.flow import Flow, build_flow, sample, transition
+from orbitfinder.flow import Flow, transition
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.model import energy as total_energy
 from orbitfinder.periodic.certify import gap
 from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
 from orbitfinder.periodic.orbit import Orbit
-from orbitfinder.periodic.polish import path
+from orbitfinder.periodic.polish import least_steps, segment, tail_of
 from orbitfinder.periodic.problem import Problem
 from orbitfinder.periodic.shooting import boundary_shift
 from orbitfinder.periodic.symmetry import recognise
-
-SAMPLES = 512
-"""Intervals of the dense picture of an orbit."""
-
 
 def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfolding: np.ndarray) -> Orbit:
     """An Orbit (without certificate) from converged node states over the problem's horizon."""
     model = problem.model
     whole = full_period(problem, flow, nodes, period)
-    plain = build_flow(model, (), (), flow.settings)
-    times, states = dense(plain, whole, period)
-    floquet = multipliers(model, plain, whole, period)
-    loop = path(plain, whole[0], np.array([0.0, period]), period)
+    times, states = dense(flow, whole, period)
+    floquet = multipliers(model, flow, whole, period)
+    ends = dense(flow, whole[:1], period)[1]
     return Orbit(
         name=problem.name,
         title=problem.title,
@@ -36,7 +32,7 @@ def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfo
         period=period,
         energy=total_energy(model, whole[0]),
         action=action(model, times, states),
-        closure=gap(loop[0], loop[-1], problem.turns),
+        closure=gap(ends[0], ends[-1], problem.turns),
         symmetry=recognise(times, states, np.asarray(model.angles)),
         winding=tuple(int(k) for k in problem.turns),
         floquet_multipliers=floquet.multipliers,
@@ -65,7 +61,7 @@ def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) 
         reverse = np.concatenate([np.ones(n), -np.ones(n)])
         horizon = symmetry.fraction * period
         step = horizon / len(nodes)
-        end = path(flow, nodes[-1], np.array([horizon - step, horizon]), period)[-1:]
+        end = segment(flow, nodes[-1], (horizon - step, horizon), tail_of(flow))[-1:]
         mirrored = nodes[:0:-1] * reverse
         if symmetry.name == "brake":
             return np.vstack([nodes, end, mirrored])
@@ -74,14 +70,14 @@ def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) 
 
 
 def dense(flow: Flow, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times (SAMPLES + 1) and states over one period, each segment sampled from its node."""
-    count = len(nodes)
-    each = -(-SAMPLES // count)
+    """Equal times over one period and states there, each segment integrated from its node."""
+    duration, least = period / len(nodes), least_steps(len(nodes))
     pieces = [
-        sample(flow, node, period / count, each + 1, k * period / count)[:-1] for k, node in enumerate(nodes)
+        segment(flow, node, (k * duration, (k + 1) * duration), tail_of(flow), least) for k, node in enumerate(nodes)
     ]
-    last = sample(flow, nodes[-1], period / count, 2, (count - 1) * period / count)[-1:]
-    states = np.vstack([*pieces, last])
+    count = min(len(piece) for piece in pieces) - 1  # the others have a power of two times as many
+    thin = [piece[:: (len(piece) - 1) // count] for piece in pieces]
+    states = np.vstack([*(piece[:-1] for piece in thin), thin[-1][-1:]])
     return np.linspace(0.0, period, len(states)), states
 
 
@@ -92,7 +88,7 @@ def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> F
     for k, node in enumerate(nodes):
         monodromy = transition(flow, node, period / count, k * period / count)[1] @ monodromy
     gradients, directions = frame(model, flow, nodes[0])
-    return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=bool(model.invariants))
+    return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=model.conservative)
 
 
 def frame(model: Model, flow: Flow, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -101,21 +97,27 @@ def frame(model: Model, flow: Flow, state: np.ndarray) -> tuple[np.ndarray, np.n
 
     n = model.degrees_of_freedom
     x, p = ca.MX.sym("x", 2 * n), ca.DM(model.parameter_values)
-    rate = flow.field(0.0, state, ca.DM(0, 1), ca.DM(0, 1)).full().ravel()
-    rows, directions = [], [rate]
+    free = ca.DM(tail_of(flow)[len(flow.unfolded) :])
+    rate = flow.field(0.0, state, ca.DM.zeros(len(flow.unfolded)), free).full().ravel()
+    rows, directions = [], [] if model.forced else [rate]
     for one in model.invariants:
         gradient = ca.Function("gradient", [x], [ca.gradient(one.value(x[:n], x[n:], p), x)])
         rows.append(gradient(state).full().ravel())
         if one.generator is not None:
             directions.append(one.generator(state[:n], state[n:], p).full().ravel())
-    return np.asarray(rows).reshape(len(rows), 2 * n), np.asarray(directions)
+    return np.asarray(rows).reshape(len(rows), 2 * n), np.asarray(directions).reshape(len(directions), 2 * n)
 
 
 def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:
-    """Integral of momentum.dq over the loop, = integral of 2 T dt when T is quadratic in v.
+    """Integral of momentum.dq over the loop, = integral of 2 T + G dt, G the gyroscopic term (linear in v).
 
     The trapezoidal rule on equally spaced samples of a periodic function converges exponentially
     (L. N. Trefethen, J. A. C. Weideman, SIAM Review 56 (2014) 385-458).
     """
     kinetic, _ = energies(model, states)
-    return float(np.trapezoid(2.0 * kinetic, times)) if hasattr(np, "trapezoid") else float(np.trapz(2 * kinetic, times))
+    rate = 2.0 * kinetic
+    if model.gyroscopic is not None:
+        q, v = np.split(np.asarray(states).T, 2)
+        count = len(states)
+        rate += model.gyroscopic.map(count)(q, v, np.tile(model.parameter_values[:, None], (1, count))).full().ravel()
+    return float(trapezoid(rate, times))

@@ -119,7 +119,8 @@ def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
     """The `certificate` entry of orbit.json."""
     if certificate is None:
         return {"passed": False, "scale": 1.0, "checks": []}
-    checks = [vars(check) for check in certificate.checks]
+    # JSON has no infinity: a value that could not be computed is null
+    checks = [vars(one) | {"value": one.value if np.isfinite(one.value) else None} for one in certificate.checks]
     return {"passed": certificate.passed, "scale": certificate.scale, "checks": checks}
 
 
@@ -127,6 +128,10 @@ DIGESTED = (
     "system", "state", "period", "energy", "action", "closure", "symmetry", "winding",
     "floquet_multipliers", "pair_defect", "stability", "unfolding", "tolerance", "nodes", "expected",
 )  # fmt: skip
+
+
+def _with_number(check: Mapping[str, Any]) -> dict[str, Any]:
+    return dict(check) | {"value": float("nan") if check["value"] is None else float(check["value"])}
 
 
 def digest(document: Mapping[str, Any]) -> str:
@@ -184,7 +189,7 @@ def load_orbit(path: str | Path) -> Orbit:
     dense = source.with_suffix(".npz")
     if dense.is_file():
         try:
-            with np.load(dense, allow_pickle=False) as data:
+            with dense.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
                 times, samples = data["times"], data["samples"]
         except (OSError, ValueError, KeyError, EOFError) as error:
             raise InputError(f"{dense}: not a readable sample file ({error}); run the problem again") from error
@@ -244,7 +249,7 @@ def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples:
         state = np.asarray(document["state"], float)
         multipliers = np.asarray([complex(re, im) for re, im in document["floquet_multipliers"]], complex)
         entry = document.get("certificate") or {}
-        checks = tuple(Check(**check) for check in entry.get("checks", []))
+        checks = tuple(Check(**_with_number(check)) for check in entry.get("checks", []))
         certificate = Certificate(checks, float(entry.get("scale", 1.0))) if checks else None
         expected = {
             k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()
@@ -257,12 +262,12 @@ def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples:
             symmetry=document["symmetry"],
             winding=tuple(int(k) for k in document.get("winding") or [0] * n),
             floquet_multipliers=multipliers, pair_defect=float(document.get("pair_defect", 0.0)),
-            stability=document["stability"], unfolding=tuple(document.get("unfolding", ())),
+            stability=document["stability"], unfolding=tuple(float(s) for s in document.get("unfolding", ())),
             nodes=np.asarray(document.get("nodes") or [document["state"]], float),
             times=times, samples=samples, tolerance=float(document.get("tolerance", 1e-12)),
             expected=expected, certificate=certificate,
-            provenance=document.get("provenance") or {}, title=str(document.get("title", "")),
+            provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),
         )  # fmt: skip
-    except (TypeError, ValueError, KeyError, AttributeError) as error:
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise InputError(f"orbit document: malformed entry ({error}); run the problem again") from error

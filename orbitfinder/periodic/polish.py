@@ -1,4 +1,4 @@
-"""The last digits: Newton steps whose residual comes from DOP853, whose Jacobian from CVODES.
+"""The last digits: Newton steps with an eighth-order residual and the Jacobian of CVODES.
 
 CVODES asked for 1e-13 closes an orbit only to about 1e-11; its state-transition matrix is more
 than good enough for a Newton step on a residual that is right to round-off.
@@ -6,40 +6,47 @@ than good enough for a Newton step on a residual that is right to round-off.
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.flow import Flow
 from orbitfinder.periodic.shooting import Shooting
 from orbitfinder.quiet import captured
-from orbitfinder.reference import STEPS_PER_PERIOD, integrate, vector_field
+from orbitfinder.runge_kutta import refined_march
 
 MOST_STEPS = 6
+STEPS_PER_PERIOD = 400
+"""Runge-Kutta steps in a period at least, doubled in segments that need more"""
 
 
-def path(
-    flow: Flow, state: np.ndarray, times: np.ndarray, period: float, tail: tuple[np.ndarray, np.ndarray] | None = None
+def tail_of(flow: Flow, unfolding: np.ndarray | None = None, free: np.ndarray | None = None) -> np.ndarray:
+    """The last arguments of the flow's field: unfolding (0) and freed parameters (the model's own)."""
+    known = flow.model.parameter_values[[flow.model.parameter_index(name) for name in flow.free]]
+    return np.concatenate([np.zeros(len(flow.unfolded)) if unfolding is None else unfolding,
+                           known if free is None else free])  # fmt: skip
+
+
+def least_steps(segments: int) -> int:
+    """Half the fewest steps of a segment when a period has this many (the refined march doubles it)."""
+    return max(8, -(-STEPS_PER_PERIOD // (2 * segments)))
+
+
+def segment(
+    flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, least: int = STEPS_PER_PERIOD // 16
 ) -> np.ndarray:
-    """States (k x 2n) at increasing times by DOP853 on the flow's own field.
-
-    `period` sets the longest step, `tail` the unfolding and freed parameters (0 and the model's own).
-    """
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", state.size)
-    known = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
-    s, free = (ca.DM.zeros(len(flow.unfolded)), known) if tail is None else (ca.DM(tail[0]), ca.DM(tail[1]))
-    field = ca.Function("polish_field", [t, x], [flow.field(t, x, s, free)])
-    return integrate(vector_field(field), state, times, longest_step=period / STEPS_PER_PERIOD)
+    """States (k + 1 x 2n) at equal times from span[0] to span[1], as many steps as that needs."""
+    return refined_march(flow.field, state, span[1] - span[0], least, tail, span[0])
 
 
 def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """All rows of g(w) with the segments integrated by DOP853."""
+    """All rows of g(w) with the segments integrated to round-off."""
     layout, problem = shooting.layout, shooting.problem
     period, unfolding, free = layout.tail(w)
     duration = period * problem.boundary.fraction / layout.segments
+    tail = tail_of(shooting.flow, unfolding, free)
+    least = least_steps(round(layout.segments / problem.boundary.fraction))
     ends = [
-        path(shooting.flow, node, np.array([k, k + 1]) * duration, period, (unfolding, free))[-1]
-        for k, node in enumerate(layout.nodes(w))
+        segment(shooting.flow, node, (k * duration, (k + 1) * duration), tail, least)[-1] for k, node in enumerate(layout.nodes(w))
     ]
     return np.asarray(shooting.rows(w, np.asarray(ends).T).full().ravel())
 

@@ -11,6 +11,7 @@ import numpy as np
 from orbitfinder.errors import CountError, InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, Pin, Symmetry, check_pin, unfolded_invariants
+from orbitfinder.periodic.symmetry import check_symmetry, time_dependent
 
 CLOSURE_TOLERANCE = 1e-12
 """Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
@@ -85,6 +86,13 @@ class Problem:
         return SYMMETRIES[self.symmetry]
 
     @property
+    def forcing_cycles(self) -> int:
+        """Periods of the forcing in one period of the orbit: the whole number nearest to the guess's; 0 unforced."""
+        if self.model.forcing_period is None:
+            return 0
+        return max(1, round(self.guess.period / float(self.model.forcing_period(self.model.parameter_values))))
+
+    @property
     def turns(self) -> np.ndarray:
         """Whole turns of each coordinate in one period (n)."""
         n = self.model.degrees_of_freedom
@@ -98,7 +106,8 @@ class Problem:
         equations = {
             "defects": size * (intervals - 1),
             "boundary": size,
-            "phase conditions": int(symmetry.time_phase) + others * symmetry.other_phases,
+            "phase conditions": int(symmetry.time_phase and not self.model.forced) + others * symmetry.other_phases,
+            "forcing period": int(self.model.forced),
             "pins": len(self.pin),
         }
         unknowns = {
@@ -114,9 +123,10 @@ class Problem:
         count = self.count()
         if count.freedom < 0:
             room = len(self.pin) + count.freedom
+            isolated = "" if self.model.invariants else " (nothing is conserved, so its orbits stand alone)"
             raise CountError(
                 f"pin: over-determined, {count}: {len(self.pin)} pins where the family has room for "
-                f"{room}; remove {-count.freedom} or free as many physical parameters"
+                f"{room}{isolated}; remove {-count.freedom} or free as many physical parameters"
             )
         if self.pin and not self.free and count.freedom > 0:
             names = ", ".join(one.name for one in self.model.invariants)
@@ -152,8 +162,32 @@ def _check(problem: Problem) -> None:
         model.parameter_index(name)
     for one in problem.pin:
         check_pin(model, one)
-    if not model.invariants and "energy" in {one.name for one in problem.pin}:
-        raise InputError("pin: energy is not conserved by this system; pin the period or a state component")
+    if not model.conservative and "energy" in {one.name for one in problem.pin}:
+        raise InputError(
+            "pin: energy is not conserved by this system; leave the pin out, or free a parameter and pin the "
+            "period or a state component"
+        )
+    if not model.conservative:
+        _check_forcing(problem)
+    check_symmetry(model, problem.symmetry, problem.forcing_cycles)
+
+
+def _check_forcing(problem: Problem) -> None:
+    model = problem.model
+    if model.forcing_period is None:
+        if time_dependent(model):
+            raise InputError(
+                "system: its equations depend on time; declare the period of that, Symbols(..., forcing_period=...)"
+            )
+        return
+    clock = float(model.forcing_period(model.parameter_values))
+    if not (np.isfinite(clock) and clock > 0):
+        raise InputError(f"forcing_period: must be positive and finite, got {clock}; check the forcing's frequency")
+    if "period" in {one.name for one in problem.pin}:
+        raise InputError(
+            f"pin: the forcing prescribes the period, a multiple of {clock:.9g} s (guess.period chooses which, now "
+            f"{problem.forcing_cycles}); leave period out"
+        )
 
 
 def _check_winding(problem: Problem) -> None:

@@ -127,6 +127,8 @@ def _rows(
     rows.append(boundary_rows(symmetry, parts[0], ends[:, -1], boundary_shift(problem, guess)))
     for direction in phase_directions(problem, guess[0]):
         rows.append(ca.dot(ca.DM(direction), parts[0] - ca.DM(guess[0])))
+    if model.forcing_period is not None:
+        rows.append(period - problem.forcing_cycles * model.forcing_period(parameters))
     rows += [pin_row(model, one, parts[0], period, parameters) for one in problem.pin]
     return ca.vertcat(*rows)
 
@@ -153,7 +155,7 @@ def phase_directions(problem: Problem, state: np.ndarray) -> list[np.ndarray]:
     n = model.degrees_of_freedom
     q, v, p = state[:n], state[n:], model.parameter_values
     found = []
-    if symmetry.time_phase:
+    if symmetry.time_phase and not model.forced:
         acceleration = model.acceleration(0.0, q, v, p).full().ravel()
         found.append(np.concatenate([v, acceleration]))
     if symmetry.other_phases:

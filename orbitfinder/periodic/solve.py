@@ -9,15 +9,16 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.flow import Flow, IntegratorSettings, build_flow, end_state, integration_error, transition
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
-from orbitfinder.periodic.measure import measure
+from orbitfinder.periodic.measure import dense, measure
 from orbitfinder.periodic.orbit import Orbit
-from orbitfinder.periodic.polish import path, polish
+from orbitfinder.periodic.polish import polish
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import Shooting, transcribe
 from orbitfinder.quiet import captured
@@ -268,18 +269,20 @@ def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tupl
     return shot, polish(shot, shot.start)
 
 
-def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float = 1e-6) -> int:
+def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float = 1e-5) -> int:
     """The largest k <= `most` for which x(T/k) = x(0), the winding divided by k."""
     layout, problem = shooting.layout, shooting.problem
-    period, state = layout.tail(w)[0], layout.nodes(w)[0]
-    covers = np.arange(most, 1, -1)
-    states = path(shooting.flow, state, np.concatenate([[0.0], period / covers]), period)
-    extent = max(float(np.ptp(layout.nodes(w), axis=0).max()), float(np.abs(state).max()))
-    for cover, reached in zip(covers, states[1:], strict=True):
+    period, nodes = layout.tail(w)[0], layout.nodes(w)
+    times, states = dense(shooting.flow, nodes, period)
+    n = problem.model.degrees_of_freedom
+    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
+    extent = float(np.ptp(states, axis=0).max())
+    for cover in range(most, 1, -1):
         if np.any(problem.turns % cover):
             continue
-        if gap(state, reached, problem.turns // cover) < tolerance * extent:
-            return int(cover)
+        reached = np.concatenate([spline(period / cover), spline(period / cover, 1)])
+        if gap(states[0], reached, problem.turns // cover) < tolerance * max(extent, float(np.abs(nodes).max())):
+            return cover
     return 1
 
 

@@ -1,0 +1,89 @@
+"""Find periodic orbits of mechanical systems and certify them by independent means.
+
+    import orbitfinder as of
+
+    orbit = of.find_orbit(of.Problem(of.chain(3), guess=of.Guess(state, period), pin=of.pin(energy=-38.35)))
+    orbit.period, orbit.floquet_multipliers, of.certify(orbit).passed
+
+Importing this package is cheap: each name below loads what it needs on first use (PEP 562).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from orbitfinder.version import __version__ as __version__
+
+if TYPE_CHECKING:
+    from orbitfinder import errors as errors
+    from orbitfinder.flow import IntegratorSettings as IntegratorSettings
+    from orbitfinder.flow import build_flow as build_flow
+    from orbitfinder.flow import end_state as end_state
+    from orbitfinder.flow import sample as sample
+    from orbitfinder.flow import transition as transition
+    from orbitfinder.mechanics.chain import chain as chain
+    from orbitfinder.mechanics.lagrange import Symbols as Symbols
+    from orbitfinder.mechanics.lagrange import lagrange as lagrange
+    from orbitfinder.mechanics.model import Model as Model
+    from orbitfinder.mechanics.model import energies as energies
+    from orbitfinder.mechanics.model import energy as energy
+    from orbitfinder.mechanics.model import positions as positions
+    from orbitfinder.periodic.certify import certify as certify
+    from orbitfinder.periodic.conditions import nearest as nearest
+    from orbitfinder.periodic.conditions import pin as pin
+    from orbitfinder.periodic.orbit import Certificate as Certificate
+    from orbitfinder.periodic.orbit import Orbit as Orbit
+    from orbitfinder.periodic.orbit import load_orbit as load_orbit
+    from orbitfinder.periodic.orbit import save_orbit as save_orbit
+    from orbitfinder.periodic.problem import Guess as Guess
+    from orbitfinder.periodic.problem import Problem as Problem
+    from orbitfinder.periodic.solve import SolveSettings as SolveSettings
+    from orbitfinder.periodic.solve import find_orbit as find_orbit
+    from orbitfinder.problemfile import load_problem as load_problem
+
+# name -> the module that defines it; "" marks a module exported whole
+_HOMES = {
+    "errors": "",
+    "IntegratorSettings": "flow",
+    "build_flow": "flow",
+    "end_state": "flow",
+    "sample": "flow",
+    "transition": "flow",
+    "chain": "mechanics.chain",
+    "Symbols": "mechanics.lagrange",
+    "lagrange": "mechanics.lagrange",
+    "Model": "mechanics.model",
+    "energies": "mechanics.model",
+    "energy": "mechanics.model",
+    "positions": "mechanics.model",
+    "certify": "periodic.certify",
+    "nearest": "periodic.conditions",
+    "pin": "periodic.conditions",
+    "Certificate": "periodic.orbit",
+    "Orbit": "periodic.orbit",
+    "load_orbit": "periodic.orbit",
+    "save_orbit": "periodic.orbit",
+    "Guess": "periodic.problem",
+    "Problem": "periodic.problem",
+    "SolveSettings": "periodic.solve",
+    "find_orbit": "periodic.solve",
+    "load_problem": "problemfile",
+}
+
+__all__ = ["__version__", *sorted(_HOMES)]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module on first use."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'orbitfinder' has no attribute {name!r}")
+    home = _HOMES[name]
+    value = getattr(import_module(f"orbitfinder.{home}"), name) if home else import_module(f"orbitfinder.{name}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Every public name, loaded or not."""
+    return sorted({*globals(), *__all__})

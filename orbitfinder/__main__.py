@@ -1,0 +1,45 @@
+"""`python -m orbitfinder` and the `orbitfinder` command."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import sys
+
+from orbitfinder import interrupt
+
+INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the command line; Ctrl-C at any moment, even during imports, is exit code 130."""
+    try:
+        with interrupt.watch():
+            from orbitfinder.cli import cli
+
+            cli(prog_name="orbitfinder")
+    except KeyboardInterrupt:
+        sys.stderr.write("Interrupted.\n")
+        _leave_interrupted()
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _leave_interrupted()
+        raise
+
+
+def _leave_interrupted() -> None:
+    """Exit with 130 once everything else has been cleaned up.
+
+    CPython remembers an interrupt that passed through exec() (as in the making of a dataclass) and
+    would end by killing itself with SIGINT, however well the interrupt was handled.
+    """
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

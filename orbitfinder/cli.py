@@ -1,0 +1,249 @@
+"""The command line. Heavy modules are imported inside the commands, so that --help is quick.
+
+Exit codes: 0 everything certified, 1 something did not converge or certify, 2 bad input, 130 Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orbitfinder import interrupt, pictures
+from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.version import __version__
+
+if TYPE_CHECKING:
+    from orbitfinder.periodic.orbit import Certificate
+
+NOT_CERTIFIED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+FILES = click.Path(path_type=Path)
+
+
+class Commands(click.Group):
+    """A group whose commands end with a sentence and an exit code, never with a traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; turn the exceptions made for people into messages."""
+        with interrupt.watch():
+            try:
+                return super().invoke(ctx)
+            except (KeyboardInterrupt, click.Abort):
+                return _interrupted(ctx)
+            except OrbitfinderError as error:
+                if interrupt.seen:
+                    return _interrupted(ctx)
+                _complain(ctx, error)
+                ctx.exit(BAD_INPUT if isinstance(error, InputError) else NOT_CERTIFIED)
+            except Exception:
+                if interrupt.seen:  # what CasADi makes of an interrupt
+                    return _interrupted(ctx)
+                raise
+
+
+def _interrupted(ctx: click.Context) -> None:
+    click.echo("Interrupted: finished results are kept, nothing half-written.", err=True)
+    ctx.exit(INTERRUPTED)
+
+
+def _complain(ctx: click.Context, error: OrbitfinderError) -> None:
+    from orbitfinder.runner import one_line
+
+    message = one_line(error)
+    click.echo(f"Error: {message}", err=True)
+    if ctx.meta.get("orbitfinder.json"):
+        _print_json({"format": "orbitfinder/error", "error": message})
+
+
+def _print_json(document: Any) -> None:
+    click.echo(json.dumps(_finite(document), indent=1, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    """The same document with null for every NaN and infinity, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _remember_json(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
+    ctx.meta["orbitfinder.json"] = value
+    return value
+
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
+    help="Print one JSON document on standard output instead of text.",
+)  # fmt: skip
+trust_option = click.option("--trust", is_flag=True, help="Execute Python problem files; only for files you have read.")
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="orbitfinder")
+def cli() -> None:
+    """Find periodic orbits of mechanical systems and certify them.
+
+    \b
+    Examples:
+      orbitfinder init my-pendulum
+      orbitfinder run my-pendulum.toml
+      orbitfinder verify orbits/my-pendulum/orbit.json
+    """
+
+
+@cli.command()
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="FILE...")
+@click.option("--out", default="orbits", show_default=True, type=FILES, help="Folder for DIR/<name>/orbit.json.")
+@click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 256), help="Processes side by side.")
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the certified orbits.")
+@trust_option
+@json_option
+def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, trust: bool, as_json: bool) -> None:
+    """Find and certify the orbit of each problem FILE.
+
+    Writes DIR/<name>/orbit.json, orbit.npz and figures. A result that fails its certificate is
+    written as rejected.json and named as such. Exit code 0: all certified; 1: some were not.
+
+    \b
+    Examples:
+      orbitfinder run problems/report/triple-1.toml
+      orbitfinder run problems/examples/*.toml --jobs 2 --out orbits --no-figures
+    """
+    from orbitfinder.console import display
+    from orbitfinder.runner import prepare, run_jobs
+
+    todo = prepare(files, out, figures, trust)
+    outcomes = []
+    with display() as shown:
+        for outcome in run_jobs(todo, jobs, shown):
+            interrupt.check()  # CasADi makes a failed search of Ctrl-C
+            outcomes.append(outcome)
+            shown.say(f"{outcome.name}: {outcome.message}, {outcome.wall_time:.1f} s")
+    if as_json:
+        passed = all(outcome.passed for outcome in outcomes)
+        results = [outcome.document() for outcome in outcomes]
+        _print_json({"format": "orbitfinder/run", "passed": passed, "results": results})
+    else:
+        for outcome in outcomes:
+            _print_outcome(outcome)
+    if not all(outcome.passed for outcome in outcomes):
+        click.get_current_context().exit(NOT_CERTIFIED)
+
+
+def _print_outcome(outcome: Any) -> None:
+    if outcome.period is None:
+        click.echo(f"{outcome.name}: {outcome.status}: {outcome.message}")
+        return
+    click.echo(
+        f"{outcome.name}: {outcome.status}, period {outcome.period!r} s, energy {outcome.energy!r} J, "
+        f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
+    )
+    if outcome.failures:
+        click.echo(f"  failed checks: {', '.join(outcome.failures)}")
+    click.echo(f"  {outcome.written[0]}" + (f" and {len(outcome.written) - 1} figures" * (len(outcome.written) > 1)))
+
+
+@cli.command()
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@json_option
+def verify(files: tuple[Path, ...], as_json: bool) -> None:
+    """Recompute the certificate of each ORBIT.json from the file alone.
+
+    Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
+    every file passed; 1: some failed, and are named.
+
+    \b
+    Examples:
+      orbitfinder verify orbits/triple-1/orbit.json
+      orbitfinder verify orbits/*/orbit.json --json
+    """
+    from orbitfinder.periodic.certify import certify
+    from orbitfinder.periodic.orbit import certificate_to_document, load_orbit
+
+    orbits = [(file, load_orbit(file)) for file in files]
+    results = []
+    for file, orbit in orbits:
+        certificate = certify(orbit)
+        interrupt.check()
+        results.append({"file": str(file), "name": orbit.name} | certificate_to_document(certificate))
+        if not as_json:
+            _print_certificate(f"{file} ({orbit.name})", certificate)
+    passed = all(result["passed"] for result in results)
+    if as_json:
+        _print_json({"format": "orbitfinder/verify", "passed": passed, "results": results})
+    if not passed:
+        click.get_current_context().exit(NOT_CERTIFIED)
+
+
+def _print_certificate(heading: str, certificate: Certificate) -> None:
+    from orbitfinder.runner import one_line
+
+    verdict = "certified" if certificate.passed else f"REJECTED by {', '.join(certificate.failures)}"
+    click.echo(f"{one_line(heading)}: {verdict}")
+    click.echo(f"  {'check':<22}{'value':>11}{'allowed':>11}  result  note")
+    for check in certificate.checks:
+        result = "passed" if check.passed else "FAILED"
+        note = one_line(check.note)
+        click.echo(f"  {check.name:<22}{check.value:>11.2e}{check.tolerance:>11.2e}  {result}  {note}".rstrip())
+
+
+@cli.command()
+@click.argument("file", type=FILES)
+@click.option("--duration", type=float, default=None, help="Time to simulate in s; default: [simulate] duration or 10.")
+@click.option("--out", default=None, type=FILES, help="Write DIR/<name>/simulation.csv.")
+@trust_option
+@json_option
+def simulate(file: Path, duration: float | None, out: Path | None, trust: bool, as_json: bool) -> None:
+    """Simulate the system of a problem FILE from its state and report the energy drift.
+
+    \b
+    Examples:
+      orbitfinder simulate problems/report/triple-1.toml --duration 20
+      orbitfinder simulate problems/examples/double.toml --out runs
+    """
+    from orbitfinder.problemfile import load_problem_file
+    from orbitfinder.runner import check_writable
+    from orbitfinder.simulation import simulate_file, write_csv
+
+    loaded = load_problem_file(file, trust)
+    if out is not None:
+        check_writable(out)
+        check_writable(out / loaded.name)
+    result = simulate_file(loaded, duration)
+    document = result.document()
+    if out is not None:
+        document["written"] = str(write_csv(result, out / loaded.name / "simulation.csv"))
+    if as_json:
+        _print_json({"format": "orbitfinder/simulation"} | document)
+        return
+    click.echo(f"{result.name}: {result.times[-1]:g} s simulated")
+    click.echo(f"  {'energy':<22}{document['energy']:.12g} J")
+    click.echo(f"  {'energy drift':<22}{document['energy_drift']:.2e} J")
+    click.echo(f"  {'relative to exchanged':<22}{document['relative_energy_drift']:.2e}")
+    click.echo(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))
+    if out is not None:
+        click.echo(f"  {document['written']}")
+
+
+@cli.command()
+@click.argument("name")
+def init(name: str) -> None:
+    """Write NAME.toml, a commented problem file to start from.
+
+    \b
+    Example:
+      orbitfinder init my-pendulum && orbitfinder run my-pendulum.toml
+    """
+    from orbitfinder.template import write_template
+
+    path = write_template(name.removesuffix(".toml"))
+    click.echo(f"{path}: written; next: orbitfinder run {path}")
+
+
+for command in (pictures.reproduce, pictures.plot, pictures.animate):
+    cli.add_command(command)

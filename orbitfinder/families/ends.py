@@ -1,0 +1,105 @@
+"""Why a family ends: an equilibrium, a homoclinic orbit, its own start, or a step that cannot be taken."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbitfinder.families.points import End, FamilyPoint, FamilySettings
+from orbitfinder.families.system import Curve, Solution
+
+SLOW = 0.1
+"""A motion slower than this share of its fastest is near an equilibrium."""
+SLOW_SHARE = 0.4
+"""... and an orbit that spends this share of its period there is nearly homoclinic to it."""
+UNDERFLOW_GROWTH = 2.0
+"""A step underflow with the period this much above the shortest, and slow, is read as homoclinic."""
+RETURN = 1e-2
+"""A family is back when energy, period and action agree with its start to this times the change per step."""
+
+
+def end_after(
+    curve: Curve,
+    found: Solution,
+    settings: FamilySettings,
+    shortest_period: float,
+    failure: str,
+    before: Solution | None = None,
+    origin: FamilyPoint | None = None,
+    point: FamilyPoint | None = None,
+) -> End | None:
+    """The reason to stop after a step (or after a failed one), or None."""
+    share, state = slowness(curve, found)
+    grown = found.place.period / shortest_period
+    if failure:
+        if grown > UNDERFLOW_GROWTH and share > SLOW_SHARE:
+            return _homoclinic(curve, found, state, grown, f"; then {failure}")
+        return End("step underflow", failure)
+    if before is not None and collapsed(curve, before, found):
+        where = np.array2string(centre(curve, before), precision=6)
+        return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {before.place.period:.9g} s")
+    if grown > settings.longest_period and share > SLOW_SHARE:
+        return _homoclinic(curve, found, state, grown, "")
+    if origin is not None and point is not None and before is not None and returned(curve, before, found, origin, point):
+        return End("returned", f"back at its start after an arclength of {abs(point.arclength):.6g}")
+    return None
+
+
+def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
+    energy = float(curve.propagator.quantities(found.place.nodes[0], found.place.free)[0].full()[0, 0])
+    n = state.size // 2
+    where = np.array2string(state[:n], precision=4, suppress_small=True)
+    return End(
+        "homoclinic",
+        f"the period blows up ({found.place.period:.6g} s, {grown:.3g} times the shortest) at energy {energy:.9g} J, "
+        f"slowest near q = {where}{more}",
+    )
+
+
+def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
+    """Share of the period spent slower than `SLOW` times the fastest rate, and the slowest state.
+
+    Turning points are not slow in this sense: the speed includes the scaled acceleration.
+    """
+    p, place = curve.propagator, found.place
+    states, n = found.march.states, p.size // 2
+    rates = np.stack([p.field(0.0, x, place.unfolding, place.free).full().ravel() for x in states])
+    clock = np.sqrt(curve.weights[n])
+    speed = np.sqrt((rates[:, :n] ** 2).sum(axis=1) + (clock * rates[:, n:]) ** 2 @ np.ones(n))
+    weights = np.diff(place.mesh)
+    slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
+    return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
+
+
+def centre(curve: Curve, found: Solution) -> np.ndarray:
+    """The middle of an orbit's configurations (n): where a shrinking family is going."""
+    n, name = curve.propagator.size // 2, curve.propagator.symmetry.name
+    if name == "brake+reflection":
+        return np.asarray(curve.constant[n:])
+    if name == "reflection":
+        return np.asarray(0.5 * curve.constant[:n])
+    q = found.march.states[:, :n]
+    return np.asarray(0.5 * (q.max(axis=0) + q.min(axis=0)))
+
+
+def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
+    """Whether the last step went through an equilibrium: the orbit is now on the other side of its middle."""
+    n = curve.propagator.size // 2
+    weights = curve.weights[: 2 * n]
+    one = before.place.nodes[0] - np.concatenate([centre(curve, before), np.zeros(n)])
+    other = found.place.nodes[0] - np.concatenate([centre(curve, found), np.zeros(n)])
+    moved = float(np.sqrt(weights @ (other - one) ** 2))
+    size = max(float(np.ptp(s.march.states[:, :n], axis=0).max()) for s in (before, found))
+    return bool(np.sum(weights * one * other) < 0 and size < 3 * moved)
+
+
+def returned(curve: Curve, before: Solution, found: Solution, origin: FamilyPoint, point: FamilyPoint) -> bool:
+    """Whether the last step passed the start again, going the same way along the curve."""
+    if point.index < 4:
+        return False
+    start = np.concatenate([origin.state, [origin.period], list(origin.free.values())])
+    a, b = before.place.head, found.place.head
+    step = b - a
+    share = float(np.sum(curve.weights * (start - a) * step) / np.sum(curve.weights * step**2))
+    length = float(np.sqrt(curve.weights @ step**2))
+    aside = float(np.sqrt(curve.weights @ (start - a - share * step) ** 2))
+    return bool(-0.05 < share <= 1.05 and aside < 0.1 * length)

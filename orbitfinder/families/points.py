@@ -1,0 +1,203 @@
+"""What a family is made of: points, events, ends; plain frozen numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.stability import Spectrum, spectrum
+from orbitfinder.families.system import Curve, Place, Solution
+
+CLOSURE = 1e-11
+"""Largest independent closure of an accepted point, times max(1, largest multiplier)."""
+
+
+@dataclass(frozen=True)
+class FamilySettings:
+    """How a family is followed. Lengths are arclengths in the family's metric (rad for angles)."""
+
+    parameter: str = "energy"
+    """energy | period | a state component | a physical parameter (then `hold` is kept)"""
+    hold: str = "energy"
+    """what stays fixed while a physical parameter varies: energy | period"""
+    points: int = 300
+    """accepted points in each direction"""
+    directions: str = "both"
+    """both | forward (parameter increasing at the start) | backward"""
+    first_step: float = 0.02
+    longest_step: float = 0.15
+    shortest_step: float = 1e-7
+    sharpest_turn: float = 0.3
+    """rad between successive tangents; a sharper turn repeats the step at half its length"""
+    longest_period: float = 12.0
+    """in units of the shortest period met: beyond it a slow orbit counts as homoclinic"""
+    resonances: int = 6
+    """period-q resonances are looked for up to this q"""
+    events: bool = True
+    certify: bool = True
+
+
+@dataclass(frozen=True)
+class FamilyPoint:
+    """One periodic orbit of a family, complete: what an Orbit says, and where it is on the family.
+
+    `closure` is by the independent integrator, `scale` = max(1, largest multiplier) what its allowed
+    value 1e-11 is multiplied by. `indices` are the stability indices in the order that follows each
+    curve along the family, of the map whose power `root` is the monodromy. `tangent` is d(x(0), T,
+    free)/d(arclength); `nodes` and `mesh` rebuild the shooting unknowns. `role`: step | at | end.
+    """
+
+    index: int
+    arclength: float
+    value: float
+    state: np.ndarray
+    period: float
+    energy: float
+    action: float
+    closure: float
+    scale: float
+    floquet_multipliers: np.ndarray
+    pair_defect: float
+    stability: str
+    krein: tuple[int, ...]
+    symmetry: str
+    indices: np.ndarray
+    root: int
+    unfolding: np.ndarray
+    free: Mapping[str, float]
+    nodes: np.ndarray
+    mesh: np.ndarray
+    tangent: np.ndarray
+    step: float
+    role: str = "step"
+    wall_time: float = 0.0
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happens between two points, located on the family.
+
+    `kind`: fold | branch_point | period_doubling | resonance | collision | stability_change. `detail`
+    says what exactly (of what the fold is, q of the resonance, what changed); `multiplier` is the
+    critical multiplier of the root map, `order` the number of periods after which the branch closes.
+    """
+
+    kind: str
+    index: int
+    arclength: float
+    parameter: float
+    state: np.ndarray
+    period: float
+    energy: float
+    detail: str = ""
+    order: int = 1
+    multiplier: complex = 1.0 + 0.0j
+    nodes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    mesh: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    tangent: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    symmetry: str = "none"
+    free: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class End:
+    """Why a family stopped in one direction: a short name and the sentence."""
+
+    kind: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
+
+    direction: int
+    points: tuple[FamilyPoint, ...] = ()
+    events: tuple[Event, ...] = ()
+    end: End | None = None
+
+
+@dataclass(frozen=True)
+class Family:
+    """Orbits joined by arclength, ordered along the curve, with events and the reason of each end."""
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    points: tuple[FamilyPoint, ...]
+    events: tuple[Event, ...]
+    ends: tuple[End, ...]
+
+    def values(self, name: str) -> np.ndarray:
+        """One number of every point as an array, in order along the family."""
+        return np.asarray([getattr(point, name) for point in self.points])
+
+
+Check = Callable[[np.ndarray, float, np.ndarray], float]
+
+
+def parameter_value(curve: Curve, place: Place, name: str) -> float:
+    """The number that the family's parameter has at a place."""
+    p = curve.propagator
+    if name in p.free:
+        return float(place.free[p.free.index(name)])
+    if name == "period":
+        return place.period
+    if name == "energy":
+        return float(p.quantities(place.nodes[0], place.free)[0].full()[0, 0])
+    return float(place.nodes[0][p.model.state_index(name)])
+
+
+def make_point(
+    curve: Curve, found: Solution, along: np.ndarray, parameter: str, check: Check | None, **where: Any
+) -> tuple[FamilyPoint, Spectrum]:
+    """The FamilyPoint of a corrected place; `where` gives index, arclength, step, role, indices.
+
+    Raises `ConvergenceError` when the independent closure is above what double precision can hold.
+    """
+    p, place = curve.propagator, found.place
+    about = spectrum(curve, found)
+    largest = float(np.abs(about.floquet.multipliers).max(initial=1.0))
+    closure = 0.0 if check is None else check(place.nodes[0], place.period, winding(curve))
+    if not closure <= CLOSURE * max(1.0, largest):
+        raise ConvergenceError(f"the orbit closes only to {closure:.2g} with largest multiplier {largest:.3g}")
+    where.setdefault("indices", about.indices)
+    point = FamilyPoint(
+        value=parameter_value(curve, place, parameter),
+        state=place.nodes[0],
+        period=place.period,
+        energy=parameter_value(curve, place, "energy"),
+        action=found.march.action / p.symmetry.fraction,
+        closure=closure,
+        scale=max(1.0, largest),
+        floquet_multipliers=about.floquet.multipliers,
+        pair_defect=about.floquet.pair_defect,
+        stability=about.floquet.stability,
+        krein=about.krein,
+        symmetry=p.symmetry.name,
+        root=about.root,
+        unfolding=place.unfolding,
+        free=dict(zip(p.free, map(float, place.free), strict=True)),
+        nodes=place.nodes,
+        mesh=place.mesh,
+        tangent=along,
+        **where,
+    )
+    return point, about
+
+
+def winding(curve: Curve) -> np.ndarray:
+    """Whole turns of each coordinate in one period (n); zero in every symmetric formulation."""
+    n = curve.propagator.size // 2
+    if curve.propagator.symmetry.name != "none":
+        return np.zeros(n)
+    return np.asarray(np.round(curve.constant[:n] / (2 * np.pi)))
+
+
+def place_of(point: FamilyPoint) -> Place:
+    """The shooting unknowns that a stored point stands for."""
+    return Place(point.nodes, point.period, point.unfolding, np.array(list(point.free.values())), point.mesh)

@@ -1,0 +1,172 @@
+"""Stability of one orbit of a family from its shooting blocks, and matching along the family."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from orbitfinder.families.system import Curve, Solution
+from orbitfinder.periodic.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
+
+UNRESOLVED = 1e7
+"""The reciprocal of a multiplier beyond this is taken from it, not from the eigenvalue solver."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Multipliers of the whole period, and what the orbit's reflection refines them to.
+
+    `root` is 2 where the orbit is its own mirror image after half a period, else 1: the multipliers
+    are then squares of those of the half map x(0) -> -x(T/2), whose `indices` nu + 1/nu (complex, one
+    a reciprocal pair) are what bifurcations are read from. `krein` is +1 or -1 for each multiplier on
+    the unit circle off the real axis, 0 for the others. `critical(...)` needs `reduced` and `basis`.
+    """
+
+    floquet: Floquet
+    root: int
+    indices: np.ndarray
+    krein: tuple[int, ...]
+    reduced: np.ndarray
+    basis: np.ndarray
+
+
+def spectrum(curve: Curve, found: Solution) -> Spectrum:
+    """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
+    p, place = curve.propagator, found.place
+    root_map, root = _root_map(curve, found)
+    gradients, directions = _frame(curve, found)
+    reduced = reduce_monodromy(root_map, gradients, directions)
+    basis = _basis(gradients, directions)
+    conservative = bool(p.model.invariants)
+    whole = np.linalg.matrix_power(reduced, root)
+    floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
+    indices = analyse(reduced, conservative).indices
+    krein = _krein(curve, place.nodes[0], place.free, basis, whole, floquet.multipliers) if conservative else ()
+    return Spectrum(floquet, root, indices, krein, reduced, basis)
+
+
+def _resolved(floquet: Floquet) -> Floquet:
+    """Multipliers too small for the matrix's round-off replaced by the reciprocals of their partners.
+
+    A product of norm 1e12 knows its largest eigenvalue to round-off and one of 1e-12 not at all; the
+    pair defect is then that of the pairs which are resolved, and the verdict that of the largest.
+    """
+    mu = floquet.multipliers.copy()
+    largest = float(np.abs(mu).max(initial=1.0))
+    if largest < UNRESOLVED:
+        return floquet
+    first, second = reciprocal_pairs(mu)
+    known = np.abs(mu[first]) < UNRESOLVED
+    defect = float(np.abs(mu[first] * mu[second] - 1.0)[known].max(initial=0.0))
+    mu[second[~known]] = 1.0 / mu[first[~known]]
+    return Floquet(mu, defect, mu[first] + mu[second], "unstable")
+
+
+def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
+    """The map whose power `root` is the monodromy.
+
+    With R = diag(1, -1) the reversal of rates and A the matrix of the horizon: reflection, -A
+    (T/2), brake, R A^-1 R A (T), both, -(P A^-1 P A) with P = diag(-1, 1) (T/2).
+    """
+    size = curve.propagator.size
+    name, n = curve.propagator.symmetry.name, size // 2
+    matrix = np.eye(size)
+    for block in found.march.sensitivities:
+        matrix = block[:, :size] @ matrix
+    if name == "none":
+        return matrix, 1
+    if name == "reflection":
+        return -matrix, 2
+    back = _inverse(curve, found, matrix)
+    signs = np.concatenate([np.ones(n), -np.ones(n)])
+    folded = (signs[:, None] * back * signs[None, :]) @ matrix
+    return (folded, 1) if name == "brake" else (-folded, 2)
+
+
+def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
+    """A^-1 by symplecticity, C A^-1 C'^-1 = -J (C' A C^-1)^T J in canonical coordinates."""
+    place, end = found.place, found.march.ends[-1]
+    before = curve.propagator.momenta(place.nodes[0], place.free).full()
+    after = curve.propagator.momenta(end, place.free).full()
+    canonical = after @ matrix @ np.linalg.inv(before)
+    unit = _symplectic_unit(len(matrix) // 2)
+    return np.asarray(np.linalg.solve(before, -unit @ canonical.T @ unit @ after))
+
+
+def _symplectic_unit(n: int) -> np.ndarray:
+    return np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+
+
+def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients of the invariants and symmetry directions, the flow first, at x(0)."""
+    p, place = curve.propagator, found.place
+    x, n = place.nodes[0], p.size // 2
+    directions = [p.field(0.0, x, place.unfolding, place.free).full().ravel()]
+    directions += [one(x[:n], x[n:], p.model.parameter_values).full().ravel() for one in p.generators]
+    gradients = p.quantities(x, place.free)[1].full() if p.model.invariants else np.zeros((0, p.size))
+    return gradients, np.asarray(directions)
+
+
+def _basis(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The orthonormal complement that `reduce_monodromy` works in (2n x 2n-2)."""
+    removed = np.vstack([gradients, directions])
+    _, singular, rows = np.linalg.svd(removed / np.linalg.norm(removed, axis=1, keepdims=True))
+    return np.asarray(rows[int(np.sum(singular > 1e-10 * singular[0])) :].T)
+
+
+def _krein(
+    curve: Curve, x: np.ndarray, free: np.ndarray, basis: np.ndarray, whole: np.ndarray, wanted: np.ndarray
+) -> tuple[int, ...]:
+    """Sign of i u^* J u for each eigenvector u in canonical coordinates, 0 off the unit circle.
+
+    Source: V. A. Yakubovich, V. M. Starzhinskii, Linear Differential Equations with Periodic
+    Coefficients (1975), chapter III.
+    """
+    lift = curve.propagator.momenta(x, free).full() @ basis
+    form = lift.T @ _symplectic_unit(len(lift) // 2) @ lift
+    values, vectors = np.linalg.eig(whole)
+    signs = []
+    for mu in wanted:
+        vector = vectors[:, np.argmin(np.abs(values - mu))]
+        value = float((1j * vector.conj() @ form @ vector).real)
+        on_circle = abs(abs(mu) - 1.0) < 1e-6 and abs(mu.imag) > 1e-6
+        signs.append(int(np.sign(value)) if on_circle else 0)
+    return tuple(signs)
+
+
+def matched(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
+    """`found` in the order of `previous` (complex arrays), so that curves along the family do not swap.
+
+    The assignment of least total distance from where each curve is heading (`slope`, its last change).
+    """
+    if previous.shape != found.shape:
+        return found
+    expected = previous if slope is None else previous + slope
+    gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
+    return np.asarray(found[linear_sum_assignment(gaps)[1]])
+
+
+def _squeezed(indices: np.ndarray) -> np.ndarray:
+    """Large indices on a logarithmic scale, so that none of them dominates the matching."""
+    size = np.abs(indices)
+    return np.asarray(indices * np.where(size > 4.0, (4.0 + np.log(np.maximum(size, 4.0) / 4.0)) / np.maximum(size, 4.0), 1.0))
+
+
+def critical_vectors(found: Spectrum, target: complex) -> np.ndarray:
+    """Real directions (k x 2n, k = 1 or 2) of the eigenvector of the root map nearest to `target`."""
+    values, vectors = np.linalg.eig(found.reduced)
+    vector = vectors[:, np.argmin(np.abs(values - target))]
+    vector = vector / vector[np.argmax(np.abs(vector))]
+    parts = [found.basis @ vector.real] + ([found.basis @ vector.imag] if abs(target.imag) > 1e-3 else [])
+    return np.asarray([part / np.linalg.norm(part) for part in parts])
+
+
+def unstable_pairs(indices: np.ndarray, error: float) -> int:
+    """How many pairs are off the unit circle by more than the error bar."""
+    away = np.where(np.abs(indices.imag) > error, np.abs(indices.imag), np.abs(indices.real) - 2.0)
+    return int(np.sum(away > error))
+
+
+__all__ = ["Spectrum", "critical_vectors", "matched", "reciprocal_pairs", "spectrum", "unstable_pairs"]

@@ -1,0 +1,220 @@
+"""Where a family starts: from a Problem, an Orbit or a guess to a corrected place on a curve."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.propagate import build_propagator, march
+from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.system import (
+    Aim,
+    Curve,
+    Place,
+    Solution,
+    correct,
+    kernel,
+    make_curve,
+    remeshed,
+    settled,
+    head_of,
+)
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
+from orbitfinder.periodic.conditions import Pin
+from orbitfinder.periodic.orbit import Orbit
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.shooting import boundary_shift
+from orbitfinder.periodic.symmetry import recognise
+
+FIRST_STEPS = 160
+"""Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
+SAMPLES = 512
+
+
+@dataclass(frozen=True)
+class Start:
+    """A curve, an orbit on it and a direction along it (over the head)."""
+
+    curve: Curve
+    found: Solution
+    direction: np.ndarray
+
+
+def begin(origin: Problem | Orbit, settings: FamilySettings | None = None, symmetry: str = "auto") -> Start:
+    """The family through an orbit or through the solution of a Problem.
+
+    `symmetry` "auto" recognises the orbit's own and uses the shortest horizon it allows; a name
+    insists on that formulation. Raises `InputError`, `ConvergenceError`, `IntegrationError`.
+    """
+    settings = settings or FamilySettings()
+    problem = as_problem(origin)
+    free, held = unknown_parameters(problem.model, settings)
+    wanted = problem.symmetry if symmetry == "auto" else symmetry
+    start = _start(replace(problem, symmetry="none") if wanted != problem.symmetry else problem, free, held)
+    if symmetry == "auto":
+        wanted = symmetry_of(start.curve, start.found)
+    return reformulated(start, wanted, free, held)
+
+
+def as_problem(origin: Problem | Orbit) -> Problem:
+    """The Problem whose solution an orbit is."""
+    if isinstance(origin, Problem):
+        return origin
+    model = build_model(origin.system)
+    return Problem(
+        model, Guess(origin.state, origin.period), (Pin("energy", origin.energy),) if model.invariants else (),
+        winding=origin.winding, name=origin.name,
+    )  # fmt: skip
+
+
+def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """(freed physical parameters, names of what is held) for a continuation parameter. Raises `InputError`."""
+    from orbitfinder.suggest import closest
+
+    name = settings.parameter
+    others = tuple(one.name for one in model.invariants if one.generator is not None)
+    if name in ("energy", "period", *model.state_names):
+        if not model.invariants:
+            raise InputError(
+                f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
+            )
+        return (), others
+    if name not in model.parameter_names:
+        known = ["energy", "period", *model.state_names, *model.parameter_names]
+        raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
+    if not model.invariants:
+        return (name,), ()
+    if settings.hold not in ("energy", "period"):
+        raise InputError(f"hold: must be energy or period, got {settings.hold!r}")
+    return (name,), (settings.hold, *others)
+
+
+def _start(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+    propagator = build_propagator(problem.model, problem.symmetry, free)
+    state = np.asarray(problem.guess.state, float)
+    numbers = np.array([problem.model.parameter_values[problem.model.parameter_index(name)] for name in free])
+    place = Place(state[None], float(problem.guess.period), np.zeros(propagator.unfolding), numbers, np.zeros(0))
+    curve = curve_at(problem, propagator, place, held)
+    steps = int(FIRST_STEPS * propagator.symmetry.fraction)
+    place = replace(place, mesh=np.linspace(0.0, propagator.symmetry.fraction, steps + 1))
+    aim = _first_aim(curve, place, problem, free)
+    return corrected(curve, place, aim)
+
+
+def curve_at(problem: Problem, propagator: object, place: Place, held: tuple[str, ...]) -> Curve:
+    """The curve with its boundary constant and held values taken at a place."""
+    from orbitfinder.families.propagate import Propagator
+
+    assert isinstance(propagator, Propagator)
+    n = propagator.size // 2
+    guess = replace(problem, guess=Guess(place.nodes[0], place.period), pin=(), free=())
+    shift = boundary_shift(guess, place.nodes)
+    constant = np.zeros(2 * n)
+    if problem.symmetry == "brake+reflection":
+        centre = march(propagator, place.nodes[:1], np.linspace(0, 0.25, 41), place.tail).ends[0, :n]
+        angles = np.asarray(problem.model.angles)
+        constant[n:] = np.where(angles, np.pi * np.round(centre / np.pi), 0.0)
+    else:
+        constant[:n] = shift
+    values = propagator.quantities(place.nodes[0], place.free)[0].full().ravel()
+    names = [one.name for one in problem.model.invariants]
+    fixed = tuple((names.index(name), float(values[names.index(name)])) for name in held if name in names)
+    curve = make_curve(propagator, constant, place.head, fixed)
+    return replace(curve, period=place.period) if "period" in held else curve
+
+
+def _first_aim(curve: Curve, place: Place, problem: Problem, free: tuple[str, ...]) -> Aim:
+    """Where on the family to begin: the freed parameter's own value, the pin, else the guess's energy."""
+    size, p = curve.propagator.size, curve.propagator
+    unit = np.eye(size + 1 + len(free))
+    if free:
+        return Aim(float(place.free[0]), unit[-1])
+    one = problem.pin[0] if problem.pin else None
+    if one is not None and one.name == "period":
+        return Aim(one.value, unit[size])
+    if one is not None and one.name in problem.model.state_names:
+        return Aim(one.value, unit[problem.model.state_index(one.name)])
+    names = [invariant.name for invariant in problem.model.invariants]
+    k = names.index(one.name) if one is not None and one.name in names else 0
+    value = float(p.quantities(place.nodes[0], place.free)[0].full()[k, 0]) if one is None else one.value
+    return Aim(value, invariant=k)
+
+
+def corrected(curve: Curve, place: Place, aim: Aim, reference: Place | None = None, reach: float = 10.0) -> Start:
+    """Correct a first guess on successively better meshes."""
+    trial = Solution(place, march(curve.propagator, place.nodes, place.mesh, place.tail), np.zeros((0, 0)), 0, 0.0)
+    for _ in range(2):
+        place = remeshed(curve, trial)
+        trial = replace(trial, place=place, march=march(curve.propagator, place.nodes, place.mesh, place.tail))
+    try:
+        found = correct(curve, place, aim, reference, reach)
+    except (ConvergenceError, IntegrationError) as error:
+        raise ConvergenceError(f"no orbit to start the family from: {error}; find and certify one first") from error
+    direction = head_of(kernel(curve, found), found.place)
+    found = settled(curve, found, curve.weights * direction)
+    return Start(curve, found, direction)
+
+
+def symmetry_of(curve: Curve, found: Solution) -> str:
+    """The symmetry that an orbit has, whatever formulation it was found in."""
+    if curve.propagator.symmetry.name == "brake+reflection":
+        return "brake+reflection"
+    times, states = full_samples(curve, found)
+    return recognise(times, states, np.asarray(curve.propagator.model.angles))
+
+
+def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
+    p, place = curve.propagator, found.place
+    n, parts = p.size // 2, len(place.nodes)
+    edges = place.mesh[:: (place.mesh.size - 1) // parts]
+    each = -(-count // parts)
+    mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in zip(edges[:-1], edges[1:], strict=True)]])
+    states = march(p, place.nodes, mesh, place.tail).states
+    signs = np.concatenate([np.ones(n), -np.ones(n)])
+    name = p.symmetry.name
+    if "brake" in name:
+        about = 0.0 if name == "brake" else np.concatenate([2 * curve.constant[n:], np.zeros(n)])
+        mirrored = states[-2::-1] * signs if name == "brake" else about - states[-2::-1] * signs
+        mesh, states = np.concatenate([mesh, 2 * mesh[-1] - mesh[-2::-1]]), np.vstack([states, mirrored])
+    if "reflection" in name:
+        half = curve.constant if name == "reflection" else np.concatenate([2 * curve.constant[n:], np.zeros(n)])
+        mesh, states = np.concatenate([mesh, mesh[-1] + mesh[1:]]), np.vstack([states, half - states[1:]])
+    rates = np.stack([p.field(0.0, x, place.unfolding, place.free).full().ravel() for x in states])
+    times = np.linspace(0.0, place.period, count + 1)
+    return times, CubicHermiteSpline(mesh * place.period, states, rates)(times)
+
+
+def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+    """The same orbit in the formulation of another symmetry, started at a brake instant where that needs one."""
+    old, place = start.curve, start.found.place
+    if symmetry == old.propagator.symmetry.name:
+        return start
+    model = old.propagator.model
+    times, states = full_samples(old, start.found)
+    first = states[0]
+    if "brake" in symmetry:
+        n = old.propagator.size // 2
+        first = states[np.argmin(np.abs(states[:-1, n:]).max(axis=1))].copy()
+        first[n:] = 0.0
+    problem = Problem(model, Guess(first, place.period), symmetry=symmetry)
+    propagator = build_propagator(model, symmetry, free)
+    fresh = Place(first[None], place.period, np.zeros(propagator.unfolding), place.free, np.zeros(0))
+    if len(place.nodes) > 1:  # too unstable to shoot over the horizon in one piece: nodes from the samples
+        shifted = np.vstack([states[:-1], states])
+        begin_at = int(np.argmin(np.abs(states[:-1] - first).max(axis=1)))
+        parts = max(1, round(len(place.nodes) * propagator.symmetry.fraction))
+        chosen = begin_at + (np.arange(parts) * propagator.symmetry.fraction * (len(states) - 1) / parts).astype(int)
+        fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))
+    curve = replace(curve_at(problem, propagator, fresh, ()), held=old.held, weights=old.weights, period=old.period)
+    steps = max(8, int(FIRST_STEPS * propagator.symmetry.fraction / len(fresh.nodes)))
+    fresh = replace(fresh, mesh=np.linspace(0.0, propagator.symmetry.fraction, len(fresh.nodes) * steps + 1))
+    unit = np.eye(old.weights.size)
+    aim = Aim(float(place.free[0]), unit[-1]) if free else Aim(
+        float(old.propagator.quantities(place.nodes[0], place.free)[0].full()[0, 0]), invariant=0
+    )  # fmt: skip
+    return corrected(curve, fresh, aim)

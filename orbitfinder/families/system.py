@@ -1,0 +1,325 @@
+"""The equations of a family and their corrector: shooting rows, one aim, Newton, tangent.
+
+The unknowns are w = (nodes, T, s, freed parameters), and only this file knows that order. The rows
+are continuity, boundary, phase, held invariants and last the aim that picks one orbit of the family;
+without the aim the Jacobian has a one-dimensional kernel, the tangent of the family (Muñoz-Almaraz
+et al., Physica D 181 (2003) 1-38).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.propagate import March, Propagator, boundary_matrices, march, step_errors
+
+NEWTON_READY = 1e-10
+"""Residual from which one more Newton step, not evaluated again, reaches round-off."""
+MOST_NEWTON = 12
+STEP_ERROR = 3e-14
+"""Estimated relative error that one Runge-Kutta step may have; the true one is some 100 times smaller."""
+GROWTH = 30.0
+"""Segments are added until each one's state-transition matrix is below this."""
+MOST_SEGMENTS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One family's equations: `first` x(0) + `last` x(end) = `constant`, held invariants, metric.
+
+    `weights` measures a head (x(0), T, free): angles count as they are, rates by the time scale of
+    the starting orbit, period and parameters relative to their starting values.
+    """
+
+    propagator: Propagator
+    first: np.ndarray
+    last: np.ndarray
+    constant: np.ndarray
+    held: tuple[tuple[int, float], ...]
+    weights: np.ndarray
+    period: float | None = None
+    """the period, where it is held"""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A point of the space of unknowns: nodes (N x 2n) at every M/N-th of the `mesh`, T, s, free."""
+
+    nodes: np.ndarray
+    period: float
+    unfolding: np.ndarray
+    free: np.ndarray
+    mesh: np.ndarray
+
+    @property
+    def head(self) -> np.ndarray:
+        """(x(0), T, free): what identifies the orbit, whatever the number of segments."""
+        return np.concatenate([self.nodes[0], [self.period], self.free])
+
+    @property
+    def tail(self) -> np.ndarray:
+        """(T, s, free), the parameters of the flow."""
+        return np.concatenate([[self.period], self.unfolding, self.free])
+
+
+@dataclass(frozen=True)
+class Aim:
+    """The last row: `normal`.head = `value`, or the invariant number `invariant` = `value`."""
+
+    value: float
+    normal: np.ndarray | None = None
+    invariant: int | None = None
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A corrected place with the integration it came from and the Jacobian of all rows but the aim."""
+
+    place: Place
+    march: March
+    jacobian: np.ndarray
+    iterations: int
+    residual: float
+
+
+def make_curve(
+    propagator: Propagator, constant: np.ndarray, head: np.ndarray, held: tuple[tuple[int, float], ...] = ()
+) -> Curve:
+    """The curve through (or near) a head; its metric is fixed there once for the whole family."""
+    n, size = propagator.size // 2, propagator.size
+    period, free = head[size], head[size + 1 :]
+    clock = (period / (2 * np.pi)) ** 2
+    relative = 1.0 / np.maximum(np.abs(free), 1e-3) ** 2
+    weights = np.concatenate([np.ones(n), np.full(n, clock), [1.0 / period**2], relative])
+    return Curve(propagator, *boundary_matrices(propagator), constant, held, weights)
+
+
+def uniform_mesh(curve: Curve, segments: int, steps: int) -> np.ndarray:
+    """Equal steps over the horizon, in units of the period."""
+    return np.linspace(0.0, curve.propagator.symmetry.fraction, segments * steps + 1)
+
+
+def phase_rows(curve: Curve, reference: Place) -> np.ndarray:
+    """Unit normals (k x 2n) of the hyperplanes through the reference that fix time and other symmetries."""
+    p, size = curve.propagator, curve.propagator.size
+    x, found = reference.nodes[0], []
+    if p.symmetry.time_phase:
+        found.append(p.field(0.0, x, reference.unfolding, reference.free).full().ravel())
+    if p.symmetry.other_phases:
+        values = p.model.parameter_values
+        found += [one(x[: size // 2], x[size // 2 :], values).full().ravel() for one in p.generators]
+    rows = np.asarray(found).reshape(len(found), size)
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
+
+
+def _rows(curve: Curve, place: Place, path: March, phases: np.ndarray, reference: Place) -> np.ndarray:
+    """All rows but the aim."""
+    nodes = place.nodes
+    rows = [(path.ends[:-1] - nodes[1:]).ravel(), curve.first @ nodes[0] + curve.last @ path.ends[-1] - curve.constant]
+    rows.append(phases @ (nodes[0] - reference.nodes[0]))
+    if curve.held:
+        values = curve.propagator.quantities(nodes[0], place.free)[0].full().ravel()
+        rows.append(np.array([values[k] - value for k, value in curve.held]))
+    if curve.period is not None:
+        rows.append(np.array([place.period - curve.period]))
+    return np.concatenate(rows)
+
+
+def _jacobian(curve: Curve, place: Place, path: March, phases: np.ndarray) -> np.ndarray:
+    """Derivative of `_rows`; the period's columns follow from dx(end)/dT = (span of the segment) f(end)."""
+    p, (count, size) = curve.propagator, place.nodes.shape
+    cut, extra = count * size, p.columns - size
+    edges = place.mesh[:: (place.mesh.size - 1) // count]
+    others = len(phases) + len(curve.held)
+    matrix = np.zeros((cut + others + (curve.period is not None), cut + 1 + extra))
+    for k in range(count):
+        rate = p.field(0.0, path.ends[k], place.unfolding, place.free).full().ravel()
+        block = np.column_stack([path.sensitivities[k], rate * (edges[k + 1] - edges[k])])
+        left = np.eye(size) if k < count - 1 else curve.last
+        rows = slice(k * size, (k + 1) * size)
+        block = left @ block
+        matrix[rows, k * size : (k + 1) * size] = block[:, :size]
+        matrix[rows, cut] = block[:, -1]
+        matrix[rows, cut + 1 :] = block[:, size:-1]
+        if k < count - 1:
+            matrix[rows, (k + 1) * size : (k + 2) * size] = -np.eye(size)
+    matrix[cut - size : cut, :size] += curve.first
+    matrix[cut : cut + len(phases), :size] = phases
+    if curve.held:
+        _, slope, free = (part.full() for part in p.quantities(place.nodes[0], place.free))
+        chosen = [k for k, _ in curve.held]
+        matrix[cut + len(phases) : cut + others, :size] = slope[chosen]
+        matrix[cut + len(phases) : cut + others, matrix.shape[1] - free.shape[1] :] = free[chosen]
+    if curve.period is not None:
+        matrix[-1, cut] = 1.0
+    return matrix
+
+
+def _spread(head: np.ndarray, place: Place) -> np.ndarray:
+    """A row over w out of a row over the head (x(0), T, free)."""
+    count, size = place.nodes.shape
+    row = np.zeros(count * size + 1 + place.unfolding.size + place.free.size)
+    row[:size] = head[:size]
+    row[count * size] = head[size]
+    row[row.size - place.free.size :] = head[size + 1 :]
+    return row
+
+
+def _aim(curve: Curve, place: Place, aim: Aim) -> tuple[float, np.ndarray]:
+    if aim.normal is not None:
+        return float(aim.normal @ place.head - aim.value), _spread(aim.normal, place)
+    value, slope, free = (part.full() for part in curve.propagator.quantities(place.nodes[0], place.free))
+    k = aim.invariant or 0
+    return float(value[k, 0] - aim.value), _spread(np.concatenate([slope[k], [0.0], free[k]]), place)
+
+
+def _moved(place: Place, step: np.ndarray) -> Place:
+    count, size = place.nodes.shape
+    cut, last = count * size, step.size - place.free.size
+    return replace(
+        place,
+        nodes=place.nodes + step[:cut].reshape(count, size),
+        period=place.period + float(step[cut]),
+        unfolding=place.unfolding + step[cut + 1 : last],
+        free=place.free + step[last:],
+    )
+
+
+def correct(curve: Curve, guess: Place, aim: Aim, reference: Place | None = None, reach: float = 1.0) -> Solution:
+    """Newton from a guess onto the family where the aim is met.
+
+    `reference` carries the phase condition; `reach` bounds how far (in the family's metric) the
+    result may be from the guess. Raises `ConvergenceError` or `IntegrationError`.
+    """
+    reference = reference or guess
+    phases = phase_rows(curve, reference)
+    place, previous = guess, np.inf
+    for iteration in range(MOST_NEWTON):
+        path = march(curve.propagator, place.nodes, place.mesh, place.tail)
+        missed, last = _aim(curve, place, aim)
+        rows = np.append(_rows(curve, place, path, phases, reference), missed)
+        jacobian = _jacobian(curve, place, path, phases)
+        largest = float(np.abs(rows).max())
+        if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and largest > NEWTON_READY):
+            raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
+        try:
+            step = np.linalg.solve(np.vstack([jacobian, last]), -rows)
+        except np.linalg.LinAlgError:
+            step = np.linalg.lstsq(np.vstack([jacobian, last]), -rows, rcond=1e-12)[0]
+        place = _moved(place, step)
+        if largest < NEWTON_READY:
+            return Solution(place, path, jacobian, iteration, largest)
+        if not distance(curve, place.head, guess.head) < reach or not place.period > 0:
+            raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
+        previous = largest
+    raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
+
+
+def distance(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:
+    """Distance of two heads in the family's metric."""
+    return float(np.sqrt(curve.weights @ (one - other) ** 2))
+
+
+def tangent(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
+    """The family's direction over all of w, of unit length in its head, with along^T W head > 0."""
+    row = _spread(curve.weights * along, found.place)
+    right = np.zeros(len(found.jacobian) + 1)
+    right[-1] = 1.0
+    whole = np.linalg.solve(np.vstack([found.jacobian, row]), right)
+    length = np.sqrt(curve.weights @ head_of(whole, found.place) ** 2)
+    return np.asarray(whole / length)
+
+
+def kernel(curve: Curve, found: Solution) -> np.ndarray:
+    """The same without a direction to go by: the right singular vector of the smallest singular value."""
+    whole = np.linalg.svd(found.jacobian)[2][-1]
+    return np.asarray(whole / np.sqrt(curve.weights @ head_of(whole, found.place) ** 2))
+
+
+def head_of(whole: np.ndarray, place: Place) -> np.ndarray:
+    """The entries of a vector over w that belong to the head."""
+    count, size = place.nodes.shape
+    return np.concatenate([whole[:size], [whole[count * size]], whole[whole.size - place.free.size :]])
+
+
+def advanced(place: Place, whole: np.ndarray, length: float, curvature: np.ndarray | None = None) -> Place:
+    """The predictor: a step of this length along a tangent, with its curvature where that is known."""
+    step = length * whole if curvature is None else length * whole + length**2 * curvature
+    return _moved(place, step)
+
+
+def needs_mesh(curve: Curve, found: Solution) -> bool:
+    """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
+    errors = step_errors(curve.propagator, found.march.states, found.place.mesh, found.place.tail)
+    growths = _growths(curve, found)
+    wanted = _steps_wanted(errors)
+    return bool(errors.max() > 30 * STEP_ERROR or growths.max() > 4 * GROWTH or wanted < 0.5 * errors.size)
+
+
+def _growths(curve: Curve, found: Solution) -> np.ndarray:
+    size = curve.propagator.size
+    clock = np.sqrt(curve.weights[:size])
+    return np.array([
+        np.linalg.norm(block[:, :size] * clock[:, None] / clock[None, :], 2) for block in found.march.sensitivities
+    ])  # fmt: skip
+
+
+def _steps_wanted(errors: np.ndarray) -> float:
+    return float(np.sum((errors / STEP_ERROR) ** 0.125))
+
+
+def remeshed(curve: Curve, found: Solution) -> Place:
+    """The place on a mesh that spreads the error estimate evenly, with as many segments as the growth asks for.
+
+    The estimate goes with the eighth power of the step, so (error / allowed)^(1/8) is the number of
+    steps that each present step should become. Nodes are interpolated and must be corrected again.
+    """
+    place, states = found.place, found.march.states
+    errors = step_errors(curve.propagator, states, place.mesh, place.tail)
+    density = np.maximum((errors / STEP_ERROR) ** 0.125, 0.15)
+    growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
+    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
+    each = int(np.ceil(1.1 * density.sum() / count)) + 2
+    each += -each % 4  # few distinct sizes, so that compiled marches are used again
+    work = np.concatenate([[0.0], np.cumsum(density)])
+    mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
+    p = curve.propagator
+    rates = np.stack([p.field(0.0, x, place.unfolding, place.free).full().ravel() for x in states]) * place.period
+    nodes = CubicHermiteSpline(place.mesh, states, rates)(mesh[:-1:each])
+    return replace(place, nodes=np.vstack([place.nodes[:1], nodes[1:]]), mesh=mesh)
+
+
+def settled(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
+    """The same orbit on a fitting mesh, held in the hyperplane through it with this normal."""
+    for _ in range(4):
+        if not needs_mesh(curve, found):
+            break
+        aim = Aim(float(normal @ found.place.head), normal)
+        found = correct(curve, remeshed(curve, found), aim, found.place)
+    return found
+
+
+def at_place(curve: Curve, place: Place) -> Solution:
+    """A Solution out of a place that is already on the family (one read from a file)."""
+    path = march(curve.propagator, place.nodes, place.mesh, place.tail)
+    return Solution(place, path, _jacobian(curve, place, path, phase_rows(curve, place)), 0, 0.0)
+
+
+def displacement(place: Place, other: Place) -> np.ndarray | None:
+    """`other` minus `place` over w, or None where their meshes differ."""
+    if place.nodes.shape != other.nodes.shape or not np.array_equal(place.mesh, other.mesh):
+        return None
+    parts = [(other.nodes - place.nodes).ravel(), [other.period - place.period]]
+    return np.concatenate([*parts, other.unfolding - place.unfolding, other.free - place.free])
+
+
+def bend(curve: Curve, place: Place, whole: np.ndarray, other: Place) -> np.ndarray:
+    """c of w(sigma) = w + sigma t + sigma^2 c through another place; zero where the meshes differ."""
+    moved = displacement(place, other)
+    if moved is None:
+        return np.zeros_like(whole)
+    along = float((curve.weights * head_of(whole, place)) @ head_of(moved, place))
+    return np.asarray((moved - along * whole) / along**2) if abs(along) > 1e-9 else np.zeros_like(whole)

@@ -1,0 +1,254 @@
+"""Mechanical systems in redundant coordinates with holonomic constraints, as index-1 DAEs.
+
+    M(q) a + h(t, q, v) = J(q)^T lambda,      J a + Jdot v + 2 alpha J v + beta^2 phi = 0.
+
+x = (q, v) are the differential states and z = (a, lambda) the algebraic ones. alpha = beta = 0
+leaves the bare acceleration constraints, which drift; with both positive phi decays
+(J. Baumgarte, "Stabilization of constraints and integrals of motion in dynamical systems",
+Computer Methods in Applied Mechanics and Engineering 1 (1972) 1-16).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.elimination import LinearBalances, eliminated
+from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, mass_matrix_and_bias
+from orbitfinder.mechanics.model import Invariant, Model
+
+RANK_TOLERANCE = 1e-8
+"""smallest over largest singular value of J below which a configuration counts as singular"""
+CONSISTENCY_TOLERANCE = 1e-6
+"""largest |phi| and |J v| of a state that is accepted as lying on the constraints"""
+
+
+@dataclass(frozen=True)
+class Baumgarte:
+    """Stabilisation phi'' + 2 alpha phi' + beta^2 phi = 0, both in 1/s; zero is off."""
+
+    alpha: float = 0.0
+    beta: float = 0.0
+
+
+@dataclass(frozen=True)
+class ConstrainedModel:
+    """Equations of a system of n redundant coordinates q under m constraints phi(q, p) = 0.
+
+    `balances(t, q, v, a, lambda, p)` = M a + h - J^T lambda (n); `constraint(q, p)` = phi (m);
+    `constraint_rate(q, v, p)` = J v; `constraint_acceleration(q, v, a, p)` = J a + Jdot v (m);
+    `constraint_jacobian(q, p)` = J (m x n); `algebraic(t, q, v, p)` = (a, lambda) by elimination,
+    Baumgarte terms included. Energies, `forces`, `points`, `centres` and names are as in `Model`.
+    `lift(angles, rates, p)` is the state (2n) of a chain or linkage from its link angles and rates.
+    """
+
+    system: Mapping[str, Any]
+    state_names: tuple[str, ...]
+    force_names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
+    parameter_values: np.ndarray
+    balances: ca.Function
+    constraint: ca.Function
+    constraint_rate: ca.Function
+    constraint_acceleration: ca.Function
+    constraint_jacobian: ca.Function
+    algebraic: ca.Function
+    kinetic: ca.Function
+    potential: ca.Function
+    baumgarte: Baumgarte
+    forces: ca.Function | None = None
+    invariants: tuple[Invariant, ...] = ()
+    angles: tuple[bool, ...] = ()
+    points: ca.Function | None = None
+    centres: ca.Function | None = None
+    lift: ca.Function | None = None
+
+    @property
+    def coordinates(self) -> int:
+        """n, the number of redundant coordinates."""
+        return len(self.state_names) // 2
+
+    @property
+    def constraints(self) -> int:
+        """m, the number of constraints and of constraint forces."""
+        return len(self.force_names)
+
+    def residual(self, t: Any, x: Any, z: Any, p: Any) -> Any:
+        """The n + m algebraic equations of the DAE in z = (a, lambda), Baumgarte terms included."""
+        n = self.coordinates
+        q, v, a = x[:n], x[n:], z[:n]
+        alpha, beta = self.baumgarte.alpha, self.baumgarte.beta
+        rows = self.constraint_acceleration(q, v, a, p)
+        rows += 2 * alpha * self.constraint_rate(q, v, p) + beta**2 * self.constraint(q, p)
+        return ca.vertcat(self.balances(t, q, v, a, z[n:], p), rows)
+
+
+@dataclass(frozen=True)
+class ConstrainedEquations:
+    """Expressions that a ConstrainedModel is built from, written in `symbols`, a and lambda.
+
+    `balances` = M a + h - J^T lambda (n) and `constraint_acceleration` = J a + Jdot v (m).
+    """
+
+    symbols: Symbols
+    acceleration: ca.SX
+    multipliers: ca.SX
+    balances: ca.SX
+    constraint: ca.SX
+    constraint_acceleration: ca.SX
+    kinetic: ca.SX
+    potential: ca.SX
+    forces: ca.SX | None = None
+
+
+def constrained(
+    kinetic: ca.SX,
+    potential: ca.SX,
+    constraint: ca.SX,
+    symbols: Symbols,
+    *,
+    forces: ca.SX | None = None,
+    baumgarte: Baumgarte | None = None,
+    names: Sequence[str] | None = None,
+    angles: Sequence[bool] | None = None,
+    invariants: Sequence[Invariant] | None = None,
+    points: ca.SX | None = None,
+    system: Mapping[str, Any] | None = None,
+) -> ConstrainedModel:
+    """Native DAE of a system given by energies and holonomic constraints phi(q, p) = 0 (SX, m).
+
+    M a + h = J^T lambda with M = d2T/dv2, J = dphi/dq: Lagrange's equations of the first kind
+    (Goldstein, Classical Mechanics, section 2.4). `forces` Q(t, q, v, p) (n) are added to the right.
+    SI units. Raises `InputError` when the constraints are empty or as many as the coordinates.
+    """
+    q, v = symbols.coordinates, symbols.velocities
+    count = ca.SX(constraint).numel()
+    if not 0 < count < q.numel():
+        raise InputError(
+            f"constraint: {count} equations for {q.numel()} coordinates leave no motion to compute; "
+            "give at least one and fewer than the coordinates (lagrange() is for none)"
+        )
+    matrix, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
+    a, multipliers = ca.SX.sym("a", q.numel()), ca.SX.sym("lambda", count)
+    jacobian = ca.jacobian(constraint, q)
+    equations = ConstrainedEquations(
+        symbols, a, multipliers, matrix @ a + bias - jacobian.T @ multipliers, ca.SX(constraint),
+        jacobian @ a + ca.jtimes(jacobian @ v, q, v), kinetic, potential, forces,
+    )  # fmt: skip
+    p = _parameters(symbols)
+    return constrained_model(
+        equations,
+        baumgarte or Baumgarte(),
+        names=names or [f"q{i + 1}" for i in range(q.numel())],
+        angles=tuple(angles) if angles is not None else (False,) * q.numel(),
+        invariants=invariants,
+        points=None if points is None else ca.Function("points", [q, p], [points]),
+        system=dict(system or {"kind": "custom"}),
+    )
+
+
+def _parameters(symbols: Symbols) -> ca.SX:
+    return symbols.parameters if symbols.parameters is not None else ca.SX(0, 1)
+
+
+def constrained_model(
+    equations: ConstrainedEquations,
+    baumgarte: Baumgarte,
+    *,
+    names: Sequence[str],
+    force_names: Sequence[str] | None = None,
+    invariants: Sequence[Invariant] | None = None,
+    **fields: Any,
+) -> ConstrainedModel:
+    """A ConstrainedModel around expressions; `fields` are passed on to it as they are."""
+    symbols, a, force = equations.symbols, equations.acceleration, equations.multipliers
+    q, v, p = symbols.coordinates, symbols.velocities, _parameters(symbols)
+    t = symbols.time if symbols.time is not None else ca.SX.sym("t")
+    jacobian = ca.jacobian(equations.constraint, q)
+    if invariants is None:
+        conservative = equations.forces is None and symbols.time is None
+        invariants = [energy_invariant(equations.kinetic, equations.potential, q, v, p)] if conservative else []
+    values = np.asarray(symbols.parameter_values, float)
+    return ConstrainedModel(
+        state_names=(*names, *(f"{name}dot" for name in names)),
+        force_names=tuple(force_names or (f"lambda{k + 1}" for k in range(force.numel()))),
+        parameter_names=tuple(symbols.parameter_names),
+        parameter_values=values,
+        balances=ca.Function("balances", [t, q, v, a, force, p], [equations.balances]),
+        constraint=ca.Function("constraint", [q, p], [equations.constraint]),
+        constraint_rate=ca.Function("constraint_rate", [q, v, p], [jacobian @ v]),
+        constraint_acceleration=ca.Function(
+            "constraint_acceleration", [q, v, a, p], [equations.constraint_acceleration]
+        ),
+        constraint_jacobian=ca.Function("constraint_jacobian", [q, p], [jacobian]),
+        algebraic=_eliminate(equations, baumgarte, [t, q, v, p], values),
+        kinetic=ca.Function("kinetic", [q, v, p], [equations.kinetic]),
+        potential=ca.Function("potential", [q, p], [equations.potential]),
+        baumgarte=baumgarte,
+        forces=None if equations.forces is None else ca.Function("forces", [t, q, v, p], [equations.forces]),
+        invariants=tuple(invariants),
+        **fields,
+    )
+
+
+def _eliminate(
+    equations: ConstrainedEquations, baumgarte: Baumgarte, arguments: list[ca.SX], values: np.ndarray
+) -> ca.Function:
+    """(a, lambda) as a Function of (t, q, v, p), with M, h, J and the rest read off by jacobian."""
+    a, force = equations.acceleration, equations.multipliers
+    t, q, v, p = arguments
+    unknowns = ca.vertcat(a, force)
+    residual = ca.vertcat(equations.balances, equations.constraint_acceleration)
+    rest = ca.substitute(residual, unknowns, ca.SX.zeros(unknowns.numel()))
+    drift = 2 * baumgarte.alpha * ca.jtimes(equations.constraint, q, v) + baumgarte.beta**2 * equations.constraint
+    mass = ca.jacobian(equations.balances, a)
+    linear = LinearBalances(
+        mass=mass,
+        bias=rest[: a.numel()],
+        force=-ca.jacobian(equations.balances, force),
+        jacobian=ca.jacobian(equations.constraint_acceleration, a),
+        right=-rest[a.numel() :] - drift,
+    )
+    generic = 0.1 + 0.01 * np.arange(q.numel())
+    sample = ca.Function("mass", [t, q, p], [mass])(0, generic, values)
+    invertible = q.numel() == ca.sprank(sample) and np.all(np.abs(_pivots(sample)) > 0)
+    return eliminated(linear, arguments, bool(invertible))
+
+
+def _pivots(matrix: ca.DM) -> np.ndarray:
+    """Diagonal of a diagonal matrix, eigenvalues of any other symmetric one, small ones set to 0."""
+    if matrix.nnz() == matrix.shape[0]:
+        return np.asarray(ca.diag(matrix).full().ravel())
+    values = np.linalg.eigvalsh(matrix.full())
+    return np.where(np.abs(values) < 1e-12 * np.abs(values).max(), 0.0, values)
+
+
+def reduced(model: ConstrainedModel) -> Model:
+    """The same system as an explicit ODE in the same redundant coordinates: a(t, q, v, p) alone.
+
+    The algebraic variables are eliminated, Baumgarte terms included, so the flow is that of the DAE.
+    Its energies carry no constraint forces: do not form Hamilton's equations from them.
+    """
+    inputs = [model.algebraic.mx_in(k) for k in range(4)]
+    if model.algebraic.is_a("SXFunction"):
+        inputs = [model.algebraic.sx_in(k) for k in range(4)]
+    acceleration = model.algebraic(*inputs)[: model.coordinates]
+    return Model(
+        system=model.system,
+        state_names=model.state_names,
+        parameter_names=model.parameter_names,
+        parameter_values=model.parameter_values,
+        acceleration=ca.Function("acceleration", inputs, [acceleration]),
+        kinetic=model.kinetic,
+        potential=model.potential,
+        forces=model.forces,
+        invariants=model.invariants,
+        angles=model.angles,
+        points=model.points,
+        centres=model.centres,
+    )

@@ -1,0 +1,192 @@
+"""The n-link pendulum in maximal coordinates (x_G, y_G, theta per link), joint forces as unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.chain import (
+    ChainSymbols,
+    Numbers,
+    chain_symbols,
+    chain_system,
+    directions,
+    geometry,
+    model_from_acceleration,
+)
+from orbitfinder.mechanics.constrained import Baumgarte, ConstrainedEquations, ConstrainedModel, constrained_model
+from orbitfinder.mechanics.lagrange import Symbols
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.newton_euler import cross
+
+
+@dataclass(frozen=True)
+class Body:
+    """One link's motion in maximal coordinates: centre of mass, angle, and their derivatives."""
+
+    centre: ca.SX
+    velocity: ca.SX
+    acceleration: ca.SX
+    angle: ca.SX
+    rate: ca.SX
+    angular_acceleration: ca.SX
+
+    def end(self, arm: Any) -> tuple[ca.SX, ca.SX]:
+        """Position and acceleration (2 each) of the point at `arm` (m) along the link from its centre.
+
+        r = r_G + s e,  r'' = a_G + s (alpha n - omega^2 e).
+        """
+        along, across = directions(self.angle)
+        turning = self.angular_acceleration * across - self.rate**2 * along
+        return self.centre + arm * along, self.acceleration + arm * turning
+
+
+def chain_dae(
+    links: int,
+    length: Numbers = 1.0,
+    mass: Numbers = 1.0,
+    inertia: Numbers | None = None,
+    com: Numbers = 0.5,
+    *,
+    gravity: float = 9.8,
+    baumgarte: Baumgarte | None = None,
+) -> ConstrainedModel:
+    """The n-link pendulum as a native DAE: 6n states (q, v), q = (x_G, y_G, theta) per link.
+
+    Arguments as for `chain`; lambda are the forces (2 per joint, N) on each link at its upper joint.
+    Baumgarte terms are off unless given, as in the report (section 2.2). Raises `InputError`.
+    """
+    system = chain_system(links, length, mass, inertia, com, gravity=gravity, formulation="dae")
+    return maximal_chain(chain_symbols(system), system, baumgarte or Baumgarte())
+
+
+def dae_chain(symbols: ChainSymbols, system: dict[str, Any]) -> Model:
+    """The chain's Model in the angles, its accelerations got from the maximal-coordinate equations.
+
+    The linear system for (a, lambda) is solved at the maximal state that the angles and rates imply,
+    where phi and phidot vanish, and the angular accelerations are picked out of a.
+    """
+    maximal = maximal_chain(symbols, system, Baumgarte())
+    assert maximal.lift is not None
+    n, count = maximal.coordinates, len(symbols.links)
+    symbol: Any = ca.SX.sym if maximal.algebraic.is_a("SXFunction") else ca.MX.sym
+    t, q, v, p = symbol("t"), symbol("q", count), symbol("v", count), symbol("p", symbols.parameters.numel())
+    state = maximal.lift(q, v, p)
+    acceleration = maximal.algebraic(t, state[:n], state[n:], p)[2:n:3]
+    return model_from_acceleration(symbols, system, ca.Function("acceleration", [t, q, v, p], [acceleration]))
+
+
+def maximal_chain(
+    symbols: ChainSymbols, system: dict[str, Any], baumgarte: Baumgarte, ground: ca.SX | None = None
+) -> ConstrainedModel:
+    """The chain, or with `ground` (2, m) the closed chain whose tip is pinned there, as a native DAE."""
+    count = len(symbols.links)
+    joints = count + (ground is not None)
+    q, v, a = (ca.SX.sym(name, 3 * count) for name in ("q", "v", "a"))
+    reactions = ca.SX.sym("R", 2 * joints)
+    bodies = [_body(q, v, a, i) for i in range(count)]
+    position, acceleration = joint_constraints(symbols, bodies, ground)
+    weights = [-link.mass * symbols.gravity * body.centre[0] for link, body in zip(symbols.links, bodies, strict=True)]
+    moving = [
+        0.5 * link.mass * ca.sumsqr(body.velocity) + 0.5 * link.inertia * body.rate**2
+        for link, body in zip(symbols.links, bodies, strict=True)
+    ]
+    equations = ConstrainedEquations(
+        Symbols(q, v, symbols.parameters, symbols.names, tuple(symbols.values)), a, reactions,
+        link_balances(symbols, bodies, ca.reshape(reactions, 2, joints)), position, acceleration,
+        sum(moving), sum(weights),
+    )  # fmt: skip
+    angles = q[2::3]
+    at_angles = ca.Function("geometry", [symbols.angles, symbols.parameters], list(geometry(symbols)))
+    points, centres = at_angles(angles, symbols.parameters)
+    return constrained_model(
+        equations,
+        baumgarte,
+        names=[f"{name}{i + 1}" for i in range(count) for name in ("x", "y", "theta")],
+        force_names=[f"R{i + 1}{axis}" for i in range(joints) for axis in "xy"],
+        angles=(False, False, True) * count,
+        points=ca.Function("points", [q, symbols.parameters], [points]),
+        centres=ca.Function("centres", [q, symbols.parameters], [centres]),
+        lift=_lift(symbols),
+        system=system,
+    )
+
+
+def _body(q: ca.SX, v: ca.SX, a: ca.SX, i: int) -> Body:
+    at = slice(3 * i, 3 * i + 2)
+    return Body(q[at], v[at], a[at], q[3 * i + 2], v[3 * i + 2], a[3 * i + 2])
+
+
+def link_balances(symbols: ChainSymbols, bodies: list[Body], reactions: ca.SX) -> ca.SX:
+    """Residuals (3n) of two linear and one angular momentum balance per link (N, N, N m).
+
+    With R_i on link i at its upper joint, -R_i+1 at its lower joint, G_i its centre of mass:
+    m a_G = R_i - R_i+1 + m g e_x,   I alpha = r_{upper/G} x R_i - r_{lower/G} x R_i+1.
+    Source: the report, section 2.2; angular momentum is taken about G.
+    """
+    rows: list[ca.SX] = []
+    for i, (link, body) in enumerate(zip(symbols.links, bodies, strict=True)):
+        along, _ = directions(body.angle)
+        upper = reactions[:, i]
+        lower = reactions[:, i + 1] if i + 1 < reactions.shape[1] else ca.SX(2, 1)
+        weight = ca.vertcat(link.mass * symbols.gravity, 0)
+        rows.append(link.mass * body.acceleration - (upper - lower + weight))
+        moment = cross(-link.offset * along, upper) - cross((link.length - link.offset) * along, lower)
+        rows.append(link.inertia * body.angular_acceleration - moment)
+    return ca.vertcat(*rows)
+
+
+def joint_constraints(symbols: ChainSymbols, bodies: list[Body], ground: ca.SX | None) -> tuple[ca.SX, ca.SX]:
+    """phi and its second derivative, two rows per joint: upper end of a link minus lower end of the last.
+
+    The first joint is at the origin; with `ground` a last one holds ground minus the tip.
+    """
+    last_position, last_acceleration = ca.SX.zeros(2), ca.SX.zeros(2)
+    positions, accelerations = [], []
+    for link, body in zip(symbols.links, bodies, strict=True):
+        upper_position, upper_acceleration = body.end(-link.offset)
+        positions.append(upper_position - last_position)
+        accelerations.append(upper_acceleration - last_acceleration)
+        last_position, last_acceleration = body.end(link.length - link.offset)
+    if ground is not None:
+        positions.append(ground - last_position)
+        accelerations.append(-last_acceleration)
+    return ca.vertcat(*positions), ca.vertcat(*accelerations)
+
+
+def _lift(symbols: ChainSymbols) -> ca.Function:
+    """State (6n) in maximal coordinates of a chain at angles (n) and rates (n)."""
+    joint, joint_velocity = ca.SX.zeros(2), ca.SX.zeros(2)
+    coordinates, velocities = [], []
+    for i, link in enumerate(symbols.links):
+        along, across = directions(symbols.angles[i])
+        turning = symbols.rates[i] * across
+        coordinates += [joint + link.offset * along, symbols.angles[i]]
+        velocities += [joint_velocity + link.offset * turning, symbols.rates[i]]
+        joint, joint_velocity = joint + link.length * along, joint_velocity + link.length * turning
+    arguments = [symbols.angles, symbols.rates, symbols.parameters]
+    return ca.Function("lift", arguments, [ca.vertcat(*coordinates, *velocities)])
+
+
+def maximal_states(model: ConstrainedModel, states: np.ndarray) -> np.ndarray:
+    """Maximal states (6n, or k x 6n) from states in the angles and rates (2n, or k x 2n)."""
+    if model.lift is None:
+        raise InputError("this system has no link angles to start from; give its state in its own coordinates")
+    rows = np.atleast_2d(np.asarray(states, float))
+    count = model.coordinates // 3
+    if rows.shape[1] != 2 * count:
+        raise InputError(f"state: {rows.shape[1]} numbers for {count} links; give {count} angles, then {count} rates")
+    p = np.tile(model.parameter_values[:, None], (1, len(rows)))
+    lifted = model.lift.map(len(rows))(rows.T[:count], rows.T[count:], p).full().T
+    return np.asarray(lifted[0] if np.ndim(states) == 1 else lifted)
+
+
+def minimal_states(model: ConstrainedModel, states: np.ndarray) -> np.ndarray:
+    """Angles and rates (2n, or k x 2n) of maximal states (6n, or k x 6n): theta and thetadot picked out."""
+    if model.lift is None:
+        raise InputError("this system has no link angles to go to; use its own coordinates")
+    return np.asarray(np.asarray(states, float)[..., 2::3])

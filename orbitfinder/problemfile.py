@@ -1,0 +1,292 @@
+"""From a problem file (TOML, or trusted Python) to a Problem; every mistake is one sentence.
+
+The tables and keys are in `schema.py`; this module reads the file, says what is wrong with it,
+and builds the Model, the Guess and the Problem.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticCustomError
+
+from orbitfinder.errors import InputError
+from orbitfinder.schema import SYSTEMS, FindTable, ProblemTable, check_name
+from orbitfinder.suggest import closest
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from orbitfinder.mechanics.model import Model
+    from orbitfinder.periodic.problem import Guess, Problem
+
+LARGEST_FILE = 100_000_000
+"""Bytes; a larger problem or CSV file is refused before it is read."""
+DEFAULT_DURATION = 10.0
+"""Seconds that `simulate` covers when nothing else is asked for."""
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class ProblemFile:
+    """A problem file that has been read: its path, its tables and what they stand for.
+
+    `problem` is None when the file has no `[guess]`; `search` is the range of periods in s;
+    `duration` (s) and `start` (2n) are what `simulate` uses.
+    """
+
+    path: Path
+    name: str
+    model: Model
+    problem: Problem | None
+    document: Mapping[str, Any] = field(default_factory=dict)
+    search: tuple[float, float] | None = None
+    duration: float = DEFAULT_DURATION
+    start: np.ndarray | None = None
+
+
+def load_problem(path: str | Path, trust: bool = False) -> Problem:
+    """The Problem of a file. Raises `InputError`; Python files are executed only with `trust`."""
+    loaded = load_problem_file(path, trust)
+    if loaded.problem is None:
+        raise InputError(
+            f"{loaded.path}: guess: missing; add a [guess] table with state and period, mode and amplitude, or csv"
+        )
+    return loaded.problem
+
+
+def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
+    """A problem file with everything in it (see `ProblemFile`). Raises `InputError`."""
+    source = Path(path)
+    if source.suffix == ".py":
+        return _load_python(source, trust)
+    document = read_toml(source)
+    table = parse(document, str(source))
+    return _at(str(source), lambda: _build(source, document, table))
+
+
+def read_bytes(source: Path) -> bytes:
+    """The content of a regular file of reasonable size, or `InputError`."""
+    try:
+        if not source.exists():
+            raise InputError(f"{source}: no such file; check the path")
+        if source.is_dir():
+            raise InputError(f"{source}: a folder, not a file; name a problem file in it")
+        if not source.is_file():
+            raise InputError(f"{source}: not a regular file; give a problem file")
+        if source.stat().st_size > LARGEST_FILE:
+            raise InputError(f"{source}: {source.stat().st_size} bytes is too large; the limit is {LARGEST_FILE}")
+        return source.read_bytes()
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{source}: cannot be read ({error}); check the path and its permissions") from error
+
+
+def read_toml(source: Path) -> dict[str, Any]:
+    """The TOML document at a path, or `InputError`."""
+    try:
+        return tomllib.loads(read_bytes(source).decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{source}: not UTF-8 text (byte {error.start}); save it as UTF-8, or give a problem file"
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: not TOML: {error}; see docs/problem-file.md for the format") from error
+    except RecursionError as error:
+        raise InputError(f"{source}: nested too deeply to be a problem file; see docs/problem-file.md") from error
+
+
+def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
+    """The checked tables of a document; `InputError` is about the first thing that is wrong."""
+    try:
+        return ProblemTable.model_validate(document)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
+        more = f" ({len(faults) - 1} more after this)" if len(faults) > 1 else ""
+        raise InputError(f"{where}: {sentence(first, document)}{more}") from None
+
+
+def sentence(fault: Mapping[str, Any], document: Mapping[str, Any]) -> str:
+    """One pydantic fault as field, value and remedy."""
+    names = [str(part) for part in fault["loc"]]
+    table, description = _table_and_description(names, document)
+    where = ".".join(names) or "file"
+    if fault["type"] == "extra_forbidden":
+        known = list(table.model_fields) if table else []
+        return f"{where}: unknown key{closest(names[-1], known)}; use one of {', '.join(known)}"
+    if fault["type"] == "missing":
+        return f"{where}: missing; give {description}"
+    if fault["type"] == "kind":
+        return f"{where}.kind: {fault['msg']}"
+    if fault["type"] == "name":
+        return f"{where}: {fault['msg']}, got {_short(fault['input'])}; choose another name"
+    if fault["type"] in ("guess", "period") or not description:
+        return f"{where}: {fault['msg']}" if names else str(fault["msg"]).replace(" is missing;", ": missing;")
+    if fault["type"] == "finite_number":
+        return f"{where}: must be finite, got {_short(fault['input'])}; replace NaN and infinity by numbers"
+    reason = re.sub(r"^(Input|List|String|Dictionary) should", "must", str(fault["msg"]))
+    if fault["type"] in ("model_type", "dict_type"):
+        reason = "must be a table"
+    return f"{where}: {reason[0].lower() + reason[1:]}, got {_short(fault['input'])}; expected {description}"
+
+
+def _short(value: Any, limit: int = 60) -> str:
+    text = repr(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def _table_and_description(names: list[str], document: Mapping[str, Any]) -> tuple[type[BaseModel] | None, str]:
+    """The table that the last key belongs to, and the description of the nearest described key."""
+    table: type[BaseModel] | None = ProblemTable
+    description = ""
+    for depth, name in enumerate(names):
+        if table is None or name not in table.model_fields:
+            break
+        entry = table.model_fields[name]
+        description = entry.description or ""
+        if depth + 1 < len(names):
+            table = _nested(name, entry.annotation, document) or table
+    return table, description
+
+
+def _nested(name: str, annotation: Any, document: Mapping[str, Any]) -> type[BaseModel] | None:
+    if name == "system":
+        system = document.get("system")
+        return SYSTEMS.get(str(system.get("kind"))) if isinstance(system, Mapping) else None
+    candidates = [annotation, *getattr(annotation, "__args__", ())]
+    tables = [one for one in candidates if isinstance(one, type) and issubclass(one, BaseModel)]
+    return tables[0] if tables else None
+
+
+def _at(where: str, build: Callable[[], Result]) -> Result:
+    """Run `build`, putting the file (and the table, where the message lacks it) in front of its errors."""
+    try:
+        return build()
+    except InputError as error:
+        text = str(error)
+        first = text.split(":")[0]
+        if any(first in table.model_fields for table in SYSTEMS.values()):
+            text = f"system.{text}"
+        elif first in FindTable.model_fields:
+            text = f"find.{text}"
+        raise type(error)(f"{where}: {text}") from error
+
+
+def _build(source: Path, document: Mapping[str, Any], table: ProblemTable) -> ProblemFile:
+    from orbitfinder.mechanics.catalogue import build_model
+
+    name = table.name or _checked_name(source.stem)
+    model = build_model(table.system.model_dump(exclude_none=True))
+    problem = None
+    if table.guess is not None:
+        problem = _problem(name, model, _guess(table, model, source), table)
+        problem.check_count()
+    return ProblemFile(
+        path=source,
+        name=name,
+        model=model,
+        problem=problem,
+        document=document,
+        search=(table.search.period[0], table.search.period[1]) if table.search else None,
+        duration=table.simulate.duration or DEFAULT_DURATION,
+        start=_start(table, model, problem),
+    )
+
+
+def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:
+    from orbitfinder.periodic.conditions import pin
+    from orbitfinder.periodic.problem import Problem
+
+    find, expected = table.find, table.expected.model_dump(exclude_none=True)
+    return Problem(
+        model=model,
+        guess=guess,
+        pin=pin(**(find.pin or {})),
+        symmetry=find.symmetry,
+        winding=None if find.winding is None else tuple(find.winding),
+        segments=find.segments,
+        tolerance=find.tolerance,
+        free=tuple(find.free),
+        expected={key: (float(number["value"]), float(number["tolerance"])) for key, number in expected.items()},
+        name=name,
+        title=table.title,
+        source=table.source,
+    )
+
+
+def _guess(table: ProblemTable, model: Model, source: Path) -> Guess:
+    import numpy as np
+
+    from orbitfinder.periodic.guesses import normal_mode
+    from orbitfinder.periodic.problem import Guess
+
+    given = table.guess
+    assert given is not None
+    if given.mode is not None and given.amplitude is not None:
+        return normal_mode(model, given.mode, given.amplitude)
+    if given.csv is not None:
+        from orbitfinder.trajectory import read_trajectory
+
+        return read_trajectory(source.parent, given.csv, len(model.state_names))
+    return Guess(np.asarray(given.state, float), float(given.period or 0.0))
+
+
+def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.ndarray | None:
+    import numpy as np
+
+    if table.simulate.state is None:
+        return None if problem is None else np.asarray(problem.guess.state, float)
+    size = len(model.state_names)
+    if len(table.simulate.state) != size:
+        raise InputError(
+            f"simulate.state: {len(table.simulate.state)} numbers for {size // 2} coordinates; give {size} "
+            "(angles, then rates)"
+        )
+    return np.asarray(table.simulate.state, float)
+
+
+def _checked_name(name: str) -> str:
+    try:
+        return check_name(name)
+    except PydanticCustomError as error:
+        raise InputError(f"name: {error.message()}, got {name!r}; rename it or give a name") from error
+
+
+def _load_python(source: Path, trust: bool) -> ProblemFile:
+    """A Python problem file: executed, so only for files the user vouches for."""
+    import runpy
+
+    from orbitfinder.periodic.problem import Problem
+
+    if not trust:
+        raise InputError(
+            f"{source}: a Python problem file runs as a program and {'was' if source.exists() else 'would be'} "
+            "not executed; read it, then add --trust"
+        )
+    read_bytes(source)
+    try:
+        made = runpy.run_path(str(source))["problem"]()
+    except KeyError as error:
+        raise InputError(f"{source}: problem: missing ({error}); define a function problem() in it") from error
+    except Exception as error:
+        raise InputError(f"{source}: problem() failed with {type(error).__name__}: {error}; fix the file") from error
+    if not isinstance(made, Problem):
+        raise InputError(f"{source}: problem() returned {type(made).__name__}; return an orbitfinder Problem")
+    _at(str(source), lambda: (_checked_name(made.name), made.check_count()))
+    return ProblemFile(source, made.name, made.model, made, start=made.guess.state)
+
+
+if __name__ == "__main__":
+    import click
+
+    from orbitfinder.schemadoc import schema_markdown
+
+    click.echo(schema_markdown(), nl=False)

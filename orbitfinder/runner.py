@@ -1,0 +1,201 @@
+"""One problem file from start to finish, and many of them side by side.
+
+Workers are spawned processes that get a path and send back an `Outcome`: CasADi's graphs do not
+travel between processes, and IPOPT with MUMPS is not safe in threads.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orbitfinder import interrupt
+from orbitfinder.errors import InputError, OrbitfinderError
+
+if TYPE_CHECKING:
+    from orbitfinder.console import Display
+    from orbitfinder.mechanics.model import Model
+    from orbitfinder.periodic.orbit import Certificate, Orbit
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to run and where its results go; plain values, so that it travels to a worker."""
+
+    file: Path
+    name: str
+    out: Path
+    figures: bool
+    trust: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one problem ended: `status` is certified, rejected (by the checks named in `failures`) or failed."""
+
+    name: str
+    file: str
+    status: str
+    message: str
+    wall_time: float
+    period: float | None = None
+    energy: float | None = None
+    closure: float | None = None
+    stability: str | None = None
+    symmetry: str | None = None
+    failures: tuple[str, ...] = ()
+    written: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """True for a certified orbit."""
+        return self.status == "certified"
+
+    def document(self) -> dict[str, Any]:
+        """The entry of this outcome in the output of `--json`."""
+        return asdict(self) | {"failures": list(self.failures), "written": list(self.written)}
+
+
+def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool) -> list[Job]:
+    """Jobs for problem files, everything that can be checked before computing checked."""
+    from orbitfinder.problemfile import load_problem
+
+    jobs: dict[str, Job] = {}
+    for file in files:
+        name = load_problem(file, trust).name
+        if name in jobs:
+            raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
+        jobs[name] = Job(file, name, out, figures, trust)
+    check_writable(out)
+    for name in jobs:
+        if (out / name).exists():
+            check_writable(out / name)
+    return list(jobs.values())
+
+
+def check_writable(folder: Path) -> None:
+    """`InputError` when files cannot be created in a folder (made if need be)."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+        raise InputError(
+            f"--out: cannot write in {str(folder)!r} ({reason}); choose a folder that you can write to"
+        ) from error
+
+
+def run_job(job: Job, shown: Display | None = None) -> Outcome:
+    """Find, certify and write one orbit. Raises `InputError` only; the rest is an Outcome."""
+    from orbitfinder.periodic.solve import find_orbit
+    from orbitfinder.problemfile import load_problem
+
+    began = time.perf_counter()
+    problem = load_problem(job.file, job.trust)
+    report = None if shown is None else (lambda progress: shown.event(job.name, progress))
+    try:
+        orbit = find_orbit(problem, progress=report)
+    except InputError:
+        raise
+    except OrbitfinderError as error:
+        return Outcome(job.name, str(job.file), "failed", one_line(error), time.perf_counter() - began)
+    try:
+        return _written(job, orbit, problem.model, began)
+    except OSError as error:
+        raise InputError(
+            f"--out: cannot write in {job.out / job.name} ({error}); free some space or choose another folder"
+        ) from error
+
+
+def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
+    """Write the result under the name it deserves; figures only of certified orbits."""
+    from orbitfinder.periodic.orbit import save_orbit
+
+    certificate, folder = orbit.certificate, job.out / job.name
+    passed = certificate is not None and certificate.passed
+    written = [save_orbit(orbit, folder / ("orbit.json" if passed else "rejected.json"))]
+    if passed:
+        for stale in ("rejected.json", "rejected.npz"):
+            (folder / stale).unlink(missing_ok=True)
+        if job.figures:
+            from orbitfinder.show.plot import save_figures
+
+            written += save_figures(orbit, folder, model)
+    failures = certificate.failures if certificate else ("no certificate",)
+    return Outcome(
+        orbit.name, str(job.file), "certified" if passed else "rejected",
+        "certified" if passed else f"not an orbit: {explained(certificate)}", time.perf_counter() - began,
+        orbit.period, orbit.energy, orbit.closure, orbit.stability, orbit.symmetry, failures,
+        tuple(str(path) for path in written),
+    )  # fmt: skip
+
+
+def explained(certificate: Certificate | None) -> str:
+    """The failing checks of a certificate with their numbers."""
+    failing = [check for check in certificate.checks if not check.passed] if certificate else []
+    return "; ".join(
+        f"check {check.name} failed ({check.value:.3g}, allowed {check.tolerance:.3g}"
+        + (f", {one_line(check.note)})" if check.note else ")")
+        for check in failing
+    )
+
+
+def one_line(text: object) -> str:
+    """A message without line breaks or control characters."""
+    return "".join(letter if letter.isprintable() else " " for letter in " ".join(str(text).split()))
+
+
+def run_jobs(jobs: Sequence[Job], workers: int, shown: Display) -> Iterator[Outcome]:
+    """Outcomes in the order in which they come, from this process or from spawned ones."""
+    if workers == 1 or len(jobs) == 1:
+        for job in jobs:
+            yield run_job(job, shown)
+        return
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_worker)
+    try:
+        with interrupt.held_back():  # so that every worker that was started is known when Ctrl-C arrives
+            futures = [pool.submit(_work, job) for job in jobs]
+        for future in as_completed(futures):
+            yield future.result()
+        pool.shutdown()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
+
+
+_stopped: list[int] = []
+"""In a worker: the signals by which the parent has told it to stop."""
+
+
+def _worker() -> None:
+    """Workers leave Ctrl-C to the parent, and clean up after themselves when it stops them."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _stop)
+
+
+def _stop(number: int, _: object) -> None:
+    _stopped.append(number)
+    raise SystemExit(128 + number)
+
+
+def _work(job: Job) -> Outcome:
+    """`run_job` in a worker; once told to stop it takes no further job, whatever became of the exception."""
+    try:
+        return run_job(job)
+    finally:
+        if _stopped:
+            os._exit(128 + _stopped[0])

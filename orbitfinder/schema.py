@@ -1,0 +1,211 @@
+"""The problem file as data: every table, key, unit and default, checked by pydantic.
+
+The reference in docs/problem-file.md is generated from this module (`python -m orbitfinder.problemfile`).
+Sizes that depend on the system (numbers per link, length of a state) are checked where the Model is known.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+MOST_LINKS = 2000
+"""Chains longer than this are refused: their state-transition matrices alone fill the memory."""
+MOST_SEGMENTS = 1000
+LARGEST_NUMBER = 1e300
+
+
+def _number_or_list(value: Any) -> Any:
+    items = value if isinstance(value, list) else [value]
+    if not items or any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
+        raise PydanticCustomError("numbers", "must be a number or a list with one number per link")
+    if any(not abs(item) < LARGEST_NUMBER for item in items):
+        raise PydanticCustomError("finite_number", "must be finite")
+    return value
+
+
+def _printable(text: str) -> str:
+    if any(ord(letter) < 32 or ord(letter) == 127 for letter in text):
+        raise PydanticCustomError("printable", "must be one line without control characters")
+    return text
+
+
+def check_name(name: str) -> str:
+    """A name that is safe as a folder: letters, digits, -, _ and ., not starting with a dot."""
+    if not re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}", name) or ".." in name:
+        raise PydanticCustomError(
+            "name", "must consist of letters, digits, -, _ and ., must not start with . nor contain .., at most 100"
+        )
+    return name
+
+
+PerLink = Annotated[float | list[float], BeforeValidator(_number_or_list)]
+Line = Annotated[str, Field(max_length=300), AfterValidator(_printable)]
+Name = Annotated[str, AfterValidator(check_name)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Table(BaseModel):
+    """A TOML table: no unknown keys, no silent conversions, no NaN."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class ChainSystem(Table):
+    """An n-link pendulum hanging from a fixed joint, angles from the downward vertical."""
+
+    kind: Literal["chain"] = Field(description="which system this is")
+    links: int = Field(ge=1, le=MOST_LINKS, description=f"number of links, 1 to {MOST_LINKS}")
+    length: PerLink = Field(1.0, description="length of the links in m, positive, one number or one per link")
+    mass: PerLink = Field(1.0, description="mass of the links in kg, positive, one number or one per link")
+    inertia: PerLink | None = Field(
+        None, description="inertia of the links about their centres of mass in kg m^2, m l^2 / 12 when left out"
+    )
+    com: PerLink = Field(
+        0.5, description="centre of mass as a fraction of the length from the upper joint, one number or one per link"
+    )
+    gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
+    formulation: str = Field("recursive", description="how the equations are derived; the motion is the same")
+
+
+SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem}
+"""The `[system]` table of each `kind`; a new kind is added here and in `mechanics.catalogue`."""
+
+
+def _system_of_its_kind(value: Any) -> Any:
+    from orbitfinder.suggest import closest
+
+    if not isinstance(value, Mapping):
+        raise PydanticCustomError("table", "must be a table")
+    kind, known = value.get("kind"), ", ".join(map(repr, SYSTEMS))
+    if "kind" not in value:
+        raise PydanticCustomError("kind", "missing; use one of {known}", {"known": known})
+    if kind not in list(SYSTEMS):
+        hint = closest(str(kind), SYSTEMS)
+        raise PydanticCustomError(
+            "kind", "unknown {kind}{hint}; use one of {known}", {"kind": repr(kind), "hint": hint, "known": known}
+        )
+    return SYSTEMS[str(kind)].model_validate(value)
+
+
+class GuessTable(Table):
+    """Where the search starts, in one of three forms: `state` and `period`, `mode` and `amplitude`, or `csv`."""
+
+    state: list[float] | None = Field(
+        None, description="state at t = 0: the n angles in rad, then the n rates in rad/s"
+    )
+    period: Positive | None = Field(None, description="period in s, positive; goes with state")
+    mode: int | None = Field(
+        None, ge=1, description="number of a linear normal mode of the hanging equilibrium, the slowest is 1"
+    )
+    amplitude: Positive | None = Field(None, description="largest angle of the mode in rad, positive; goes with mode")
+    csv: str | None = Field(
+        None,
+        description="trajectory over one period, a CSV file in the problem file's folder "
+        "with columns t (s), angles (rad), rates (rad/s); a header line is allowed",
+    )
+
+    @model_validator(mode="after")
+    def _one_form(self) -> GuessTable:
+        given = [name for name in ("state", "mode", "csv") if getattr(self, name) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "none of them"
+            raise PydanticCustomError(
+                "guess", "give exactly one of state (with period), mode (with amplitude) or csv, not {f}", {"f": found}
+            )
+        for name, partner in (("state", "period"), ("mode", "amplitude")):
+            if (getattr(self, name) is None) != (getattr(self, partner) is None):
+                raise PydanticCustomError("guess", "{a} goes with {b}; give both or neither", {"a": name, "b": partner})
+        return self
+
+
+class FindTable(Table):
+    """Which orbit is meant, and how closely it must close."""
+
+    pin: dict[str, float] | None = Field(
+        None,
+        description="the number that selects one orbit of its family: energy in J (potential zero at the fixed "
+        "joint), period in s, or a state component at t = 0 such as theta1; "
+        "when left out, the orbit nearest to the guess",
+    )
+    symmetry: Literal["none", "brake", "reflection", "brake+reflection"] = Field(
+        "none", description="symmetry imposed on the orbit: none, brake, reflection or brake+reflection"
+    )
+    winding: list[int] | None = Field(
+        None, description="whole turns of each coordinate in one period, one whole number per coordinate"
+    )
+    segments: int | None = Field(
+        None, ge=1, le=MOST_SEGMENTS, description="shooting segments, at least 1; chosen automatically when left out"
+    )
+    tolerance: float = Field(
+        1e-12, gt=0, lt=1, description="closure that the certificate asks for, times the largest Floquet multiplier"
+    )
+    free: list[str] = Field([], description='physical parameters that the solver may change, such as ["length3"]')
+
+
+class SearchTable(Table):
+    """What `orbitfinder search` looks for."""
+
+    period: list[Positive] = Field(
+        min_length=2, max_length=2, description="smallest and largest minimal period wanted, in s"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> SearchTable:
+        if self.period[0] >= self.period[1]:
+            raise PydanticCustomError("period", "period must be [smallest, largest] with smallest below largest")
+        return self
+
+
+class SimulateTable(Table):
+    """What `orbitfinder simulate` does."""
+
+    duration: Positive | None = Field(None, description="time to simulate in s, 10 s when left out")
+    state: list[float] | None = Field(
+        None, description="state at t = 0: angles in rad, then rates in rad/s; the guess when left out"
+    )
+
+
+class ExpectedNumber(Table):
+    """A number known from elsewhere."""
+
+    value: float = Field(description="the number expected, in SI units")
+    tolerance: Positive = Field(description="largest difference allowed, positive, in the same unit")
+
+
+class ExpectedTable(Table):
+    """Numbers that the orbit must reproduce; the certificate fails when it does not."""
+
+    period: ExpectedNumber | None = Field(None, description="minimal period in s, as { value, tolerance }")
+    energy: ExpectedNumber | None = Field(None, description="total energy in J, as { value, tolerance }")
+    action: ExpectedNumber | None = Field(None, description="integral of p dq in J s, as { value, tolerance }")
+
+
+class ProblemTable(Table):
+    """The whole file."""
+
+    name: Name | None = Field(
+        None,
+        description="name of the orbit and of its output folder: letters, digits, -, _ and . "
+        "(not starting with a dot); the file's own name when left out",
+    )
+    title: Line = Field("", description="one line for figures and pages")
+    source: Line = Field("", description="where the problem or its numbers come from")
+    system: Annotated[Any, BeforeValidator(_system_of_its_kind)] = Field(description="the mechanical system")
+    guess: GuessTable | None = Field(None, description="where the search starts")
+    find: FindTable = Field(FindTable(), description="which orbit is meant")
+    search: SearchTable | None = Field(None, description="what `orbitfinder search` looks for")
+    simulate: SimulateTable = Field(SimulateTable(), description="what `orbitfinder simulate` does")
+    expected: ExpectedTable = Field(ExpectedTable(), description="numbers that the orbit must reproduce")
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> ProblemTable:
+        if self.guess is None and self.search is None and self.simulate.state is None:
+            raise PydanticCustomError(
+                "guess", "guess is missing; add a [guess] table with state and period, mode and amplitude, or csv"
+            )
+        return self

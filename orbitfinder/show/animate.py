@@ -1,0 +1,206 @@
+"""Moving pictures of planar mechanisms: GIF by Pillow, MP4 through the optional extra `mp4`.
+
+Frames come at a constant rate in real time over a whole number of periods, so that the last frame
+is followed by the first without a jump.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.periodic.orbit import Orbit, write_atomically
+from orbitfinder.show.style import COLOURS
+
+
+@dataclass(frozen=True)
+class AnimationSettings:
+    """Size, rate and length of an animation."""
+
+    pixels: int = 360
+    rate: int = 25
+    """frames per second; GIF counts time in hundredths of a second, so use a divisor of 100"""
+    shortest: float = 2.0
+    """s of motion at least, by repeating the period"""
+    most_periods: int = 6
+    trace: float = 1.0
+    """length of the tip's trace in units of the period or, for a simulation, in s"""
+    supersampling: int = 3
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Polylines to draw: `points` (frames x 2 x k, x down and y right, m) and how long a frame lasts."""
+
+    points: np.ndarray
+    rate: int
+    title: str
+    trace: int
+    """frames of the tip's path drawn behind it"""
+    loops: bool
+    closed: bool = False
+    """True when the last point is a fixed joint too (a linkage)"""
+
+
+def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
+    """Periods and frames of a seamless loop: few periods whose rate is near to real time (0.2 % buys one less)."""
+    least = max(1, int(np.ceil(settings.shortest / period)))
+    candidates = range(least, max(least, settings.most_periods) + 1)
+
+    def error(count: int) -> float:
+        exact = count * period * settings.rate
+        return abs(round(exact) - exact) / exact + 0.002 * count
+
+    best = min(candidates, key=error)
+    return best, max(2, round(best * period * settings.rate))
+
+
+def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSettings | None = None) -> Clip:
+    """A seamless clip of an orbit from its dense samples."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    settings = settings or AnimationSettings()
+    model = model or build_model(orbit.system)
+    if len(orbit.samples) < 2:
+        raise InputError(f"{orbit.name}: no samples to animate; keep orbit.npz beside orbit.json")
+    if model.points is None:
+        raise InputError(f"{orbit.name}: this system declares no points to draw; pass points= when you build it")
+    n = model.degrees_of_freedom
+    spline = CubicHermiteSpline(orbit.times, orbit.samples[:, :n], orbit.samples[:, n:])
+    periods, frames = loop_frames(orbit.period, settings)
+    moments = (np.arange(frames) * (periods * orbit.period / frames)) % orbit.period
+    states = np.hstack([spline(moments), np.zeros((frames, n))])
+    trace = min(frames, round(settings.trace * orbit.period * settings.rate))
+    return Clip(positions(model, states), settings.rate, orbit.title or orbit.name, trace, loops=True)
+
+
+def simulation_clip(
+    times: np.ndarray, points: np.ndarray, title: str, settings: AnimationSettings | None = None, closed: bool = False
+) -> Clip:
+    """A clip of a simulation: `points` (k x 2 x m) at `times`, linearly resampled to the frame rate."""
+    settings = settings or AnimationSettings()
+    moments = np.arange(0.0, times[-1], 1.0 / settings.rate)
+    flat = points.reshape(len(points), -1)
+    frames = np.stack([np.interp(moments, times, column) for column in flat.T], axis=1)
+    shaped = frames.reshape(-1, *points.shape[1:])
+    return Clip(shaped, settings.rate, title, round(settings.trace * settings.rate), loops=False, closed=closed)
+
+
+def draw_frames(clip: Clip, settings: AnimationSettings | None = None) -> list[Any]:
+    """The frames as Pillow images with one common palette."""
+    settings = settings or AnimationSettings()
+    view = _View.around(clip.points, settings)
+    count = len(clip.points)
+    pictures = []
+    for k in range(count):
+        back = [(k - j) % count if clip.loops else max(0, k - j) for j in range(clip.trace, -1, -1)]
+        pictures.append(_draw(clip, k, clip.points[back, :, -1], view))
+    palette = pictures[count // 2].quantize(24)
+    return [picture.quantize(24, palette=palette, dither=0) for picture in pictures]
+
+
+@dataclass(frozen=True)
+class _View:
+    """Metres to pixels: a square around everything that ever moves, with room for the title."""
+
+    centre: np.ndarray
+    scale: float
+    pixels: int
+    factor: int
+    header: int = 26
+
+    @staticmethod
+    def around(points: np.ndarray, settings: AnimationSettings) -> _View:
+        low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
+        span = max(float((high - low).max()), 1e-9)
+        return _View((low + high) / 2, 0.88 * settings.pixels / span, settings.pixels, settings.supersampling)
+
+    def place(self, points: np.ndarray) -> list[tuple[float, float]]:
+        """Pixels of (2 x k) positions, supersampled."""
+        across = self.pixels / 2 + (points[1] - self.centre[1]) * self.scale
+        down = self.header + self.pixels / 2 + (points[0] - self.centre[0]) * self.scale
+        return [(float(x) * self.factor, float(y) * self.factor) for x, y in zip(across, down, strict=True)]
+
+
+def _draw(clip: Clip, frame: int, trail: np.ndarray, view: _View) -> Any:
+    from PIL import Image, ImageDraw, ImageFont
+
+    size = (view.pixels, view.pixels + view.header)
+    image = Image.new("RGB", (size[0] * view.factor, size[1] * view.factor), "white")
+    pen = ImageDraw.Draw(image)
+    where = view.place(clip.points[frame])
+    many = len(where) > 20
+    if not clip.closed:
+        path = view.place(trail.T)
+        pen.line(path, fill="#F0B48A", width=2 * view.factor, joint="curve")
+    pen.line(where, fill=COLOURS[0], width=(2 if many else 4) * view.factor, joint="curve")
+    if not many:
+        for x, y in where[1:]:
+            _dot(pen, x, y, 4 * view.factor, COLOURS[1])
+    for x, y in [where[0], *([where[-1]] if clip.closed else [])]:
+        _dot(pen, x, y, 5 * view.factor, "black")
+    image = image.resize(size, Image.Resampling.LANCZOS)
+    pen = ImageDraw.Draw(image)
+    font = ImageFont.load_default(12)
+    pen.text((8, 6), _fitted(clip.title, pen, font, view.pixels - 70), fill="black", font=font)
+    pen.text((view.pixels - 8, 6), f"{frame / clip.rate:.2f} s", fill="#555555", font=font, anchor="ra")
+    return image
+
+
+def _fitted(title: str, pen: Any, font: Any, room: int) -> str:
+    """The title, shortened by whole characters until it fits."""
+    if pen.textlength(title, font=font) <= room:
+        return title
+    while title and pen.textlength(title + "...", font=font) > room:
+        title = title[:-1]
+    return title.rstrip() + "..."
+
+
+def _dot(pen: Any, x: float, y: float, radius: float, colour: str) -> None:
+    pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+
+
+def save_animation(clip: Clip, path: str | Path, settings: AnimationSettings | None = None) -> Path:
+    """Write a clip as .gif, or as .mp4 where the extra `mp4` is installed. Raises `InputError`."""
+    target = Path(path)
+    frames = draw_frames(clip, settings)
+    if target.suffix == ".gif":
+        buffer = io.BytesIO()
+        options = {"loop": 0, "disposal": 1, "optimize": False}
+        frames[0].save(
+            buffer, "GIF", save_all=True, append_images=frames[1:], duration=round(1000 / clip.rate), **options
+        )
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(target, buffer.getvalue())
+        return target
+    if target.suffix == ".mp4":
+        return _save_mp4(frames, target, clip.rate)
+    raise InputError(f"{target}: cannot write {target.suffix or 'a file without suffix'}; use .gif or .mp4")
+
+
+def _save_mp4(frames: list[Any], target: Path, rate: int) -> Path:
+    """H.264 through imageio-ffmpeg, which brings its own encoder."""
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise InputError(f"{target}: MP4 needs the extra: pip install 'orbitfinder[mp4]', or write a .gif") from error
+    target.parent.mkdir(parents=True, exist_ok=True)
+    size = tuple(2 * (side // 2) for side in frames[0].size)
+    temporary = target.with_name(f".{target.name}.part.mp4")
+    writer = imageio_ffmpeg.write_frames(str(temporary), size, fps=rate, macro_block_size=2)
+    try:
+        writer.send(None)
+        for frame in frames:
+            writer.send(frame.convert("RGB").crop((0, 0, *size)).tobytes())
+        writer.close()
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return target

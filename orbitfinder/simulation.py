@@ -1,0 +1,69 @@
+"""Plain simulation of a system: samples by CVODES and what became of the energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.flow import build_flow, sample
+from orbitfinder.mechanics.model import energies
+from orbitfinder.periodic.orbit import write_atomically
+from orbitfinder.problemfile import ProblemFile
+
+SAMPLES_PER_SECOND = 100
+MOST_SAMPLES = 100_000
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Times (k) in s, states (k x 2n) and total energy (k) in J; `exchanged` is the range of the kinetic energy."""
+
+    name: str
+    state_names: Sequence[str]
+    times: np.ndarray
+    states: np.ndarray
+    energy: np.ndarray
+    exchanged: float
+
+    def document(self) -> dict[str, Any]:
+        """The numbers of the run for `--json`."""
+        drift = float(np.abs(self.energy - self.energy[0]).max())
+        return {
+            "name": self.name,
+            "duration": float(self.times[-1]),
+            "samples": int(self.times.size),
+            "energy": float(self.energy[0]),
+            "energy_drift": drift,
+            "relative_energy_drift": drift / self.exchanged if self.exchanged else 0.0,
+            "end": dict(zip(self.state_names, map(float, self.states[-1]), strict=True)),
+        }
+
+
+def simulate_file(loaded: ProblemFile, duration: float | None = None) -> Simulation:
+    """Simulate a problem file's system. Raises `InputError` or `IntegrationError`."""
+    span = loaded.duration if duration is None else duration
+    if not (np.isfinite(span) and span > 0):
+        raise InputError(f"--duration: must be positive and finite, got {span}; give a time in s")
+    if loaded.start is None:
+        raise InputError(f"{loaded.path}: simulate.state: missing; give it, or a [guess] to start from")
+    count = int(min(max(span * SAMPLES_PER_SECOND, 100), MOST_SAMPLES)) + 1
+    states = sample(build_flow(loaded.model), loaded.start, span, count)
+    kinetic, potential = energies(loaded.model, states)
+    return Simulation(
+        loaded.name, loaded.model.state_names, np.linspace(0.0, span, count), states,
+        kinetic + potential, float(np.ptp(kinetic)),
+    )  # fmt: skip
+
+
+def write_csv(result: Simulation, path: Path) -> Path:
+    """Columns t and the states, with a header, in full digits."""
+    lines = [",".join(["t", *result.state_names])]
+    table = np.column_stack([result.times, result.states])
+    lines += [",".join(map(repr, row)) for row in table.tolist()]
+    write_atomically(path, ("\n".join(lines) + "\n").encode())
+    return path

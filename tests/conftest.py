@@ -1,0 +1,109 @@
+"""What the tests share: the report's orbits, the reference data, a few orbits found once."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from orbitfinder.flow import Flow
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.model import energy
+from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.orbit import Orbit
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.solve import find_orbit
+
+DATA = Path(__file__).parent / "data"
+"""Copies of shared/reference/*.json, computed independently of this project (see their `meta`)."""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """An orbit as the report prints it, and its period refined at the energy of the printed state."""
+
+    links: int
+    state: tuple[float, ...]
+    period: float
+
+    @property
+    def guessed_period(self) -> float:
+        """The magnitude of the last printed component: all that the report says of the period."""
+        return abs(self.state[-1])
+
+
+# states: the report, figures 11 to 13; periods: shared/design.md, section 5
+PRINTED = {
+    "triple-1": Printed(
+        3,
+        (0.207821287890159, 0.230046723844060, -1.448527525250897,
+         -0.323636324707770, 0.146094757260416, 1.655339043727058),
+        1.65533898831464,
+    ),
+    "triple-2": Printed(
+        3,
+        (0.079855812687088, 0.518084913559499, 0.284825068342415,
+         -1.489804015361900, 0.110953686219146, -2.925278615817591),
+        2.92523733309107,
+    ),
+    "quadruple-1": Printed(
+        4,
+        (-0.0291117263322667, -0.016045163432762, 0.022495297315480, 0.110974733413308,
+         0.370089523425431, 0.214148128979260, -0.301259983532510, -1.411248973186850),
+        1.41124966707868,
+    ),
+    "quadruple-2": Printed(
+        4,
+        (-0.0054867762069077, 0.002813551901407, 0.010723510070385, -0.015650651510557,
+         0.279933154790084, -0.143699045708179, -0.546710497761539, 0.798011124562596),
+        0.79801111165891,
+    ),
+}  # fmt: skip
+TWIN_PERIOD = 2.925520603566
+"""The other orbit at the energy of triple-2 (issue 2)."""
+
+
+def printed_problem(name: str, noise: float = 0.0, seed: int = 0) -> Problem:
+    """Find a report orbit from its printed digits, each and the period off by up to `noise`, relative."""
+    one, random = PRINTED[name], np.random.default_rng(seed)
+    state, model = np.asarray(one.state), chain(one.links)
+    factors = 1 + noise * random.uniform(-1, 1, state.size + 1)
+    guess = Guess(state * factors[:-1], one.guessed_period * factors[-1])
+    return Problem(model, guess, pin=pin(energy=energy(model, state)), name=name)
+
+
+def reference(file: str) -> dict[str, dict]:
+    """Entries of a reference file by name."""
+    return {one["name"]: one for one in json.loads((DATA / file).read_text())["orbits"]}
+
+
+def pendulum_period(amplitude: float) -> float:
+    """Exact period of chain(1) in s: 4 K(sin^2(a/2)) / w0, K the complete elliptic integral."""
+    from scipy.special import ellipk
+
+    return 4 * float(ellipk(np.sin(amplitude / 2) ** 2)) / np.sqrt(9.8 * 0.5 / (1 / 3))
+
+
+def dop853(flow: Flow, state, times, s=(), free=()) -> np.ndarray:
+    """States at increasing times by the independent integrator, on the flow's own field."""
+    from orbitfinder.reference import integrate, vector_field
+
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", len(state))
+    field = ca.Function("field", [t, x], [flow.field(t, x, ca.DM(list(s)), ca.DM(list(free)))])
+    times = np.asarray(times, float)
+    return integrate(vector_field(field), np.asarray(state, float), times, longest_step=float(np.ptp(times)) / 200 or 1)
+
+
+@pytest.fixture(scope="session")
+def report_orbits() -> dict[str, Orbit]:
+    """The four report orbits, found once from the printed digits with default settings."""
+    return {name: find_orbit(printed_problem(name)) for name in PRINTED}
+
+
+@pytest.fixture(scope="session")
+def pendulum_orbit() -> Orbit:
+    """A single pendulum swinging to 1 rad, from rest."""
+    problem = Problem(chain(1), Guess([1.0, 0.0], 1.8), pin=pin(theta1=1.0), name="pendulum")
+    return find_orbit(problem)

@@ -1,0 +1,118 @@
+"""Figures of an orbit: what they show, that they are whole, that odd input does not break them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.guesses import normal_mode
+from orbitfinder.periodic.problem import Problem
+from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.show import plot
+from orbitfinder.show.style import COLOURS, line_style
+
+NAMES = {"time_histories.png", "phase_portraits.png", "swept_configuration.png", "energy_error.png"}
+
+
+@pytest.fixture(scope="module")
+def orbit():
+    model = chain(2)
+    return find_orbit(Problem(model, normal_mode(model, 1, 0.4), pin=pin(energy=-18.0), title="Double"))
+
+
+def drawn(figure):
+    """The figure laid out and rendered; every text lies inside it."""
+    figure.canvas.draw()
+    width, height = figure.canvas.get_width_height()
+    for text in [
+        *figure.texts,
+        *(axes.xaxis.label for axes in figure.axes),
+        *(axes.yaxis.label for axes in figure.axes),
+    ]:
+        if text.get_visible() and text.get_text():
+            box = text.get_window_extent()
+            assert box.x0 >= -1 and box.y0 >= -1 and box.x1 <= width + 1 and box.y1 <= height + 1, text.get_text()
+    return figure
+
+
+def test_save_figures_writes_four_png_files(orbit, tmp_path):
+    paths = plot.save_figures(orbit, tmp_path / "new")
+    assert {path.name for path in paths} == NAMES == {path.name for path in (tmp_path / "new").iterdir()}
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+
+
+def test_pyplot_is_not_touched(orbit, tmp_path):
+    """No global figure is left behind, and no display is needed."""
+    import matplotlib.pyplot as plt
+
+    plot.save_figures(orbit, tmp_path)
+    assert plt.get_fignums() == []
+
+
+def test_every_axis_has_a_label_with_a_unit(orbit):
+    model = build_model(orbit.system)
+    for make in (plot.phase_portraits, plot.swept_configuration):
+        for axes in drawn(make(orbit, model)).axes:
+            assert "(" in axes.get_xlabel() and "(" in axes.get_ylabel()
+    for make in (plot.time_histories, plot.energy_error):
+        upper, lower = drawn(make(orbit, model)).axes
+        assert lower.get_xlabel() == "time (s)" and "(" in upper.get_ylabel() and "(" in lower.get_ylabel()
+
+
+def test_time_histories_are_the_samples(orbit):
+    upper, lower = plot.time_histories(orbit, build_model(orbit.system)).axes
+    for k in range(2):
+        np.testing.assert_array_equal(upper.lines[k].get_ydata(), orbit.samples[:, k])
+        np.testing.assert_array_equal(lower.lines[k].get_ydata(), orbit.samples[:, 2 + k])
+
+
+def test_swept_configuration_hangs_down(orbit):
+    """x points down and y to the right: the tip is drawn at (y, -x), on equal axes."""
+    axes = plot.swept_configuration(orbit, build_model(orbit.system)).axes[0]
+    tip = next(line for line in axes.lines if line.get_label() == "path of the tip")
+    first, second = orbit.samples[:, 0], orbit.samples[:, 1]
+    np.testing.assert_allclose(tip.get_xdata(), np.sin(first) + np.sin(second), atol=1e-12)
+    np.testing.assert_allclose(tip.get_ydata(), -np.cos(first) - np.cos(second), atol=1e-12)
+    assert axes.get_aspect() == 1.0
+
+
+def test_energy_error_is_small_and_starts_at_zero(orbit):
+    _, lower = plot.energy_error(orbit, build_model(orbit.system)).axes
+    error = lower.lines[0].get_ydata()
+    assert error[0] == 0 and np.abs(error).max() < 1e-9
+
+
+@pytest.mark.parametrize("title", ["$\\frac{1", "x" * 300, "long words again and " * 20, "a_b^c % {} \\"])
+def test_titles_are_text_and_never_clipped(orbit, title):
+    """Mathematics markup in a title is shown as it stands; long titles are wrapped."""
+    model = build_model(orbit.system)
+    for make in (plot.time_histories, plot.phase_portraits, plot.swept_configuration, plot.energy_error):
+        drawn(make(replace(orbit, title=title), model))
+
+
+@pytest.mark.parametrize("links", [1, 4, 9, 20, 40])
+def test_any_number_of_links(orbit, links, tmp_path):
+    model = chain(links)
+    times = np.linspace(0, 1, 65)
+    angles = 0.1 * np.outer(np.cos(2 * np.pi * times), np.arange(1, links + 1))
+    rates = -0.2 * np.pi * np.outer(np.sin(2 * np.pi * times), np.arange(1, links + 1))
+    many = replace(orbit, system=model.system, times=times, samples=np.hstack([angles, rates]), period=1.0)
+    assert len(plot.save_figures(many, tmp_path)) == 4
+    assert len(drawn(plot.phase_portraits(many, model)).axes) >= min(links, plot.MOST_PORTRAITS)
+
+
+def test_orbit_without_samples_says_so(orbit):
+    bare = replace(orbit, times=np.zeros(0), samples=np.zeros((0, 4)))
+    with pytest.raises(InputError, match=r"orbit\.npz"):
+        plot.time_histories(bare, build_model(orbit.system))
+
+
+def test_curves_can_be_told_apart():
+    """Up to 28 curves no two share colour and dashes; the palette has no yellow on white."""
+    styles = [line_style(k, 28) for k in range(28)]
+    assert len({(style["color"], style["linestyle"]) for style in styles}) == 28
+    assert "#F0E442" not in COLOURS

@@ -1,0 +1,60 @@
+"""The README's code runs, its numbers are those measured, and what it points at exists."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.parametrize("code", blocks("python"))
+def test_python_example_runs_and_certifies(code, capsys):
+    """The example finds the orbit near the report's first, and its own assertion holds."""
+    names = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["orbit"].period == pytest.approx(1.6554, abs=1e-3)
+    assert "closure" in capsys.readouterr().out
+
+
+def test_python_example_is_short():
+    assert all(code.count("\n") <= 20 for code in blocks("python"))
+
+
+def test_links_lead_somewhere():
+    """Every relative link and picture is a file of the repository."""
+    missing = [target for target in re.findall(r"\]\(([^)#:]+)\)", README) if not (ROOT / target).exists()]
+    assert not missing
+
+
+def test_benchmark_rows_are_the_measured_ones():
+    """The comparison is quoted from the benchmark's own page, verdict included."""
+    quoted = README.split("tests/test_readme.py -->\n")[1].split("<!-- end -->")[0].strip()
+    page = (ROOT / "results" / "benchmarks" / "refine.md").read_text(encoding="utf-8")
+    assert quoted == page[page.index("| orbit |") :].strip()
+
+
+def test_quoted_commands_exist():
+    """Each `orbitfinder COMMAND` in a shell block has a help page."""
+    from orbitfinder.cli import cli
+
+    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    words = [shlex.split(line, comments=True) for line in lines if line.startswith("orbitfinder ")]
+    assert words
+    for _, command, *_ in words:
+        assert CliRunner().invoke(cli, [command, "--help"]).exit_code == 0
+
+
+def test_ci_runs_the_readme_test_command():
+    """.ci/run and the README install the same extras and call the same test runner."""
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    for part in ("pip\" install -q -e '.[test]'", "python\" -m pytest"):
+        assert part in script
+    assert ".venv/bin/pip install -q -e '.[test]' && .venv/bin/python -m pytest" in README
