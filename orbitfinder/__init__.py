@@ -40,6 +40,23 @@ if TYPE_CHECKING:
     from orbitfinder.periodic.problem import Problem as Problem
     from orbitfinder.periodic.solve import SolveSettings as SolveSettings
     from orbitfinder.periodic.solve import find_orbit as find_orbit
+    from orbitfinder.dae_flow import DaeSettings as DaeSettings
+    from orbitfinder.dae_flow import simulate_dae as simulate_dae
+    from orbitfinder.mechanics.assembly import assemble as assemble
+    from orbitfinder.mechanics.assembly import linkage_rates as linkage_rates
+    from orbitfinder.mechanics.constrained import Baumgarte as Baumgarte
+    from orbitfinder.mechanics.constrained import ConstrainedModel as ConstrainedModel
+    from orbitfinder.mechanics.constrained import constrained as constrained
+    from orbitfinder.mechanics.linkage import joint_forces as joint_forces
+    from orbitfinder.mechanics.linkage import linkage as linkage
+    from orbitfinder.mechanics.linkage import linkage_state as linkage_state
+    from orbitfinder.mechanics.maximal import chain_dae as chain_dae
+    from orbitfinder.mechanics.maximal import maximal_states as maximal_states
+    from orbitfinder.mechanics.maximal import minimal_states as minimal_states
+    from orbitfinder.show.animate import orbit_clip as orbit_clip
+    from orbitfinder.show.animate import save_animation as save_animation
+    from orbitfinder.show.animate import simulation_clip as simulation_clip
+    from orbitfinder.show.plot import save_figures as save_figures
     from orbitfinder.problemfile import load_problem as load_problem
 
 # name -> the module that defines it; "" marks a module exported whole
@@ -68,6 +85,23 @@ _HOMES = {
     "Problem": "periodic.problem",
     "SolveSettings": "periodic.solve",
     "find_orbit": "periodic.solve",
+    "DaeSettings": "dae_flow",
+    "simulate_dae": "dae_flow",
+    "assemble": "mechanics.assembly",
+    "linkage_rates": "mechanics.assembly",
+    "Baumgarte": "mechanics.constrained",
+    "ConstrainedModel": "mechanics.constrained",
+    "constrained": "mechanics.constrained",
+    "joint_forces": "mechanics.linkage",
+    "linkage": "mechanics.linkage",
+    "linkage_state": "mechanics.linkage",
+    "chain_dae": "mechanics.maximal",
+    "maximal_states": "mechanics.maximal",
+    "minimal_states": "mechanics.maximal",
+    "orbit_clip": "show.animate",
+    "save_animation": "show.animate",
+    "simulation_clip": "show.animate",
+    "save_figures": "show.plot",
     "load_problem": "problemfile",
 }
 

@@ -162,13 +162,12 @@ def verify(files: tuple[Path, ...], as_json: bool) -> None:
       orbitfinder verify orbits/triple-1/orbit.json
       orbitfinder verify orbits/*/orbit.json --json
     """
-    from orbitfinder.periodic.certify import certify
-    from orbitfinder.periodic.orbit import certificate_to_document, load_orbit
+    from orbitfinder.periodic.orbit import certificate_to_document
+    from orbitfinder.runner import verify_file
 
-    orbits = [(file, load_orbit(file)) for file in files]
     results = []
-    for file, orbit in orbits:
-        certificate = certify(orbit)
+    for file in files:
+        orbit, certificate = verify_file(file)
         interrupt.check()
         results.append({"file": str(file), "name": orbit.name} | certificate_to_document(certificate))
         if not as_json:

@@ -117,9 +117,7 @@ def dae(model: ConstrainedModel) -> dict[str, Any]:
     return {"t": t, "x": x, "z": z, "p": p, "ode": ode, "alg": model.residual(t, x, z, p)}
 
 
-def trajectory(
-    model: ConstrainedModel, times: np.ndarray, states: np.ndarray, settings: DaeSettings
-) -> DaeTrajectory:
+def trajectory(model: ConstrainedModel, times: np.ndarray, states: np.ndarray, settings: DaeSettings) -> DaeTrajectory:
     """A DaeTrajectory around states (k x 2n), everything else recomputed from them."""
     n, count = model.coordinates, len(states)
     q, v = states.T[:n], states.T[n:]

@@ -68,7 +68,7 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
         return _load_python(source, trust)
     document = read_toml(source)
     table = parse(document, str(source))
-    return _at(str(source), lambda: _build(source, document, table))
+    return _at(str(source), lambda: _build(source, document, table, trust))
 
 
 def read_bytes(source: Path) -> bytes:
@@ -180,14 +180,15 @@ def _at(where: str, build: Callable[[], Result]) -> Result:
         raise type(error)(f"{where}: {text}") from error
 
 
-def _build(source: Path, document: Mapping[str, Any], table: ProblemTable) -> ProblemFile:
+def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust: bool) -> ProblemFile:
     from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.startpoint import guess_from_table
 
     name = table.name or _checked_name(source.stem)
-    model = build_model(table.system.model_dump(exclude_none=True))
+    model = build_model(table.system.model_dump(exclude_none=True), source.parent if trust else None)
     problem = None
     if table.guess is not None:
-        problem = _problem(name, model, _guess(table, model, source), table)
+        problem = _problem(name, model, guess_from_table(table.guess, model, source.parent), table)
         problem.check_count()
     return ProblemFile(
         path=source,
@@ -220,23 +221,6 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         title=table.title,
         source=table.source,
     )
-
-
-def _guess(table: ProblemTable, model: Model, source: Path) -> Guess:
-    import numpy as np
-
-    from orbitfinder.periodic.guesses import normal_mode
-    from orbitfinder.periodic.problem import Guess
-
-    given = table.guess
-    assert given is not None
-    if given.mode is not None and given.amplitude is not None:
-        return normal_mode(model, given.mode, given.amplitude)
-    if given.csv is not None:
-        from orbitfinder.trajectory import read_trajectory
-
-        return read_trajectory(source.parent, given.csv, len(model.state_names))
-    return Guess(np.asarray(given.state, float), float(given.period or 0.0))
 
 
 def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.ndarray | None:

@@ -23,7 +23,7 @@ class ReferenceSettings:
 
     relative_tolerance: float = 2.3e-14
     absolute_tolerance: float = 1e-15
-    max_evaluations: int = 5_000_000
+    max_evaluations: int = 1_000_000
 
 
 STEPS_PER_PERIOD = 400
@@ -72,6 +72,8 @@ def integrate(
     found = [np.asarray(state, float)]
     if times[-1] == times[0]:
         return np.repeat(found, times.size, axis=0)
+    if not np.all(np.abs(field(float(times[0]), found[0])) < 1e100):  # also where the state is NaN
+        raise IntegrationError("the equations of motion overflow there", time=float(times[0]), state=np.asarray(state))
     solver = DOP853(
         field, times[0], found[0], times[-1],
         rtol=settings.relative_tolerance, atol=settings.absolute_tolerance,

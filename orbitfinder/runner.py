@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from orbitfinder.periodic.orbit import Certificate, Orbit
 
 
+LARGEST_STATE = 1e100
+"""rad or rad/s; beyond it energies overflow."""
+
+
 @dataclass(frozen=True)
 class Job:
     """What to run and where its results go; plain values, so that it travels to a worker."""
@@ -144,6 +148,35 @@ def explained(certificate: Certificate | None) -> str:
         + (f", {one_line(check.note)})" if check.note else ")")
         for check in failing
     )
+
+
+def verify_file(file: Path) -> tuple[Orbit, Certificate]:
+    """An orbit and its certificate, recomputed from its file alone. `InputError` names the file."""
+    from orbitfinder.periodic.certify import certify
+    from orbitfinder.periodic.orbit import load_orbit
+
+    try:
+        orbit = load_orbit(file)
+        check_consistent(orbit)
+        return orbit, certify(orbit)
+    except InputError as error:
+        where = "" if str(file) in str(error) else f"{file}: "
+        raise InputError(f"{where}{error}") from error
+
+
+def check_consistent(orbit: Orbit) -> None:
+    """`InputError` when the entries of an orbit do not belong together; a certificate is about those that do."""
+    import numpy as np
+
+    from orbitfinder.mechanics.catalogue import build_model
+
+    n = build_model(orbit.system).degrees_of_freedom
+    again = "the file was edited or damaged, run the problem again"
+    if orbit.state.shape != (2 * n,) or len(orbit.winding) != n:
+        found = f"{orbit.state.size} numbers in state and {len(orbit.winding)} in winding"
+        raise InputError(f"state: {found} for a system of {n} coordinates; {again}")
+    if np.abs(orbit.state).max() > LARGEST_STATE:
+        raise InputError(f"state: {orbit.state.tolist()} is beyond {LARGEST_STATE:g}; {again}")
 
 
 def one_line(text: object) -> str:

@@ -47,6 +47,8 @@ PerLink = Annotated[float | list[float], BeforeValidator(_number_or_list)]
 Line = Annotated[str, Field(max_length=300), AfterValidator(_printable)]
 Name = Annotated[str, AfterValidator(check_name)]
 Positive = Annotated[float, Field(gt=0)]
+Mode = Annotated[int, Field(ge=1)] | Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1, max_length=20)]
+Amplitude = Positive | Annotated[list[float], Field(min_length=1, max_length=20)]
 
 
 class Table(BaseModel):
@@ -72,7 +74,22 @@ class ChainSystem(Table):
     formulation: str = Field("recursive", description="how the equations are derived; the motion is the same")
 
 
-SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem}
+class PythonSystem(Table):
+    """A system made by a Python function: a built-in one, or with `--trust` any installed or neighbouring module's."""
+
+    kind: Literal["python"] = Field(description="which system this is")
+    module: Line = Field(
+        "orbitfinder.systems",
+        description="the function's module: orbitfinder.systems is always allowed; any other is imported from beside "
+        "the file or from what is installed, and only with `--trust`",
+    )
+    function: Line = Field(description="name of the function, such as henon_heiles; it returns a Model")
+    arguments: dict[str, float | int | bool | str | list[float]] = Field(
+        {}, description="its arguments by name: numbers (SI units), text or lists of numbers"
+    )
+
+
+SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "python": PythonSystem}
 """The `[system]` table of each `kind`; a new kind is added here and in `mechanics.catalogue`."""
 
 
@@ -93,16 +110,24 @@ def _system_of_its_kind(value: Any) -> Any:
 
 
 class GuessTable(Table):
-    """Where the search starts, in one of three forms: `state` and `period`, `mode` and `amplitude`, or `csv`."""
+    """Where the search starts: `state` and `period`, `state` and `duration`, `mode` and `amplitude`, or `csv`."""
 
     state: list[float] | None = Field(
         None, description="state at t = 0: the n angles in rad, then the n rates in rad/s"
     )
     period: Positive | None = Field(None, description="period in s, positive; goes with state")
-    mode: int | None = Field(
-        None, ge=1, description="number of a linear normal mode of the hanging equilibrium, the slowest is 1"
+    duration: Positive | None = Field(
+        None, description="instead of period: simulate from state this long in s and start from the closest return"
     )
-    amplitude: Positive | None = Field(None, description="largest angle of the mode in rad, positive; goes with mode")
+    mode: Mode | None = Field(
+        None,
+        description="number of a linear normal mode of the equilibrium at 0, the slowest is 1, or a list of them",
+    )
+    amplitude: Amplitude | None = Field(
+        None,
+        description="largest angle (or coordinate) of the mode in rad (or m), positive; goes with mode; "
+        "for a list of modes a list, entries may be negative",
+    )
     csv: str | None = Field(
         None,
         description="trajectory over one period, a CSV file in the problem file's folder "
@@ -117,7 +142,10 @@ class GuessTable(Table):
             raise PydanticCustomError(
                 "guess", "give exactly one of state (with period), mode (with amplitude) or csv, not {f}", {"f": found}
             )
-        for name, partner in (("state", "period"), ("mode", "amplitude")):
+        if self.duration is not None and (self.state is None or self.period is not None):
+            raise PydanticCustomError("guess", "duration goes with state and takes the place of period")
+        timed = "period" if self.duration is None else "duration"
+        for name, partner in (("state", timed), ("mode", "amplitude")):
             if (getattr(self, name) is None) != (getattr(self, partner) is None):
                 raise PydanticCustomError("guess", "{a} goes with {b}; give both or neither", {"a": name, "b": partner})
         return self

@@ -12,18 +12,18 @@ LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 # low to high; modules of one floor may import each other
 FLOORS = (
     ("version", "errors", "quiet", "suggest", "interrupt"),
-    ("mechanics",),
+    ("mechanics", "systems"),
     ("flow", "dae_flow", "reference", "runge_kutta"),
     ("periodic",),
     ("families",),
     ("atlas",),
     ("show",),
     ("report",),
-    ("schema", "schemadoc", "problemfile", "trajectory", "template", "simulation"),
-    ("console", "runner", "cli", "__main__"),
+    ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation"),
+    ("console", "runner", "pictures", "cli", "__main__"),
 )
-SOLVING = ("conditions", "shooting", "solve", "polish", "measure", "certify", "guesses")
-CASADI = ("mechanics", "flow", "dae_flow", "reference", "runge_kutta", "families.propagate", *(f"periodic.{name}" for name in SOLVING))
+SOLVING = ("conditions", "shooting", "solve", "polish", "measure", "certify", "guesses", "preparation")
+CASADI = ("mechanics", "systems", "flow", "dae_flow", "reference", "runge_kutta", "families.propagate", *(f"periodic.{name}" for name in SOLVING))
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 

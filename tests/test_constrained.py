@@ -133,6 +133,22 @@ def test_bad_input_is_refused():
     q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
     with pytest.raises(InputError, match="leave no motion"):
         constrained(0.5 * ca.sumsqr(v), ca.SX(0), q, Symbols(q, v))
+    with pytest.raises(InputError, match="constraint: depends on t;"):
+        constrained(0.5 * ca.sumsqr(v), ca.SX(0), q[0] - ca.SX.sym("t"), Symbols(q, v))
+    with pytest.raises(InputError, match="not a quadratic form"):
+        constrained(0.5 * ca.sumsqr(v) + v[0], ca.SX(0), q[0], Symbols(q, v))
+    with pytest.raises(InputError, match="potential: expected 1 x 1"):
+        constrained(0.5 * ca.sumsqr(v), q, q[0], Symbols(q, v))
+
+
+def test_forces_may_depend_on_time():
+    """A bead on the line y = 0 pushed by cos t from rest: x = 1 - cos t, and the line carries the rest."""
+    q, v, t = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("t")
+    push = ca.vertcat(ca.cos(t), ca.sin(t))
+    model = constrained(0.5 * ca.sumsqr(v), ca.SX(0), q[1], Symbols(q, v, time=t), forces=push)
+    result = simulate_dae(model, np.zeros(4), 3.0, 31)
+    assert result.states[:, 0] == pytest.approx(1 - np.cos(result.times), abs=1e-11)
+    assert result.forces[:, 0] == pytest.approx(-np.sin(result.times), abs=1e-11)
 
 
 def test_hundred_links_for_ten_seconds():
@@ -146,16 +162,8 @@ def test_hundred_links_for_ten_seconds():
     model = chain(100)
     assert time.perf_counter() - began < 1.0
     began = time.perf_counter()
-    flow = build_flow_for_samples(model, IntegratorSettings(1e-10, 1e-10))
+    flow = build_flow(model, settings=IntegratorSettings(1e-10, 1e-10))
     states = sample(flow, np.r_[np.full(100, np.pi / 2), np.zeros(100)], 10.0, 251)
     assert time.perf_counter() - began < 5.0
     total = np.sum(energies(model, states), axis=0)
     assert np.abs(total - total[0]).max() <= 1e-9 * GRAVITY * 100**2 / 2
-
-
-def build_flow_for_samples(model, settings):
-    """A Flow's construction without its variational part, which 100 links do not need here."""
-    from orbitfinder.flow import Flow, vector_field
-
-    field = vector_field(model, (), ())
-    return Flow(model, settings, (), (), field, field, field)

@@ -137,7 +137,8 @@ def test_the_custom_jacobian_of_the_end_state_is_right_in_every_argument():
 def test_the_start_time_of_a_driven_system_has_its_column():
     """d end / d t0 of a driven pendulum, zero for an autonomous one, equals differences of DOP853."""
     q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
-    driven = lagrange(0.5 * v**2, -ca.cos(q), Symbols(q, v, time=t), forces=3 * ca.cos(2 * t) - 0.1 * v)
+    symbols = Symbols(q, v, time=t, forcing_period=np.pi)
+    driven = lagrange(0.5 * v**2, -ca.cos(q), symbols, forces=3 * ca.cos(2 * t) - 0.1 * v)
     start, t0, moment = np.array([0.3, 0.2]), 0.6, ca.MX.sym("t0")
     for model, free_of_time in ((driven, False), (chain(1), True)):
         flow = build_flow(model)

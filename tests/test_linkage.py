@@ -37,7 +37,7 @@ def test_assembly_closes_on_the_branch_asked_for(angle, branch):
 def test_a_guess_chooses_branch_and_winding():
     lengths, ground = CRANK_ROCKER
     model = linkage(lengths, ground=ground)
-    wanted = assemble(model, {"theta1": 0.3}, -1) + [0, 2 * np.pi, 0]
+    wanted = assemble(model, {"theta1": 0.3}, -1) + np.array([0, 2 * np.pi, 0])
     assert assemble(model, {"theta1": 0.3}, guess=wanted + 0.1) == pytest.approx(wanted, abs=1e-12)
 
 
@@ -87,7 +87,7 @@ def test_parallelogram_stays_parallel():
     model, state = moving([1, 1.5, 1], (0.0, 1.5), 0.5, 0.0)
     angles = simulate_dae(model, state, 10.0).states[:, 2:9:3]
     assert np.abs(angles[:, 1] - np.pi / 2).max() < 1e-10
-    assert np.abs(angles[:, 0] - (angles[:, 2] + np.pi)).max() % (2 * np.pi) < 1e-10
+    assert np.abs(np.sin(angles[:, 0] - angles[:, 2])).max() < 1e-10
 
 
 def test_description_rebuilds():

@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from orbitfinder.cli import cli
+from orbitfinder.periodic.orbit import orbit_to_document
 
 SYSTEM = '[system]\nkind = "chain"\nlinks = 2\n'
 GUESS = "[guess]\nstate = [0.1, 0.2, 0.0, 0.0]\nperiod = 2.4\n"
@@ -236,6 +237,36 @@ ORBIT = {"format": "orbitfinder/orbit", "version": 1, "name": "x"}
 def test_bad_orbit_file(tmp_path, text, said):
     path = tmp_path / "orbit.json"
     path.write_text(text)
+    message = refused(["verify", path])
+    assert "orbit.json" in message and said in message
+
+
+@pytest.fixture(scope="module")
+def document(pendulum_orbit):
+    return orbit_to_document(pendulum_orbit)
+
+
+EDITS = {
+    "state-short": ({"state": [1.0]}, "1 numbers in state"),
+    "state-long": ({"state": [1.0, 0.0, 0.0, 0.0]}, "4 numbers in state"),
+    "state-nested": ({"state": [[1.0, 0.0]]}, "state"),
+    "state-text": ({"state": ["a", "b"]}, "malformed"),
+    "state-huge": ({"state": [1e308, 0.0]}, "beyond"),
+    "winding": ({"winding": [0, 0]}, "2 in winding"),
+    "unfolding": ({"unfolding": ["x"]}, "malformed"),
+    "expected": ({"expected": {"colour": {"value": 1.0, "tolerance": 1.0}}}, "unknown quantity"),
+    "provenance": ({"provenance": 3}, "malformed"),
+    "kind": ({"system": {"kind": "x"}}, "'x'"),
+    "system-key": ({"system": {"kind": "chain", "links": 1, "colour": 2}}, "colour"),
+    "multipliers": ({"floquet_multipliers": [1.0]}, "malformed"),
+    "nodes": ({"nodes": [[1.0], [1.0, 2.0]]}, "malformed"),
+}
+
+
+@pytest.mark.parametrize("edit, said", EDITS.values(), ids=EDITS.keys())
+def test_orbit_file_whose_entries_do_not_fit(tmp_path, document, edit, said):
+    path = tmp_path / "orbit.json"
+    path.write_text(json.dumps(document | edit))
     message = refused(["verify", path])
     assert "orbit.json" in message and said in message
 

@@ -19,10 +19,10 @@ def problem(links=2, gravity=9.8, **changes) -> Problem:
     return Problem(chain(links, gravity=gravity), **{"guess": Guess(state, 2.0), **changes})
 
 
-def driven():
+def driven(period=np.pi):
     """A damped pendulum driven at 2 rad/s: no invariant."""
     q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
-    return lagrange(0.5 * v**2, -ca.cos(q), Symbols(q, v, time=t), forces=ca.cos(2 * t) - 0.1 * v)
+    return lagrange(0.5 * v**2, -ca.cos(q), Symbols(q, v, time=t, forcing_period=period), forces=ca.cos(2 * t) - 0.1 * v)
 
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
@@ -111,11 +111,29 @@ def test_an_under_determined_problem_is_refused_with_the_reason(no_solver):
         find_orbit(one)
 
 
-def test_a_driven_system_takes_the_period_as_its_pin():
-    """Without invariants nothing is unfolded; closure, phase condition and no pin are square."""
-    count = Problem(driven(), Guess([0.1, 0.0], 3.14)).count(3)
-    assert count.unknowns["unfolding"] == 0
-    assert count.freedom == 0
+def test_a_driven_system_has_its_period_prescribed():
+    """Without invariants nothing is unfolded; closure and the forcing's period are square without a pin."""
+    one = Problem(driven(), Guess([0.1, 0.0], 6.0))
+    count = one.count(3)
+    assert count.unknowns["unfolding"] == 0 and count.equations["phase conditions"] == 0
+    assert count.freedom == 0 and one.forcing_cycles == 2
+    with pytest.raises(CountError, match="nothing is conserved, so its orbits stand alone"):
+        Problem(driven(), Guess([0.1, 0.0], 3.0), pin=pin(q1=0.1)).check_count()
+
+
+def test_a_system_driven_at_an_unknown_period_is_refused():
+    """Equations that contain time without a declared forcing period are an InputError that says what to declare."""
+    with pytest.raises(InputError, match="depend on time; declare .*forcing_period"):
+        Problem(driven(None), Guess([0.1, 0.0], 3.0))
+
+
+@pytest.mark.parametrize("symmetry", ["brake", "reflection", "brake+reflection"])
+def test_a_symmetry_that_the_equations_lack_is_refused(symmetry):
+    """A damped, skewed pendulum has neither symmetry; asking for one is an InputError, not a wrong orbit."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = lagrange(0.5 * v**2, -ca.cos(q) - 0.3 * ca.sin(2 * q), Symbols(q, v), forces=-0.1 * v)
+    with pytest.raises(InputError, match="symmetry: this system's equations change under"):
+        Problem(model, Guess([0.5, 0.0], 6.0), symmetry=symmetry)
 
 
 GOOD = [0.1, 0.1, 0.0, 0.0]

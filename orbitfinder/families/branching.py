@@ -1,41 +1,48 @@
 """Switching to the families that leave another one at a branch point, a period doubling or a resonance.
 
-At a critical multiplier exp(2 pi i k / q) of an orbit of period T there are orbits of period q T that
-leave it along the real part of exp(i phi) u, u the eigenvector of the monodromy: for q <= 2 one
-direction, otherwise a circle of them on which a few phases phi are singled out. They are looked for in
-the full formulation, at a small distance, orthogonally to the family they leave (E. L. Allgower,
-K. Georg, Introduction to Numerical Continuation Methods (2003), section 8.3).
+At a critical multiplier exp(2 pi i k / q) of an orbit of period T there are orbits of period q T near it.
+Where the orbit is symmetric they are looked for among symmetric ones first: in the formulation of a
+symmetry the shooting Jacobian of the q-fold orbit has a kernel of dimension two, the old family's tangent
+and the new family's, whereas without one a whole circle of directions is critical (A. Vanderbauwhede,
+Subharmonic branching in reversible systems, SIAM J. Math. Anal. 21 (1990) 954-979).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.events import parameter_slopes
 from orbitfinder.families.points import Event, FamilySettings, parameter_value
-from orbitfinder.families.propagate import build_propagator, march
-from orbitfinder.families.stability import critical_vectors, spectrum
-from orbitfinder.families.start import (
-    FIRST_STEPS,
-    Start,
-    corrected,
-    curve_at,
-    full_samples,
-    reformulated,
-    symmetry_of,
-    unknown_parameters,
-)
-from orbitfinder.families.system import Aim, Curve, Place, Solution, at_place, head_of
-from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.families.propagate import build_propagator
+from orbitfinder.families.start import FIRST_STEPS, Start, corrected, curve_at, full_samples, unknown_parameters
+from orbitfinder.families.system import Aim, Curve, Place, advanced, at_place, correct, head_of
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
-DISTANCES = (0.02, 0.05, 0.1, 0.2)
+DISTANCES = (0.02, 0.05, 0.1)
 """How far from the old family, in its metric, the new one is looked for; the first that succeeds is taken."""
+CRITICAL = 1e-3
+"""A singular value below this, relative to the next larger ones, belongs to the kernel."""
+NARROWER = {
+    "brake+reflection": (("brake", 0.0), ("reversal", 0.25), ("reflection", 0.0)),
+    "brake": (("brake", 0.0), ("brake", 0.5)),
+    "reversal": (("reversal", 0.0), ("reversal", 0.5)),
+    "reflection": (("reflection", 0.0),),
+    "none": (),
+}
+"""Formulations that a branch of each symmetry may have, with the share of the period where it starts."""
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """The orbit of an event, q times round, in one formulation, with the directions that leave it."""
+
+    curve: Curve
+    place: Place
+    directions: tuple[np.ndarray, ...]
 
 
 def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -> list[Start]:
@@ -47,97 +54,121 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
     if event.kind not in SWITCHABLE:
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
-    place = Place(event.nodes, event.period, np.zeros(curve.propagator.unfolding), np.array(list(event.free.values())), event.mesh)
-    base = at_place(curve, place)
     found: list[Start] = []
-    for direction in _directions(curve, base, event):
-        start = _nearest(curve, base, event, direction, settings)
-        if start is not None and not any(_same(start, other) for other in found):
-            found.append(start)
+    for symmetry, share in (*NARROWER[curve.propagator.symmetry.name], ("none", 0.0)):
+        if symmetry == "none" and found:
+            break
+        crossing = _crossing(curve, event, symmetry, share, settings)
+        for direction in crossing.directions:
+            start = _branch(crossing, event, direction)
+            if start is not None and not any(_same(start, other, event) for other in found):
+                found.append(start)
     return found
 
 
-def _directions(curve: Curve, base: Solution, event: Event) -> Iterator[np.ndarray]:
-    """Unit directions in state space: both signs of the eigenvector, or phases round its circle."""
-    size = curve.propagator.size
-    vectors = critical_vectors(spectrum(curve, base), event.multiplier)
-    scale = np.sqrt(curve.weights[:size])
-    if len(vectors) == 1:
-        phases = [1.0 + 0.0j, -1.0 + 0.0j]
-    else:
-        count = 4 * event.order
-        phases = [complex(np.exp(2j * np.pi * k / count)) for k in range(count)]
-    for phase in phases:
-        direction = phase.real * vectors[0] + (phase.imag * vectors[1] if len(vectors) > 1 else 0.0)
-        yield direction / np.linalg.norm(direction * scale)
+def _crossing(curve: Curve, event: Event, symmetry: str, share: float, settings: FamilySettings) -> Crossing:
+    """The q-fold orbit in a formulation and the kernel of its Jacobian without the family's own tangent."""
+    free, held = unknown_parameters(curve.propagator.model, settings)
+    place = _repeated(curve, event, symmetry, share)
+    propagator = build_propagator(curve.propagator.model, symmetry, free)
+    place = replace(place, unfolding=np.zeros(propagator.unfolding))
+    there = replace(curve_at(propagator, place, held, _turns(curve, event)), weights=curve.weights.copy())
+    found = at_place(there, place)
+    _, sizes, rows = np.linalg.svd(found.jacobian)
+    sizes = np.concatenate([sizes, np.zeros(len(rows) - len(sizes))])
+    # the largest kernel possible: tangent, and two directions of a circle
+    kernel = rows[-3:][sizes[-3:] < CRITICAL * sizes[-4]]
+    heads = np.stack([head_of(row, place) * np.sqrt(there.weights) for row in kernel])
+    size = there.propagator.size
+    moved = np.concatenate([np.zeros(size), event.tangent[size : size + 1] * event.order, event.tangent[size + 1 :]])
+    own = _own(there, place, heads, moved, curve, event, share)
+    _, _, mixed = np.linalg.svd(np.atleast_2d(np.linalg.lstsq(heads.T, own, rcond=None)[0]))
+    across = mixed[1:] @ kernel
+    return Crossing(there, place, tuple(_round(across, event.order)))
 
 
-def _nearest(
-    curve: Curve, base: Solution, event: Event, direction: np.ndarray, settings: FamilySettings
-) -> Start | None:
+def _own(
+    there: Curve, place: Place, heads: np.ndarray, moved: np.ndarray, curve: Curve, event: Event, share: float
+) -> np.ndarray:
+    """The old family's tangent (weighted head) at the start of this formulation, by differencing its orbits."""
+    step = 1e-4
+    normal = curve.weights * event.tangent
+    base = _place_of(curve, event)
+    own = moved.copy()
+    ends = []
+    for sign in (-1.0, 1.0):
+        shifted = correct(curve, base, Aim(float(normal @ base.head) + sign * step, normal), base)
+        moment = share * shifted.place.period
+        times, states = full_samples(curve, shifted)
+        ends.append(np.array([np.interp(moment, times, column) for column in states.T]))
+    own[: there.propagator.size] = (ends[1] - ends[0]) / (2 * step)
+    return np.asarray(own * np.sqrt(there.weights))
+
+
+def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
+    """Both signs of one direction, or phases round the circle of two."""
+    if len(across) == 1:
+        yield from (across[0], -across[0])
+    elif len(across) == 2:
+        for angle in 2 * np.pi * np.arange(2 * order) / (2 * order):
+            yield np.cos(angle) * across[0] + np.sin(angle) * across[1]
+
+
+def _place_of(curve: Curve, event: Event) -> Place:
+    free = np.array(list(event.free.values()))
+    return Place(event.nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
+
+
+def _turns(curve: Curve, event: Event) -> np.ndarray:
+    n = curve.propagator.size // 2
+    alone = np.round(curve.constant[:n] / (2 * np.pi)) if curve.propagator.symmetry.name == "none" else np.zeros(n)
+    return np.asarray(alone * event.order)
+
+
+def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Place:
+    """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
+    from orbitfinder.families.propagate import FORMULATIONS, march
+
+    base, fraction = at_place(curve, _place_of(curve, event)), FORMULATIONS[symmetry].fraction
+    here = curve.propagator.symmetry.fraction
+    n, period = curve.propagator.size // 2, event.period * event.order
+    _, states = full_samples(curve, base)
+    count = len(states) - 1
+    each = max(1, round(len(event.nodes) / here / 2)) if len(event.nodes) > 1 else 1
+    parts = max(1, int(np.ceil(each * event.order * fraction)))
+    first = int(round(share * count))
+    chosen = first + np.round(np.arange(parts) * fraction * event.order * count / parts).astype(int)
+    laps = chosen // count
+    turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(n)])
+    nodes = states[chosen % count] + laps[:, None] * turn
+    if "brake" in symmetry:
+        nodes[0, n:] = 0.0
+    times = np.round(np.arange(parts) * fraction * event.order * count / parts) / (event.order * count)
+    edges = np.append(times, fraction)
+    steps = max(24, int(FIRST_STEPS * event.order * fraction / parts))
+    pieces = [np.linspace(a, b, steps + 1)[1:] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    assert march is not None
+    return Place(nodes, period, np.zeros(0), base.place.free, np.concatenate([[0.0], *pieces]))
+
+
+def _branch(crossing: Crossing, event: Event, direction: np.ndarray) -> Start | None:
+    """The new family in one direction, or None when what is found is the old one or nothing."""
+    curve, place = crossing.curve, crossing.place
+    head = head_of(direction, place)
+    direction = direction / np.sqrt(curve.weights @ head**2)
+    normal = curve.weights * head_of(direction, place)
     for length in DISTANCES:
+        aim = Aim(float(normal @ place.head) + length, normal)
         try:
-            start = _branch(curve, base, event, direction, length, settings)
+            start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
         except (ConvergenceError, IntegrationError):
             continue
-        if start is not None:
-            return start
+        if event.order > 1 and _is_cover(start, event.order, length):
+            continue
+        if np.abs(start.found.place.unfolding).max(initial=0.0) > 1e-9:
+            continue
+        return replace(start, direction=_outwards(start, event))
     return None
-
-
-def _branch(
-    curve: Curve, base: Solution, event: Event, direction: np.ndarray, length: float, settings: FamilySettings
-) -> Start | None:
-    """The new family at a distance from the old one, or None when what is found is the old one."""
-    model, size = curve.propagator.model, curve.propagator.size
-    free, held = unknown_parameters(model, settings)
-    full, place = _repeated(curve, base, event, free, held)
-    along = np.concatenate([event.tangent[:size], [event.order * event.tangent[size]], event.tangent[size + 1 :]])
-    away = np.concatenate([direction, np.zeros(along.size - size)])
-    away = away - along * np.sum(full.weights * along * away) / np.sum(full.weights * along**2)
-    normal = full.weights * away / np.sqrt(np.sum(full.weights * away**2))
-    guess = replace(place, nodes=place.nodes + length * _carried(full, place, direction))
-    aim = Aim(float(normal @ place.head) + length, normal)
-    start = corrected(full, guess, aim, place, reach=3 * length)
-    if event.order > 1 and _is_cover(start, event.order, length):
-        return None
-    symmetry = symmetry_of(full, start.found)
-    if symmetry != "none":
-        start = reformulated(start, symmetry, free, held)
-        if symmetry == curve.propagator.symmetry.name and event.order == 1:
-            return None
-    return replace(start, direction=_outwards(start, event))
-
-
-def _repeated(
-    curve: Curve, base: Solution, event: Event, free: tuple[str, ...], held: tuple[str, ...]
-) -> tuple[Curve, Place]:
-    """The orbit of the event, `order` times round, in the full formulation."""
-    model, order = curve.propagator.model, event.order
-    fraction = curve.propagator.symmetry.fraction
-    parts = max(1, round(len(base.place.nodes) / fraction / 2)) if len(base.place.nodes) > 1 else 1
-    _, states = full_samples(curve, base)
-    turns = np.round((states[-1] - states[0]) / (2 * np.pi)) * np.array([1.0] * model.degrees_of_freedom + [0.0] * model.degrees_of_freedom)
-    chosen = (np.arange(parts) * (len(states) - 1) / parts).astype(int)
-    nodes = np.vstack([states[chosen] + 2 * np.pi * turns * k for k in range(order)])
-    period = event.period * order
-    winding = tuple(int(k) for k in turns[: model.degrees_of_freedom] * order)
-    problem = Problem(model, Guess(nodes[0], period), winding=winding if any(winding) else None)
-    propagator = build_propagator(model, "none", free)
-    mesh = np.linspace(0.0, 1.0, len(nodes) * max(24, FIRST_STEPS // parts) + 1)
-    place = Place(nodes, period, np.zeros(propagator.unfolding), base.place.free, mesh)
-    full = curve_at(problem, propagator, place, held)
-    return replace(full, weights=curve.weights.copy()), place
-
-
-def _carried(curve: Curve, place: Place, direction: np.ndarray) -> np.ndarray:
-    """A displacement of x(0) carried along to every node by the linearised flow (N x 2n)."""
-    size = curve.propagator.size
-    path = march(curve.propagator, place.nodes, place.mesh, place.tail)
-    found = [direction]
-    for block in path.sensitivities[:-1]:
-        found.append(block[:, :size] @ found[-1])
-    return np.asarray(found)
 
 
 def _is_cover(start: Start, order: int, length: float) -> bool:
@@ -145,40 +176,33 @@ def _is_cover(start: Start, order: int, length: float) -> bool:
     _, states = full_samples(start.curve, start.found)
     count = len(states) - 1
     parts = [k for k in range(2, order + 1) if order % k == 0]
-    n = states.shape[1] // 2
-    returns = [np.abs(states[count // k, :n] - states[0, :n]).max() for k in parts]
-    rates = [np.abs(states[count // k, n:] - states[0, n:]).max() for k in parts]
-    clock = np.sqrt(start.curve.weights[n])
-    return bool(min(max(a, b * clock) for a, b in zip(returns, rates, strict=True)) < 0.05 * length)
+    scale = np.sqrt(start.curve.weights[: states.shape[1]])
+    returns = [np.abs((_mid(states, count / k) - states[0]) * scale).max() for k in parts]
+    return bool(min(returns) < 0.05 * length)
+
+
+def _mid(states: np.ndarray, place: float) -> np.ndarray:
+    low = int(place)
+    return np.asarray(states[low] + (place - low) * (states[min(low + 1, len(states) - 1)] - states[low]))
 
 
 def _outwards(start: Start, event: Event) -> np.ndarray:
     """The direction in which energy (or else the period) moves away from the event's."""
     slopes = parameter_slopes(start.curve, start.found.place, start.direction)
-    place = start.found.place
-    moved = {
-        "energy": parameter_value(start.curve, place, "energy") - event.energy,
-        "period": place.period - event.period * event.order,
-    }
-    name = max(moved, key=lambda key: abs(moved[key] * slopes[key]))
+    moved = _moved(start, event)
+    name = max(("energy", "period"), key=lambda key: abs(moved[key] * slopes[key]))
     return start.direction if moved[name] * slopes[name] >= 0 else -start.direction
 
 
-def _same(one: Start, other: Start) -> bool:
-    """Whether two starts are one orbit but for phase, reflection or direction of motion."""
-    def numbers(start: Start) -> np.ndarray:
-        place = start.found.place
-        action = start.found.march.action / start.curve.propagator.symmetry.fraction
-        return np.array([parameter_value(start.curve, place, "energy"), place.period, action])
-
-    a, b = numbers(one), numbers(other)
-    return bool(np.all(np.abs(a - b) < 1e-6 * np.maximum(1.0, np.abs(a))))
+def _moved(start: Start, event: Event) -> dict[str, float]:
+    place = start.found.place
+    energy = parameter_value(start.curve, place, "energy")
+    return {"energy": energy - event.energy, "period": place.period - event.period * event.order}
 
 
-__all__ = ["SWITCHABLE", "head_of", "switch"]
-
-
-def curve_of(model: Model, symmetry: str, free: tuple[str, ...], place: Place) -> Curve:
-    """A curve through a stored place in its own formulation."""
-    problem = Problem(model, Guess(place.nodes[0], place.period), symmetry=symmetry)
-    return curve_at(problem, build_propagator(model, symmetry, free), place, ())
+def _same(one: Start, other: Start, event: Event) -> bool:
+    """Whether two starts are mirror images: equal displacement from the event to leading order."""
+    if one.curve.propagator.symmetry.name != other.curve.propagator.symmetry.name:
+        return False
+    a, b = (np.array(list(_moved(start, event).values())) for start in (one, other))
+    return bool(np.all(np.abs(a - b) <= 0.1 * np.maximum(np.abs(a), np.abs(b)) + 1e-12))

@@ -6,6 +6,7 @@ Applications of Bifurcation Theory (1977); the predictor is a parabola through t
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -41,6 +42,9 @@ from orbitfinder.families.system import (
     settled,
     tangent,
 )
+
+SHORTEST_SEARCH = 1e-3
+"""Steps longer than this are repeated at half their length when an event in them cannot be located."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +184,7 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
     curve, settings = walk.curve, walk.settings
     about_first = make_probe(curve, 0.0, stand.found, stand.whole, stand.point.indices)
     interval = make_interval(curve, about_first, last)
-    events = find_events(interval, settings, 0.0) if settings.events else []
+    events = _events(interval, settings)
     where = stand.point.arclength
     named = tuple(_placed(event, at, walk, stand) for at, event in events)
     folds = [at for at, event in events if event.kind == "fold" and event.detail == settings.parameter]
@@ -198,6 +202,19 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
     if found is not None and found.kind == "equilibrium":
         return Batch(walk.direction, (), (), found)
     return Batch(walk.direction, (*_ordered(points), after.point), named, found)
+
+
+def _events(interval: Interval, settings: FamilySettings) -> list[tuple[float, Event]]:
+    """Located events; a step over one that cannot be located is repeated shorter, and at last taken without it."""
+    if not settings.events:
+        return []
+    try:
+        return find_events(interval, settings, 0.0)
+    except (ConvergenceError, IntegrationError) as error:
+        if interval.length > SHORTEST_SEARCH:
+            raise
+        logging.getLogger(__name__).warning("an event could not be located: %s", error)
+        return []
 
 
 def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:

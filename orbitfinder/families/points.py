@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.propagate import ClosureCheck
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.families.system import Curve, Place, Solution
 
@@ -137,7 +138,7 @@ class Family:
         return np.asarray([getattr(point, name) for point in self.points])
 
 
-Check = Callable[[np.ndarray, float, np.ndarray], float]
+Check = ClosureCheck
 
 
 def parameter_value(curve: Curve, place: Place, name: str) -> float:
@@ -162,8 +163,10 @@ def make_point(
     p, place = curve.propagator, found.place
     about = spectrum(curve, found)
     largest = float(np.abs(about.floquet.multipliers).max(initial=1.0))
-    closure = 0.0 if check is None else check(place.nodes[0], place.period, winding(curve))
-    if not closure <= CLOSURE * max(1.0, largest):
+    allowed = CLOSURE * max(1.0, largest)
+    free = dict(zip(p.free, map(float, place.free), strict=True))
+    closure = 0.0 if check is None else check(place.nodes[0], place.period, winding(curve), allowed, free)
+    if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} with largest multiplier {largest:.3g}")
     where.setdefault("indices", about.indices)
     point = FamilyPoint(
@@ -181,7 +184,7 @@ def make_point(
         symmetry=p.symmetry.name,
         root=about.root,
         unfolding=place.unfolding,
-        free=dict(zip(p.free, map(float, place.free), strict=True)),
+        free=free,
         nodes=place.nodes,
         mesh=place.mesh,
         tangent=along,
@@ -191,8 +194,10 @@ def make_point(
 
 
 def winding(curve: Curve) -> np.ndarray:
-    """Whole turns of each coordinate in one period (n); zero in every symmetric formulation."""
+    """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
     n = curve.propagator.size // 2
+    if curve.propagator.symmetry.name == "reversal":
+        return np.asarray(np.round((curve.constant[n:] - curve.constant[:n]) / np.pi))
     if curve.propagator.symmetry.name != "none":
         return np.zeros(n)
     return np.asarray(np.round(curve.constant[:n] / (2 * np.pi)))

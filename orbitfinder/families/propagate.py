@@ -11,10 +11,10 @@ that neighbouring orbits are integrated alike and a whole segment is one call wi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -23,10 +23,14 @@ from scipy.integrate import DOP853
 from orbitfinder.errors import IntegrationError
 from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.canonical import canonical
+from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, Symmetry, boundary_rows, unfolded_invariants
 from orbitfinder.reference import TIGHTEST, integrate
 from orbitfinder.reference import vector_field as numpy_field
+
+FORMULATIONS = {**SYMMETRIES, "reversal": Symmetry("reversal", 0.5, False, True, False, True, False)}
+"""The symmetries of a Problem, and odd motions, q(-t) = -q(t): reversal combined with reflection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ class Propagator:
 
 def build_propagator(model: Model, symmetry: str = "none", free: tuple[str, ...] = ()) -> Propagator:
     """Everything that depends on the equations alone; built once per family."""
-    boundary = SYMMETRIES[symmetry]
+    boundary = FORMULATIONS[symmetry]
     unfolded = unfolded_invariants(model, boundary)
     field = vector_field(model, free, unfolded)
     rate = _rate(model, field, free)
@@ -88,6 +92,8 @@ def _rate(model: Model, field: ca.Function, free: tuple[str, ...]) -> ca.Functio
     n = size // 2
     kinetic = model.kinetic(x[:n], x[n:], model.parameters(free, chosen))
     action = 2.0 * period * kinetic
+    if model.gyroscopic is not None:
+        action += period * model.gyroscopic(x[:n], x[n:], model.parameters(free, chosen))
     packed = ca.vertcat(period, s, chosen)
     inner = ca.Function("inner", [x, columns, packed], [ca.vertcat(motion, ca.vec(slopes), action)])
     z, p = ca.MX.sym("z", size * (1 + size + extra) + 1), ca.MX.sym("p", packed.numel())
@@ -124,6 +130,8 @@ def _quantities(model: Model, free: tuple[str, ...]) -> tuple[ca.Function, ca.Fu
     slopes = ca.Function("slopes", parts, [stacked, ca.horzcat(ca.jacobian(stacked, q), ca.jacobian(stacked, v)),
                                            ca.jacobian(stacked, chosen)])  # fmt: skip
     momentum = ca.gradient(model.kinetic(q, v, parameters), v)
+    if model.gyroscopic is not None:
+        momentum += ca.gradient(model.gyroscopic(q, v, parameters), v)
     lower = ca.horzcat(ca.jacobian(momentum, q), ca.jacobian(momentum, v))
     upper = ca.horzcat(ca.MX.eye(n), ca.MX(n, n))
     momenta = ca.Function("momenta_parts", parts, [ca.densify(ca.vertcat(upper, lower))])
@@ -188,6 +196,9 @@ def step_errors(propagator: Propagator, states: np.ndarray, mesh: np.ndarray, ta
 def boundary_matrices(propagator: Propagator) -> tuple[np.ndarray, np.ndarray]:
     """B0 and B1 (2n x 2n) of the boundary rows B0 x(0) + B1 x(end) - constant."""
     size = propagator.size
+    if propagator.symmetry.name == "reversal":
+        place = np.diag(np.repeat([1.0, 0.0], size // 2))
+        return place, np.roll(place, size // 2, axis=0)
     zero, none = ca.DM.zeros(size), np.zeros(size // 2)
 
     def rows(start: Any, end: Any) -> np.ndarray:
@@ -198,19 +209,46 @@ def boundary_matrices(propagator: Propagator) -> tuple[np.ndarray, np.ndarray]:
     return first, np.stack([rows(zero, one) for one in unit], axis=1)
 
 
-def closure_check(model: Model) -> Callable[[np.ndarray, float, np.ndarray], float]:
-    """A function (state, period, turns) -> largest gap round the loop by independent means.
+LONGEST_STEPS = (np.inf, 1 / 400, 1 / 1600)
+"""Longest steps of the check, in periods, each tried only when the one before says that the orbit does not close."""
+
+
+class ClosureCheck(Protocol):
+    """The largest gap round the loop of an orbit; `allowed` is what will be asked of it."""
+
+    def __call__(
+        self, state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,
+        free: Mapping[str, float] | None = None,
+    ) -> float:
+        """The gap, in rad and rad/s."""
+
+
+def closure_check(model: Model) -> ClosureCheck:
+    """The closure of orbits by independent means, at the model's parameters or at freed ones.
 
     Hamilton's equations, derived from the energies alone, by SciPy's adaptive DOP853 at its tightest.
     """
+    n, prepared = model.degrees_of_freedom, [({}, *_hamiltonian(model))]
+
+    def check(
+        state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,
+        free: Mapping[str, float] | None = None,
+    ) -> float:
+        if prepared[0][0] != dict(free or {}):
+            prepared[0] = (dict(free or {}), *_hamiltonian(with_parameters(model, free or {})))
+        _, field, momentum = prepared[0]
+        start, gap = np.concatenate([state[:n], momentum(state[:n], state[n:]).full().ravel()]), np.inf
+        for longest in LONGEST_STEPS:
+            end = integrate(field, start, np.array([0.0, period]), TIGHTEST, longest * period)[-1]
+            moved = end[:n] - state[:n] - 2 * np.pi * turns
+            gap = float(max(np.abs(moved).max(), np.abs(field(0.0, end)[:n] - state[n:]).max()))
+            if gap <= 0.5 * allowed:
+                break
+        return gap
+
+    return check  # type: ignore[return-value]
+
+
+def _hamiltonian(model: Model) -> tuple[Any, ca.Function]:
     equations = canonical(model)
-    field = numpy_field(equations.field)
-    n = model.degrees_of_freedom
-
-    def check(state: np.ndarray, period: float, turns: np.ndarray) -> float:
-        start = np.concatenate([state[:n], equations.momentum(state[:n], state[n:]).full().ravel()])
-        end = integrate(field, start, np.array([0.0, period]), TIGHTEST)[-1]
-        moved = end[:n] - state[:n] - 2 * np.pi * turns
-        return float(max(np.abs(moved).max(), np.abs(field(0.0, end)[:n] - state[n:]).max()))
-
-    return check
+    return numpy_field(equations.field), equations.momentum

@@ -39,7 +39,7 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     gradients, directions = _frame(curve, found)
     reduced = reduce_monodromy(root_map, gradients, directions)
     basis = _basis(gradients, directions)
-    conservative = bool(p.model.invariants)
+    conservative = p.model.conservative
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
     indices = analyse(reduced, conservative).indices
@@ -68,7 +68,7 @@ def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
     """The map whose power `root` is the monodromy.
 
     With R = diag(1, -1) the reversal of rates and A the matrix of the horizon: reflection, -A
-    (T/2), brake, R A^-1 R A (T), both, -(P A^-1 P A) with P = diag(-1, 1) (T/2).
+    (T/2), brake, R A^-1 R A (T), reversal, P A^-1 P A (T), both, -(P A^-1 P A) with P = diag(-1, 1) (T/2).
     """
     size = curve.propagator.size
     name, n = curve.propagator.symmetry.name, size // 2
@@ -82,7 +82,7 @@ def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
     back = _inverse(curve, found, matrix)
     signs = np.concatenate([np.ones(n), -np.ones(n)])
     folded = (signs[:, None] * back * signs[None, :]) @ matrix
-    return (folded, 1) if name == "brake" else (-folded, 2)
+    return (-folded, 2) if name == "brake+reflection" else (folded, 1)
 
 
 def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:

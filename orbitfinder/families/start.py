@@ -8,26 +8,25 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.propagate import build_propagator, march
 from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.propagate import Propagator, build_propagator, march
 from orbitfinder.families.system import (
     Aim,
     Curve,
     Place,
     Solution,
     correct,
+    head_of,
     kernel,
     make_curve,
     remeshed,
     settled,
-    head_of,
 )
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import Pin
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.shooting import boundary_shift
 from orbitfinder.periodic.symmetry import recognise
 
 FIRST_STEPS = 160
@@ -53,6 +52,8 @@ def begin(origin: Problem | Orbit, settings: FamilySettings | None = None, symme
     settings = settings or FamilySettings()
     problem = as_problem(origin)
     free, held = unknown_parameters(problem.model, settings)
+    if free and problem.model.conservative:
+        return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     start = _start(replace(problem, symmetry="none") if wanted != problem.symmetry else problem, free, held)
     if symmetry == "auto":
@@ -78,19 +79,31 @@ def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[st
     name = settings.parameter
     others = tuple(one.name for one in model.invariants if one.generator is not None)
     if name in ("energy", "period", *model.state_names):
-        if not model.invariants:
+        if not model.conservative:
             raise InputError(
                 f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
             )
         return (), others
+    if model.forced:
+        raise InputError("system: a forced system's families are not followed yet; its orbits stand alone")
     if name not in model.parameter_names:
         known = ["energy", "period", *model.state_names, *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
-    if not model.invariants:
+    if not model.conservative:
         return (name,), ()
     if settings.hold not in ("energy", "period"):
         raise InputError(f"hold: must be energy or period, got {settings.hold!r}")
     return (name,), (settings.hold, *others)
+
+
+def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+    """The same orbit on the curve on which physical parameters vary and what is held keeps its value."""
+    old, place = base.curve, base.found.place
+    model = old.propagator.model
+    numbers = np.array([model.parameter_values[model.parameter_index(name)] for name in free])
+    propagator, place = build_propagator(model, old.propagator.symmetry.name, free), replace(place, free=numbers)
+    curve = replace(curve_at(propagator, place, held), constant=old.constant)
+    return corrected(curve, place, Aim(float(numbers[0]), np.eye(curve.weights.size)[-1]))
 
 
 def _start(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
@@ -98,33 +111,43 @@ def _start(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> St
     state = np.asarray(problem.guess.state, float)
     numbers = np.array([problem.model.parameter_values[problem.model.parameter_index(name)] for name in free])
     place = Place(state[None], float(problem.guess.period), np.zeros(propagator.unfolding), numbers, np.zeros(0))
-    curve = curve_at(problem, propagator, place, held)
+    curve = curve_at(propagator, place, held, problem.turns)
     steps = int(FIRST_STEPS * propagator.symmetry.fraction)
     place = replace(place, mesh=np.linspace(0.0, propagator.symmetry.fraction, steps + 1))
     aim = _first_aim(curve, place, problem, free)
     return corrected(curve, place, aim)
 
 
-def curve_at(problem: Problem, propagator: object, place: Place, held: tuple[str, ...]) -> Curve:
-    """The curve with its boundary constant and held values taken at a place."""
-    from orbitfinder.families.propagate import Propagator
+def curve_at(
+    propagator: Propagator, place: Place, held: tuple[str, ...] = (), turns: np.ndarray | None = None
+) -> Curve:
+    """The curve with its boundary constant and held values taken at a place near it.
 
-    assert isinstance(propagator, Propagator)
-    n = propagator.size // 2
-    guess = replace(problem, guess=Guess(place.nodes[0], place.period), pin=(), free=())
-    shift = boundary_shift(guess, place.nodes)
+    The constants are multiples of pi: a symmetric motion may be symmetric about an upright link.
+    """
+    model, n, name = propagator.model, propagator.size // 2, propagator.symmetry.name
     constant = np.zeros(2 * n)
-    if problem.symmetry == "brake+reflection":
-        centre = march(propagator, place.nodes[:1], np.linspace(0, 0.25, 41), place.tail).ends[0, :n]
-        angles = np.asarray(problem.model.angles)
-        constant[n:] = np.where(angles, np.pi * np.round(centre / np.pi), 0.0)
-    else:
-        constant[:n] = shift
+    if name == "none":
+        constant[:n] = 2 * np.pi * (0 if turns is None else turns)
+    elif name != "brake":
+        steps = np.linspace(0, propagator.symmetry.fraction, len(place.nodes) * 40 + 1)
+        end = march(propagator, place.nodes, steps, place.tail).ends[-1, :n]
+        first = place.nodes[0, :n]
+        if name == "reflection":
+            constant[:n] = 2 * _half_turns(model, 0.5 * (first + end))
+        else:
+            constant[n:] = _half_turns(model, end)
+            constant[:n] = _half_turns(model, first) if name == "reversal" else 0.0
     values = propagator.quantities(place.nodes[0], place.free)[0].full().ravel()
-    names = [one.name for one in problem.model.invariants]
-    fixed = tuple((names.index(name), float(values[names.index(name)])) for name in held if name in names)
+    names = [one.name for one in model.invariants]
+    fixed = tuple((names.index(one), float(values[names.index(one)])) for one in held if one in names)
     curve = make_curve(propagator, constant, place.head, fixed)
     return replace(curve, period=place.period) if "period" in held else curve
+
+
+def _half_turns(model: Model, q: np.ndarray) -> np.ndarray:
+    """The multiple of pi nearest to each angle, 0 for other coordinates."""
+    return np.where(np.asarray(model.angles), np.pi * np.round(q / np.pi), 0.0)
 
 
 def _first_aim(curve: Curve, place: Place, problem: Problem, free: tuple[str, ...]) -> Aim:
@@ -167,6 +190,24 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     return recognise(times, states, np.asarray(curve.propagator.model.angles))
 
 
+def _odd_state(curve: Curve, times: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """The state at the instant when every angle is nearest to a multiple of pi, and every other coordinate to 0."""
+    model, n = curve.propagator.model, curve.propagator.size // 2
+    away = states[:-1, :n] - _half_turns(model, states[:-1, :n])
+    k = int(np.argmin(np.abs(away).max(axis=1)))
+    v = states[k, n:]
+    moment = times[k] - float(away[k] @ v) / max(float(v @ v), 1e-300)
+    rates = np.stack([curve.propagator.field(0.0, x, np.zeros(curve.propagator.unfolding), _numbers(curve)).full().ravel()
+                      for x in states])  # fmt: skip
+    state = CubicHermiteSpline(times, states, rates)(moment % times[-1])
+    return np.asarray(state)
+
+
+def _numbers(curve: Curve) -> np.ndarray:
+    model = curve.propagator.model
+    return np.array([model.parameter_values[model.parameter_index(name)] for name in curve.propagator.free])
+
+
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
     p, place = curve.propagator, found.place
@@ -177,8 +218,8 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     states = march(p, place.nodes, mesh, place.tail).states
     signs = np.concatenate([np.ones(n), -np.ones(n)])
     name = p.symmetry.name
-    if "brake" in name:
-        about = 0.0 if name == "brake" else np.concatenate([2 * curve.constant[n:], np.zeros(n)])
+    if "brake" in name or name == "reversal":
+        about = np.concatenate([2 * curve.constant[n:], np.zeros(n)])
         mirrored = states[-2::-1] * signs if name == "brake" else about - states[-2::-1] * signs
         mesh, states = np.concatenate([mesh, 2 * mesh[-1] - mesh[-2::-1]]), np.vstack([states, mirrored])
     if "reflection" in name:
@@ -189,6 +230,19 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     return times, CubicHermiteSpline(mesh * place.period, states, rates)(times)
 
 
+def section_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: str) -> np.ndarray:
+    """The state of an orbit that the formulation of a symmetry starts from."""
+    n = curve.propagator.size // 2
+    if symmetry == "reversal":
+        state = _odd_state(curve, times, states)
+        return np.concatenate([_half_turns(curve.propagator.model, state[:n]), state[n:]])
+    first = states[0]
+    if "brake" in symmetry:
+        first = states[np.argmin(np.abs(states[:-1, n:]).max(axis=1))].copy()
+        first[n:] = 0.0
+    return first
+
+
 def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
     """The same orbit in the formulation of another symmetry, started at a brake instant where that needs one."""
     old, place = start.curve, start.found.place
@@ -196,12 +250,7 @@ def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple
         return start
     model = old.propagator.model
     times, states = full_samples(old, start.found)
-    first = states[0]
-    if "brake" in symmetry:
-        n = old.propagator.size // 2
-        first = states[np.argmin(np.abs(states[:-1, n:]).max(axis=1))].copy()
-        first[n:] = 0.0
-    problem = Problem(model, Guess(first, place.period), symmetry=symmetry)
+    first = section_state(old, times, states, symmetry)
     propagator = build_propagator(model, symmetry, free)
     fresh = Place(first[None], place.period, np.zeros(propagator.unfolding), place.free, np.zeros(0))
     if len(place.nodes) > 1:  # too unstable to shoot over the horizon in one piece: nodes from the samples
@@ -210,7 +259,7 @@ def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple
         parts = max(1, round(len(place.nodes) * propagator.symmetry.fraction))
         chosen = begin_at + (np.arange(parts) * propagator.symmetry.fraction * (len(states) - 1) / parts).astype(int)
         fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))
-    curve = replace(curve_at(problem, propagator, fresh, ()), held=old.held, weights=old.weights, period=old.period)
+    curve = replace(curve_at(propagator, fresh), held=old.held, weights=old.weights, period=old.period)
     steps = max(8, int(FIRST_STEPS * propagator.symmetry.fraction / len(fresh.nodes)))
     fresh = replace(fresh, mesh=np.linspace(0.0, propagator.symmetry.fraction, len(fresh.nodes) * steps + 1))
     unit = np.eye(old.weights.size)

@@ -16,8 +16,10 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import March, Propagator, boundary_matrices, march, step_errors
 
-NEWTON_READY = 1e-10
+NEWTON_READY = 1e-12
 """Residual from which one more Newton step, not evaluated again, reaches round-off."""
+NEWTON_FLOOR = 1e-9
+"""... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
 MOST_NEWTON = 12
 STEP_ERROR = 3e-14
 """Estimated relative error that one Runge-Kutta step may have; the true one is some 100 times smaller."""
@@ -203,14 +205,15 @@ def correct(curve: Curve, guess: Place, aim: Aim, reference: Place | None = None
         rows = np.append(_rows(curve, place, path, phases, reference), missed)
         jacobian = _jacobian(curve, place, path, phases)
         largest = float(np.abs(rows).max())
-        if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and largest > NEWTON_READY):
+        ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > 0.1 * previous)
+        if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
         try:
             step = np.linalg.solve(np.vstack([jacobian, last]), -rows)
         except np.linalg.LinAlgError:
             step = np.linalg.lstsq(np.vstack([jacobian, last]), -rows, rcond=1e-12)[0]
         place = _moved(place, step)
-        if largest < NEWTON_READY:
+        if ready:
             return Solution(place, path, jacobian, iteration, largest)
         if not distance(curve, place.head, guess.head) < reach or not place.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")

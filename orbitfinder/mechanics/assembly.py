@@ -153,9 +153,7 @@ def _check_reach(lengths: np.ndarray, fixed: Mapping[int, float], pair: tuple[in
     )
 
 
-def _nearest(
-    lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float], guess: np.ndarray
-) -> np.ndarray:
+def _nearest(lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float], guess: np.ndarray) -> np.ndarray:
     """Closure by Gauss-Newton with least-norm steps in the angles that are not fixed."""
     theta, loose = guess.copy(), [k for k in range(lengths.size) if k not in fixed]
     for k, angle in fixed.items():

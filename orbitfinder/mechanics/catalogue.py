@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import ConstrainedModel, reduced
+from orbitfinder.mechanics.foreign import python_model
 from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.maximal import chain_dae
 from orbitfinder.mechanics.model import Model
 
 REBUILDABLE = ("chain", "linkage")
+"""Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
 
 
-def build_model(system: Mapping[str, Any]) -> Model:
+def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
     """The Model that a description stands for; of a linkage its reduced form in maximal coordinates.
 
+    `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
     Raises `InputError` for an unknown or wrong description.
     """
+    if system.get("kind") == "python":
+        return python_model(system, trusted)
     if system.get("kind") == "linkage":
         return reduced(build_constrained(system))
     return _built(chain, system)  # type: ignore[no-any-return]
@@ -51,6 +57,9 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
+    if model.system.get("kind") == "python":
+        arguments = {**model.system.get("arguments", {}), **{name: float(value) for name, value in values.items()}}
+        return replace(model, parameter_values=numbers, system={**model.system, "arguments": arguments})
     if model.system.get("kind") not in REBUILDABLE:
         return replace(model, parameter_values=numbers)
     system = dict(model.system)

@@ -43,7 +43,7 @@ class ConstrainedModel:
     `balances(t, q, v, a, lambda, p)` = M a + h - J^T lambda (n); `constraint(q, p)` = phi (m);
     `constraint_rate(q, v, p)` = J v; `constraint_acceleration(q, v, a, p)` = J a + Jdot v (m);
     `constraint_jacobian(q, p)` = J (m x n); `algebraic(t, q, v, p)` = (a, lambda) by elimination,
-    Baumgarte terms included. Energies, `forces`, `points`, `centres` and names are as in `Model`.
+    Baumgarte terms included. Energies, `forces`, `points`, `centres`, names and the like are as in `Model`.
     `lift(angles, rates, p)` is the state (2n) of a chain or linkage from its link angles and rates.
     """
 
@@ -67,6 +67,7 @@ class ConstrainedModel:
     points: ca.Function | None = None
     centres: ca.Function | None = None
     lift: ca.Function | None = None
+    forcing_period: ca.Function | None = None
 
     @property
     def coordinates(self) -> int:
@@ -124,18 +125,14 @@ def constrained(
 
     M a + h = J^T lambda with M = d2T/dv2, J = dphi/dq: Lagrange's equations of the first kind
     (Goldstein, Classical Mechanics, section 2.4). `forces` Q(t, q, v, p) (n) are added to the right.
-    SI units. Raises `InputError` when the constraints are empty or as many as the coordinates.
+    SI units. Raises `InputError` for expressions of a wrong shape or in foreign symbols, and when the
+    constraints are none or as many as the coordinates. Only forces may depend on time.
     """
     q, v = symbols.coordinates, symbols.velocities
     count = ca.SX(constraint).numel()
-    if not 0 < count < q.numel():
-        raise InputError(
-            f"constraint: {count} equations for {q.numel()} coordinates leave no motion to compute; "
-            "give at least one and fewer than the coordinates (lagrange() is for none)"
-        )
+    _check_expressions(kinetic, potential, constraint, forces, symbols)
     matrix, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
-    a, multipliers = ca.SX.sym("a", q.numel()), ca.SX.sym("lambda", count)
-    jacobian = ca.jacobian(constraint, q)
+    a, multipliers, jacobian = ca.SX.sym("a", q.numel()), ca.SX.sym("lambda", count), ca.jacobian(constraint, q)
     equations = ConstrainedEquations(
         symbols, a, multipliers, matrix @ a + bias - jacobian.T @ multipliers, ca.SX(constraint),
         jacobian @ a + ca.jtimes(jacobian @ v, q, v), kinetic, potential, forces,
@@ -145,11 +142,40 @@ def constrained(
         equations,
         baumgarte or Baumgarte(),
         names=names or [f"q{i + 1}" for i in range(q.numel())],
-        angles=tuple(angles) if angles is not None else (False,) * q.numel(),
+        angles=tuple(angles or (False,) * q.numel()),
         invariants=invariants,
         points=None if points is None else ca.Function("points", [q, p], [points]),
         system=dict(system or {"kind": "custom"}),
     )
+
+
+def _check_expressions(
+    kinetic: ca.SX, potential: ca.SX, constraint: ca.SX, forces: ca.SX | None, symbols: Symbols
+) -> None:
+    q, v, p = symbols.coordinates, symbols.velocities, _parameters(symbols)
+    count, clock = ca.SX(constraint).numel(), [] if symbols.time is None else [symbols.time]
+    if q.numel() != v.numel():
+        raise InputError(f"velocities: {v.numel()} given for {q.numel()} coordinates; give one per coordinate")
+    if not 0 < count < q.numel():
+        raise InputError(
+            f"constraint: {count} equations for {q.numel()} coordinates leave no motion to compute; "
+            "give at least one and fewer than the coordinates (lagrange() is for none)"
+        )
+    for name, value, size, known in (
+        ("kinetic", kinetic, 1, [q, v, p]),
+        ("potential", potential, 1, [q, p]),
+        ("constraint", constraint, count, [q, p]),
+        ("forces", forces, q.numel(), [q, v, p, *clock]),
+    ):
+        expression = ca.SX(size, 1) if value is None else ca.SX(value)
+        if expression.shape != (size, 1):
+            raise InputError(f"{name}: expected {size} x 1 expressions, got shape {expression.shape}")
+        stray = [str(one) for one in ca.symvar(expression) if not ca.depends_on(ca.vertcat(*known), one)]
+        if stray:
+            raise InputError(f"{name}: depends on {', '.join(stray)}; use only the symbols passed (time: forces only)")
+    at_rest = ca.substitute(ca.vertcat(kinetic, ca.gradient(kinetic, v)), v, ca.SX.zeros(v.numel()))
+    if ca.depends_on(ca.hessian(ca.SX(kinetic), v)[0], v) or not ca.simplify(at_rest).is_zero():
+        raise InputError("kinetic: not a quadratic form in the velocities; write T = 1/2 v.M(q) v")
 
 
 def _parameters(symbols: Symbols) -> ca.SX:
@@ -173,7 +199,7 @@ def constrained_model(
     if invariants is None:
         conservative = equations.forces is None and symbols.time is None
         invariants = [energy_invariant(equations.kinetic, equations.potential, q, v, p)] if conservative else []
-    values = np.asarray(symbols.parameter_values, float)
+    values, clock = np.asarray(symbols.parameter_values, float), symbols.forcing_period
     return ConstrainedModel(
         state_names=(*names, *(f"{name}dot" for name in names)),
         force_names=tuple(force_names or (f"lambda{k + 1}" for k in range(force.numel()))),
@@ -192,6 +218,7 @@ def constrained_model(
         baumgarte=baumgarte,
         forces=None if equations.forces is None else ca.Function("forces", [t, q, v, p], [equations.forces]),
         invariants=tuple(invariants),
+        forcing_period=None if clock is None else ca.Function("forcing_period", [p], [ca.SX(clock)]),
         **fields,
     )
 
@@ -251,4 +278,5 @@ def reduced(model: ConstrainedModel) -> Model:
         angles=model.angles,
         points=model.points,
         centres=model.centres,
+        forcing_period=model.forcing_period,
     )

@@ -119,7 +119,7 @@ def detected_invariants(terms: Terms, labels: Sequence[str], arguments: Sequence
 
     Source: Goldstein, Classical Mechanics, section 2.6. A force on such a coordinate ends it.
     """
-    t, q, v, p = arguments
+    _, q, v, p = arguments
     lagrangian = terms.kinetic - terms.potential + (0 if terms.gyroscopic is None else terms.gyroscopic)
     found = [] if terms.forces is not None else [energy_invariant(terms.kinetic, terms.potential, q, v, p)]
     momentum = ca.gradient(lagrangian, v)

@@ -87,7 +87,7 @@ def linkage_symbols(system: Mapping[str, Any]) -> ChainSymbols:
 
 def check_closable(lengths: np.ndarray, ground: np.ndarray) -> None:
     """`InputError` unless the polygon of bars and ground closes: no side longer than all others together."""
-    sides = np.append(lengths, np.hypot(*ground))
+    sides = np.append(lengths, np.linalg.norm(ground))
     longest = int(np.argmax(sides))
     others = float(sides.sum() - sides[longest])
     if sides[longest] > others * (1 + REACH_TOLERANCE):
@@ -119,8 +119,9 @@ def check_regular(lengths: np.ndarray, theta: np.ndarray) -> None:
     if values[-1] < RANK_TOLERANCE * values[0]:
         raise InputError(
             "linkage: change-point configuration, all bars lie on one line at theta = "
-            f"{np.array2string(theta, precision=6)} (singular values of the closure {values[0]:.3g}, {values[-1]:.3g}), "
-            "so the motion is not determined; start from another configuration or change a length slightly"
+            f"{np.array2string(theta, precision=6)} (singular values of the closure {values[0]:.3g} "
+            f"and {values[-1]:.3g}), so the motion is not determined; "
+            "start from another configuration or change a length slightly"
         )
 
 
@@ -148,7 +149,7 @@ def grashof(length: Sequence[float], ground: Sequence[float]) -> str:
     """
     if len(length) != 3:
         raise InputError(f"length: Grashof's rule is for three bars and the ground, got {len(length)} bars")
-    sides = np.append(np.asarray(length, float), np.hypot(*ground))
+    sides = np.append(np.asarray(length, float), np.linalg.norm(ground))
     excess = 2 * (sides.min() + sides.max()) - sides.sum()
     if abs(excess) <= REACH_TOLERANCE * sides.sum():
         return "change-point"

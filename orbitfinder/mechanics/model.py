@@ -77,6 +77,12 @@ class Model:
         """n, the number of generalized coordinates."""
         return len(self.state_names) // 2
 
+    def forcing_cycles(self, period: float) -> int:
+        """Periods of the forcing in `period` (s), to the nearest and at least 1; 0 for an autonomous model."""
+        if self.forcing_period is None:
+            return 0
+        return max(1, round(period / float(self.forcing_period(self.parameter_values))))
+
     def parameters(self, free: Sequence[str] = (), symbols: Any = None) -> Any:
         """The vector p with the parameters named in `free` replaced by the entries of `symbols`."""
         values = type(symbols)(ca.DM(self.parameter_values)) if free else ca.DM(self.parameter_values)

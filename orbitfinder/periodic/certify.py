@@ -6,7 +6,8 @@ derived from the energies alone, with DOP853 at its tightest, and never sees an 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -76,7 +77,7 @@ def gather(
     total = kinetic + potential
     gradients, directions = _invariant_frame(model, start, field)
     reduced = reduce_monodromy(monodromy, gradients, directions)
-    floquet = analyse(reduced, conservative=bool(model.invariants))
+    floquet = analyse(reduced, conservative=model.conservative)
     scale = max(1.0, float(np.abs(monodromy).max()))
     span = float(np.ptp(potential)) + float(kinetic.max())
     return Evidence(
@@ -84,7 +85,7 @@ def gather(
         states=states,
         closure=gap(states[0], states[-1], turns),
         action=float(path[-1, -1]),
-        drift=float(np.abs(total - total[0]).max()) / max(span, 1e-300),
+        drift=float(np.abs(total - total[0]).max()) / max(span, 1e-3 * float(np.abs(potential).max()), 1e-300),
         energy=float(model.kinetic(state[:n], state[n:], values)) + float(model.potential(state[:n], values)),
         trivial=_trivial_defect(monodromy, gradients, directions) / scale,
         symplectic=_symplectic_defect(monodromy) / scale**2 if model.forces is None else 0.0,
@@ -105,23 +106,22 @@ def gap(start: np.ndarray, end: np.ndarray, turns: np.ndarray) -> float:
 
 
 def _invariant_frame(model: Model, start: np.ndarray, field: object) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients of the invariants and their symmetry directions at a canonical state.
+    """Gradients of the invariants and the symmetry directions (flow, unless forced, first) at a canonical state.
 
-    Both are symplectic transposes of each other: X = J grad I, so grad I = -J X.
+    Each gradient comes from the direction that it generates without forces: X = J grad I, so
+    grad I = -J X.
     """
     n = model.degrees_of_freedom
     flow = field(0.0, start)  # type: ignore[operator]
-    directions = [flow]
+    turns = []
     for one in model.invariants:
         if one.generator is not None:
-            q = start[:n]
-            turn = one.generator(q, flow[:n], model.parameter_values).full().ravel()
-            directions.append(np.concatenate([turn[:n], np.zeros(n)]))
-    rows = np.asarray(directions)
-    if not model.invariants:
-        return np.zeros((0, 2 * n)), rows
-    gradients = np.hstack([-rows[:, n:], rows[:, :n]])
-    return gradients, rows
+            turn = one.generator(start[:n], flow[:n], model.parameter_values).full().ravel()
+            turns.append(np.concatenate([turn[:n], np.zeros(n)]))
+    directions = np.asarray([*([] if model.forced else [flow]), *turns]).reshape(-1, 2 * n)
+    free = flow if model.forces is None else canonical(replace(model, forces=None)).field(0.0, start).full().ravel()
+    conserved = np.asarray([*([free] if model.conservative else []), *turns]).reshape(-1, 2 * n)
+    return np.hstack([-conserved[:, n:], conserved[:, :n]]), directions
 
 
 def _trivial_defect(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> float:
@@ -162,13 +162,20 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         _at_most("closure", evidence.closure, orbit.tolerance * scale, "DOP853 on Hamilton's equations"),
         _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift * scale, "relative to the energy exchanged")
+        if model.conservative
+        else None,
+        _forcing_check(orbit, model),
+        _minimal_period(orbit, evidence, model, allowed.cover),
+        _at_least("not_equilibrium", _motion(evidence), allowed.motion, "extent of the motion"),
+        _at_most("trivial_multipliers", evidence.trivial, allowed.trivial, "flow and energy gradient are kept")
+        if model.invariants or not model.forced
+        else None,
+        _at_most("symplectic", evidence.symplectic, allowed.symplectic, "Phi^T J Phi = J")
+        if model.forces is None
+        else None,
+        _at_most("unfolding", max(map(abs, orbit.unfolding), default=0.0), allowed.unfolding * scale, "back at 0")
         if model.invariants
         else None,
-        _minimal_period(evidence, model, allowed.cover),
-        _at_least("not_equilibrium", _motion(evidence), allowed.motion, "extent of the motion"),
-        _at_most("trivial_multipliers", evidence.trivial, allowed.trivial, "flow and energy gradient are kept"),
-        _at_most("symplectic", evidence.symplectic, allowed.symplectic, "Phi^T J Phi = J"),
-        _at_most("unfolding", max(map(abs, orbit.unfolding), default=0.0), allowed.unfolding * scale, "back at 0"),
         *_record_checks(orbit, evidence, model, allowed, scale),
         *_expected_checks(orbit),
     ]
@@ -196,13 +203,31 @@ def _motion(evidence: Evidence) -> float:
     return float(np.ptp(evidence.states, axis=0).max())
 
 
-def _minimal_period(evidence: Evidence, model: Model, tolerance: float) -> Check:
-    """The smallest distance between x(T/k) and x(0), k = 2, 3, ..., relative to the motion's extent."""
-    distance, cover = closest_return(evidence.times, evidence.states, np.asarray(model.angles))
+def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
+    """The period of a forced motion is a whole multiple of the forcing's."""
+    if model.forcing_period is None:
+        return None
+    cycles = model.forcing_cycles(orbit.period)
+    wanted = cycles * float(model.forcing_period(model.parameter_values))
+    return _at_most("forcing_period", abs(orbit.period / wanted - 1), 1e-14, f"period / {cycles} forcing periods - 1")
+
+
+def _minimal_period(orbit: Orbit, evidence: Evidence, model: Model, tolerance: float) -> Check | None:
+    """The smallest distance between x(T/k) and x(0), k = 2, 3, ..., relative to the motion's extent.
+
+    A forced motion can have a shorter period only where T/k is a multiple of the forcing's.
+    """
+    cycles = model.forcing_cycles(orbit.period)
+    covers = [k for k in range(2, LARGEST_COVER + 1) if cycles % k == 0]
+    if not covers:
+        return None
+    distance, cover = closest_return(evidence.times, evidence.states, np.asarray(model.angles), covers)
     return _at_least("minimal_period", distance, tolerance, f"nearest early return at T/{cover}")
 
 
-def closest_return(times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> tuple[float, int]:
+def closest_return(
+    times: np.ndarray, states: np.ndarray, angles: np.ndarray, covers: Sequence[int] = range(2, LARGEST_COVER + 1)
+) -> tuple[float, int]:
     """Relative distance of x(T/k) from x(0), angles modulo 2 pi, at its smallest over k; and that k.
 
     States between samples come from a periodic spline of the deviation, good to about 1e-9.
@@ -213,7 +238,7 @@ def closest_return(times: np.ndarray, states: np.ndarray, angles: np.ndarray) ->
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     extent = np.maximum(np.ptp(states, axis=0).max(), 1e-300)
     found = []
-    for cover in range(2, LARGEST_COVER + 1):
+    for cover in covers:
         moment = times[-1] / cover
         position = spline(moment) - states[0, :n]
         position = np.where(angles, (position + np.pi) % (2 * np.pi) - np.pi, position)
@@ -236,7 +261,7 @@ def _record_checks(
         _same("stability", orbit.stability, evidence.floquet.stability),
         _same("symmetry", orbit.symmetry, recognise(evidence.times, evidence.states, np.asarray(model.angles))),
     ]
-    if model.invariants:
+    if model.conservative:
         defect = evidence.floquet.pair_defect
         checks.append(_at_most("pair_defect", defect, max(allowed.trivial, 1e-15 * scale**2), "reciprocal pairs"))
     if orbit.record is not None:

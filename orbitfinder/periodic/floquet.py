@@ -39,7 +39,7 @@ def reduce_monodromy(
     if not removed.size:  # forced: nothing is trivial
         return monodromy
     scale = np.linalg.norm(removed, axis=1, keepdims=True)
-    _, singular, rows = np.linalg.svd(removed / scale)
+    _, singular, rows = np.linalg.svd(removed / np.maximum(scale, 1e-300))  # at an equilibrium the flow is 0
     rank = int(np.sum(singular > 1e-10 * singular[0]))
     basis = rows[rank:].T
     return np.asarray(basis.T @ monodromy @ basis)

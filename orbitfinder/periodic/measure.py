@@ -16,6 +16,7 @@ from orbitfinder.periodic.problem import Problem
 from orbitfinder.periodic.shooting import boundary_shift
 from orbitfinder.periodic.symmetry import recognise
 
+
 def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfolding: np.ndarray) -> Orbit:
     """An Orbit (without certificate) from converged node states over the problem's horizon."""
     model = problem.model

@@ -254,7 +254,9 @@ def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples:
         expected = {
             k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()
         }
-        n = state.size // 2
+        n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
+        if not 0 < tolerance < 1 or not expected.keys() <= {"period", "energy", "action"}:
+            raise ValueError(f"tolerance {tolerance} not between 0 and 1, or expected of an unknown quantity")
         return Orbit(
             name=document["name"], system=document["system"], state=state,
             period=float(document["period"]), energy=float(document["energy"]),
@@ -264,7 +266,7 @@ def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples:
             floquet_multipliers=multipliers, pair_defect=float(document.get("pair_defect", 0.0)),
             stability=document["stability"], unfolding=tuple(float(s) for s in document.get("unfolding", ())),
             nodes=np.asarray(document.get("nodes") or [document["state"]], float),
-            times=times, samples=samples, tolerance=float(document.get("tolerance", 1e-12)),
+            times=times, samples=samples, tolerance=tolerance,
             expected=expected, certificate=certificate,
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),

@@ -88,9 +88,7 @@ class Problem:
     @property
     def forcing_cycles(self) -> int:
         """Periods of the forcing in one period of the orbit: the whole number nearest to the guess's; 0 unforced."""
-        if self.model.forcing_period is None:
-            return 0
-        return max(1, round(self.guess.period / float(self.model.forcing_period(self.model.parameter_values))))
+        return self.model.forcing_cycles(self.guess.period)
 
     @property
     def turns(self) -> np.ndarray:
@@ -169,7 +167,7 @@ def _check(problem: Problem) -> None:
         )
     if not model.conservative:
         _check_forcing(problem)
-    check_symmetry(model, problem.symmetry, problem.forcing_cycles)
+    check_symmetry(model, state, problem.symmetry, problem.forcing_cycles)
 
 
 def _check_forcing(problem: Problem) -> None:

@@ -11,14 +11,16 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.flow import Flow, IntegratorSettings, build_flow, end_state, integration_error, transition
+from orbitfinder.errors import IntegrationError
+from orbitfinder.flow import Flow, IntegratorSettings, build_flow, end_state, transition
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
+from orbitfinder.periodic.failure import explain, refuse_equilibrium
 from orbitfinder.periodic.measure import dense, measure
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.polish import polish
+from orbitfinder.periodic.preparation import at_forcing_period, check_invariants, winding_of
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import Shooting, transcribe
 from orbitfinder.quiet import captured
@@ -67,9 +69,13 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     settings = settings or SolveSettings()
     began = time.perf_counter()
     problem.check_count()
+    check_invariants(problem)
+    problem = at_forcing_period(problem)
     unfolded = unfolded_invariants(problem.model, problem.boundary)
     flow = build_flow(problem.model, problem.free, unfolded, settings.integrator)
     nodes = initial_nodes(problem, flow, settings)
+    if problem.winding is None:
+        problem = replace(problem, winding=winding_of(problem, flow, nodes))
     shooting = transcribe(problem, nodes, flow)
     w = solve_nlp(shooting, settings, _reporter(progress, began))
     refined, w = _minimal(*_polished(shooting, w), settings)
@@ -171,7 +177,8 @@ def solve_nlp(shooting: Shooting, settings: SolveSettings, report: Callback | No
         stats = solver.stats()
     w = result["x"].full().ravel()
     if not stats["success"]:
-        raise _failure(shooting, w, stats["return_status"], output.text)
+        raise explain(shooting, w, stats["return_status"], output.text)
+    refuse_equilibrium(shooting, w)
     return np.asarray(w)
 
 
@@ -186,41 +193,6 @@ def hessian(shooting: Shooting) -> ca.Function:
     square = shooting.problem.count(shooting.layout.segments).freedom == 0
     diagonal = ca.DM.ones(w.numel()) * 1e-8 if square else factor * ca.DM(shooting.weights + 1e-8)
     return ca.Function("hess_lag", [w, parameters, factor, rows], [ca.triu(ca.diag(ca.MX(diagonal)))])
-
-
-def _failure(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Exception:
-    """Why IPOPT ended without an orbit, as one sentence with the worst defect and what to try."""
-    layout = shooting.layout
-    period, unfolding, _ = layout.tail(w)
-    if not np.all(np.isfinite(w)):
-        return integration_error(text, layout.nodes(shooting.start)[0], 0.0, shooting.problem.guess.period)
-    try:
-        defects = worst_defects(shooting, w)
-    except IntegrationError as error:
-        return error
-    worst = int(np.argmax(defects))
-    guess = shooting.problem.guess.period
-    advice = "try a guess nearer to an orbit, more segments, or another pin"
-    if period < 1.05 * shooting.lower[layout.size * layout.segments]:
-        advice = "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
-    elif float(np.abs(shooting.flow.field(0, layout.nodes(w)[0], unfolding, layout.tail(w)[2]).full()).max()) < 1e-6:
-        advice = "the search fell on an equilibrium; pin a larger energy or start further from rest"
-    return ConvergenceError(
-        f"no orbit found ({status}): largest defect {defects[worst]:.3g} at segment {worst}, "
-        f"period {period:.6g} s (guess {guess:.6g} s), unfolding {np.max(np.abs(unfolding), initial=0.0):.2g}; {advice}"
-    )
-
-
-def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """Largest gap at the end of each segment (N) of a decision vector."""
-    layout, problem = shooting.layout, shooting.problem
-    nodes, (period, _, _) = layout.nodes(w), layout.tail(w)
-    duration = period * problem.boundary.fraction / layout.segments
-    ends = np.stack([end_state(shooting.flow, node, duration, k * duration) for k, node in enumerate(nodes)])
-    gaps = np.abs(ends[:-1] - nodes[1:]).max(axis=1)
-    rows = shooting.rows(w, ends.T).full().ravel()
-    boundary = rows[layout.size * (layout.segments - 1) : layout.size * layout.segments]
-    return np.append(gaps, float(np.abs(boundary).max()))
 
 
 def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
@@ -238,7 +210,8 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     nodes = layout.nodes(w)
     model = with_parameters(problem.model, dict(zip(problem.free, free, strict=True)))
     settled = replace(problem, model=model, free=(), guess=Guess(nodes[0], period), segments=len(nodes), pin=())
-    settled = replace(settled, pin=problem.pin[:1] or natural_pin(settled, nodes[0]))
+    if model.invariants:
+        settled = replace(settled, pin=problem.pin[:1] or natural_pin(settled, nodes[0]))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
     return held, polish(held, held.layout.join(nodes, period, np.zeros(0), unfolding))
 
@@ -278,7 +251,7 @@ def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     extent = float(np.ptp(states, axis=0).max())
     for cover in range(most, 1, -1):
-        if np.any(problem.turns % cover):
+        if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
             continue
         reached = np.concatenate([spline(period / cover), spline(period / cover, 1)])
         if gap(states[0], reached, problem.turns // cover) < tolerance * max(extent, float(np.abs(nodes).max())):

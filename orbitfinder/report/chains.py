@@ -66,9 +66,13 @@ def derivation_figure(found: dict[str, Any]) -> Any:
     for k, (name, entry) in enumerate(found.items()):
         counts = [int(n) for n in entry["seconds"]]
         label = f"{name}: n^{entry['exponent']:.1f}"
-        axes.loglog(counts, list(entry["seconds"].values()), "os^D"[k] + "-", color=COLOURS[k], label=label, markersize=4)
+        axes.loglog(
+            counts, list(entry["seconds"].values()), "os^D"[k] + "-", color=COLOURS[k], label=label, markersize=4
+        )
     axes.axhline(5 * 3600, color="0.4", linestyle=":", linewidth=1.0)
-    axes.annotate("the report's 5 h for 100 links", (3, 5 * 3600), xytext=(0, 3), textcoords="offset points", fontsize=8)
+    axes.annotate(
+        "the report's 5 h for 100 links", (3, 5 * 3600), xytext=(0, 3), textcoords="offset points", fontsize=8
+    )
     dress(axes, "links n", "time to derive (s)")
     axes.legend(frameon=False, fontsize=9)
     return figure

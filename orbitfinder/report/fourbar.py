@@ -88,8 +88,12 @@ def figure_10(result: DaeTrajectory, points: np.ndarray) -> Any:
     (drift, constraint), (force, sweep) = figure.subplots(2, 2)
     drift.plot(result.times, result.energy - result.energy[0], color=COLOURS[2], linewidth=0.9)
     dress(drift, "time (s)", "E(t) \N{MINUS SIGN} E(0) (J)")
-    constraint.semilogy(result.times, result.constraint_drift + 1e-17, color=COLOURS[0], linewidth=0.7, label=r"$|\phi|$ (m)")
-    constraint.semilogy(result.times, result.rate_drift + 1e-17, color=COLOURS[1], linewidth=0.7, label=r"$|\dot\phi|$ (m/s)")
+    constraint.semilogy(
+        result.times, result.constraint_drift + 1e-17, color=COLOURS[0], linewidth=0.7, label=r"$|\phi|$ (m)"
+    )
+    constraint.semilogy(
+        result.times, result.rate_drift + 1e-17, color=COLOURS[1], linewidth=0.7, label=r"$|\dot\phi|$ (m/s)"
+    )
     dress(constraint, "time (s)", "constraint error")
     constraint.legend(frameon=False, fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.1)
     ground = result.forces.reshape(len(result.times), -1, 2)

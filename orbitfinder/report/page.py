@@ -36,7 +36,7 @@ def _opening() -> str:
         "- **The periods hide in the last component.** The report prints no periods. The magnitude of the last "
         "number of each printed state is the period to 2e-7 .. 2e-4, which physics does not explain: its "
         "optimiser evidently used one number for both.\n"
-        "- **\"The DAE method becomes computationally intractable\" holds for dense symbolic elimination, not for "
+        '- **"The DAE method becomes computationally intractable" holds for dense symbolic elimination, not for '
         "the DAE.** In maximal coordinates the joint forces form a block-tridiagonal system whose elimination "
         "from tip to root is O(n)."
     )
@@ -80,8 +80,8 @@ def _energy(numbers: Numbers) -> str:
     return (
         "## Energy of the triple pendulum (figures 2, 4, 5)\n\n"
         f"From horizontal rest over {numbers['span']:.0f} s, tolerance {TOLERANCE:g} (CVODES, Adams). The DAE is "
-        "integrated by IDAS in maximal coordinates (18 states, 15 algebraic variables) at 5e-15, the tightest at which it still "
-        "works; at 1e-13 its energy drifts some 7e-9 J.\n\n"
+        "integrated by IDAS in maximal coordinates (18 states, 15 algebraic variables) at 5e-15, the tightest at which "
+        "it still works; at 1e-13 its energy drifts some 7e-9 J.\n\n"
         f"{_table(header, rows)}\n\n{pictures}"
     )
 
@@ -105,7 +105,14 @@ def _differences(numbers: Numbers) -> str:
 
 def _four_bar(numbers: Numbers) -> str:
     rows = [
-        [one["title"], f"{one['span']:g}", f"{one['drift']:.1e}", f"{one['phi']:.1e}", f"{one['phidot']:.1e}", one["motion"]]
+        [
+            one["title"],
+            f"{one['span']:g}",
+            f"{one['drift']:.1e}",
+            f"{one['phi']:.1e}",
+            f"{one['phidot']:.1e}",
+            one["motion"],
+        ]
         for one in numbers["linkages"]
     ]
     header = ["linkage", "span (s)", "energy drift (J)", "constraint error (m)", "and of its rate (m/s)", "motion"]
@@ -127,7 +134,7 @@ def _chains(derivation: Numbers, hundred: Numbers) -> str:
         "## Chains of n links\n\n"
         f"The report took more than {HOURS_FOR_100_LINKS:.0f} hours to derive 100 links. Seconds to derive and "
         "build the function here, with the exponent of growth from n = 30 (a size is left out where a smaller one "
-        "took more than 1.5 s; all but the recursion factorise an n x n or larger matrix at run time for long chains):\n\n"
+        "took more than 1.5 s; Lagrange and Newton-Euler leave the factorisation of an n x n matrix to run time):\n\n"
         f"{_table(['formulation', *sizes, 'exponent'], rows)}\n\n![Time to derive](derivation.png)\n\n"
         f"{hundred['links']} links from horizontal rest for {hundred['span']:.0f} s: energy drift "
         f"{hundred['drift']:.1e} J, {hundred['relative_drift']:.1e} of m g l n^2 / 2.\n\n"

@@ -57,9 +57,7 @@ def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> Ru
         result = simulate_dae(model, start, span, count, DaeSettings(IDAS_TOLERANCE, IDAS_TOLERANCE))
         states = minimal_states(model, result.states)
         return Run(times, states, result.energy, result.constraint_drift, result.rate_drift)
-    flow = build_flow(
-        chain(3, formulation=method), settings=IntegratorSettings(TOLERANCE, TOLERANCE)
-    )
+    flow = build_flow(chain(3, formulation=method), settings=IntegratorSettings(TOLERANCE, TOLERANCE))
     states = sample(flow, HORIZONTAL_REST, span, count)
     kinetic, potential = energies(flow.model, states)
     return Run(times, states, kinetic + potential, np.zeros(count), np.zeros(count))
@@ -78,7 +76,10 @@ def energy_part(folder: Path) -> dict[str, Any]:
             shown["dae with Baumgarte"] = runs["dae with Baumgarte"]
         title = f"Figure {number}. Triple pendulum energy, {TITLES[method]}"
         save_both(energy_figure(shown, title), folder / f"figure-{number:02d}")
-    save_both(energy_figure({"recursive": runs["recursive"]}, "Energy by the O(n) recursion (ours)"), folder / "energy-recursive")
+    save_both(
+        energy_figure({"recursive": runs["recursive"]}, "Energy by the O(n) recursion (ours)"),
+        folder / "energy-recursive",
+    )
     return numbers
 
 
@@ -123,7 +124,9 @@ def difference_part(folder: Path) -> dict[str, Any]:
             "largest_to_12_s": float(largest[times <= 12.0].max()),
             "first_above_1_rad": float(above[0]) if above.size else None,
         }
-        figure = difference_figure(times, distance, (rate, level), exponent, f"Figure {number}. {TITLES[first]} against {TITLES[second]}")
+        figure = difference_figure(
+            times, distance, (rate, level), exponent, f"Figure {number}. {TITLES[first]} against {TITLES[second]}"
+        )
         save_both(figure, folder / f"figure-{number:02d}")
     return numbers
 
@@ -160,7 +163,13 @@ def difference_figure(
     figure = new_figure(6.4, 3.8, title)
     axes = figure.subplots()
     for i in range(distance.shape[1]):
-        axes.semilogy(times, np.maximum(distance[:, i], 1e-17), color=COLOURS[i], linewidth=0.8, label=rf"$|\Delta\theta_{i + 1}|$")
+        axes.semilogy(
+            times,
+            np.maximum(distance[:, i], 1e-17),
+            color=COLOURS[i],
+            linewidth=0.8,
+            label=rf"$|\Delta\theta_{i + 1}|$",
+        )
     rate, level = fit
     line = np.exp(level + rate * times)
     shown = (line < 10) & (line > 1e-16)

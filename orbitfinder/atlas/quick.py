@@ -1,0 +1,246 @@
+"""Cheap first: damped Newton (Levenberg-Marquardt) on loosely integrated multiple shooting, in NumPy.
+
+The variational integrator is the only graph, built once and used for every start with other
+numbers; nothing is transcribed, so a hopeless start costs a few integrations. Rows and unknowns are
+those of `periodic.shooting`: defects, boundary, phase, energy in nodes, period and unfolding.
+Source of the damping: K. Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168; D. Marquardt,
+SIAM Journal 11 (1963) 431-441.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.flow import Flow, end_state, transition
+from orbitfinder.periodic.polish import least_steps, segment, tail_of
+from orbitfinder.periodic.problem import Problem
+from orbitfinder.periodic.shooting import boundary_shift, phase_directions
+
+
+@dataclass(frozen=True)
+class QuickSettings:
+    """When the cheap stage is content and when it gives up."""
+
+    converged: float = 1e-6
+    """scaled residual at which the polish takes over"""
+    most_evaluations: int = 30
+    hopeless: tuple[tuple[int, float], ...] = ((10, 1.0), (18, 0.2))
+    """(evaluations, scaled residual): given up when it is still larger after so many"""
+    largest_step: float = 1.0
+    """scaled length of a step, about a radian"""
+    growth_per_segment: float = 10.0
+    fewest_segments: int = 2
+    most_segments: int = 16
+    polish_steps: int = 8
+    polished: float = 1e-13
+    """scaled residual below which the polish stops early"""
+
+
+@dataclass(frozen=True)
+class Path:
+    """Where the iteration is: nodes (N x 2n), period (s), unfolding."""
+
+    nodes: np.ndarray
+    period: float
+    unfolding: np.ndarray
+
+
+@dataclass(frozen=True)
+class System:
+    """The fixed part of one start's equations: problem, flow, scales, phase reference, boundary."""
+
+    problem: Problem
+    flow: Flow
+    columns: np.ndarray
+    rows: np.ndarray
+    reference: np.ndarray
+    phases: np.ndarray
+    shift: np.ndarray
+    periods: tuple[float, float]
+
+
+def segments_needed(flow: Flow, state: np.ndarray, horizon: float, settings: QuickSettings) -> int:
+    """As many segments as keep each state-transition matrix small."""
+    matrix = transition(flow, state, horizon)[1]
+    n = state.size // 2
+    clock = np.concatenate([np.ones(n), np.full(n, horizon / np.pi)])
+    growth = float(np.linalg.norm(matrix * clock[:, None] / clock[None, :], 2))
+    needed = int(np.ceil(np.log(max(growth, 2.0)) / np.log(settings.growth_per_segment)))
+    return min(max(needed, settings.fewest_segments), settings.most_segments)
+
+
+def shot(flow: Flow, state: np.ndarray, horizon: float, count: int) -> np.ndarray:
+    """Nodes (count x 2n) of the motion from a state."""
+    nodes = [np.asarray(state, float)]
+    for _ in range(count - 1):
+        nodes.append(transition(flow, nodes[-1], horizon / count)[0])
+    return np.asarray(nodes)
+
+
+def system(problem: Problem, flow: Flow, nodes: np.ndarray, periods: tuple[float, float]) -> System:
+    """Scales and references of one start, taken from its guess."""
+    n, count = problem.model.degrees_of_freedom, len(nodes)
+    rate = max(float(np.sqrt(np.mean(nodes[:, n:] ** 2))), 2 * np.pi / problem.guess.period)
+    node = np.concatenate([np.ones(n), np.full(n, rate)])
+    phases = np.asarray(phase_directions(problem, nodes[0])).reshape(-1, 2 * n)
+    lowest = float(problem.model.potential(nodes[0, :n], problem.model.parameter_values))
+    span = max(abs(problem.pin[0].value - lowest), 0.1 * abs(problem.pin[0].value), 1e-3)
+    boundary = {"brake": np.full(2 * n, rate), "brake+reflection": node[::-1]}.get(problem.symmetry, node)
+    return System(
+        problem, flow,
+        columns=np.concatenate([np.tile(node, count), [problem.guess.period], np.ones(len(flow.unfolded))]),
+        rows=np.concatenate([np.tile(node, count - 1), boundary, np.full(len(phases), rate), [span]]),
+        reference=nodes[0].copy(), phases=phases, shift=boundary_shift(problem, nodes), periods=periods,
+    )  # fmt: skip
+
+
+def energy_row(problem: Problem, state: np.ndarray) -> tuple[float, np.ndarray]:
+    """Energy minus its pin, and the gradient (2n) by central differences."""
+    n, step = state.size // 2, 1e-5
+    nudges = step * np.eye(2 * n)
+    states = np.vstack([state, state + nudges, state - nudges]).T
+    model = problem.model
+    values = np.tile(model.parameter_values[:, None], (1, states.shape[1]))
+    total = (model.kinetic(states[:n], states[n:], values) + model.potential(states[:n], values)).full().ravel()
+    return float(total[0] - problem.pin[0].value), (total[1 : 2 * n + 1] - total[2 * n + 1 :]) / (2 * step)
+
+
+def boundary(problem: Problem, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """A and B (2n x 2n) of the boundary rows A x(0) + B x(end) - shift (see `conditions.boundary_rows`)."""
+    unit, zero = np.eye(n), np.zeros((n, n))
+    rates_at_start = np.block([[zero, unit], [zero, zero]])
+    return {
+        "none": (-np.eye(2 * n), np.eye(2 * n)),
+        "reflection": (np.eye(2 * n), np.eye(2 * n)),
+        "brake": (rates_at_start, np.block([[zero, zero], [zero, unit]])),
+        "brake+reflection": (rates_at_start, np.block([[zero, zero], [unit, zero]])),
+    }[problem.symmetry]
+
+
+def displacement(problem: Problem, shift: np.ndarray) -> np.ndarray:
+    """What the boundary rows are compared with (2n)."""
+    if problem.symmetry == "brake+reflection":
+        return np.concatenate([np.zeros_like(shift), shift / 2])
+    return np.concatenate([shift, np.zeros_like(shift)])
+
+
+def rows(one: System, path: Path, ends: np.ndarray) -> np.ndarray:
+    """Unscaled residual for given end states (N x 2n)."""
+    first, last = boundary(one.problem, ends.shape[1] // 2)
+    closing = first @ path.nodes[0] + last @ ends[-1] - displacement(one.problem, one.shift)
+    energy, _ = energy_row(one.problem, path.nodes[0])
+    return np.concatenate(
+        [(ends[:-1] - path.nodes[1:]).ravel(), closing, one.phases @ (path.nodes[0] - one.reference), [energy]]
+    )
+
+
+def linearised(one: System, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Scaled residual and Jacobian of a path by the variational equations."""
+    count, size = path.nodes.shape
+    span = one.problem.boundary.fraction / count
+    ends, jacobian = np.zeros_like(path.nodes), np.zeros((one.rows.size, one.columns.size))
+    first, last = boundary(one.problem, size // 2)
+    for k, node in enumerate(path.nodes):
+        end, sensitivity = _propagated(one.flow, node, path.period * span, path.unfolding)
+        rate = one.flow.field(0.0, end, path.unfolding, []).full().ravel()
+        final = k == count - 1
+        weight = last if final else np.eye(size)
+        block = slice(k * size, (k + 1) * size)
+        jacobian[block, block] += weight @ sensitivity[:, :size]
+        jacobian[block, count * size] = weight @ rate * span
+        jacobian[block, count * size + 1 :] = weight @ sensitivity[:, size:]
+        if not final:
+            jacobian[block, (k + 1) * size : (k + 2) * size] = -np.eye(size)
+        ends[k] = end
+    jacobian[(count - 1) * size : count * size, :size] += first
+    jacobian[count * size : -1, :size] = one.phases
+    jacobian[-1, :size] = energy_row(one.problem, path.nodes[0])[1]
+    return rows(one, path, ends) / one.rows, jacobian * one.columns / one.rows[:, None]
+
+
+def _propagated(flow: Flow, node: np.ndarray, duration: float, unfolding: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        end, sensitivity = flow.derivatives.call([0.0, node, duration, unfolding, []])
+    except RuntimeError as error:
+        raise IntegrationError("the integrator gave up", time=0.0, state=node) from error
+    numbers, slopes = end.full().ravel(), sensitivity.full()
+    if not (np.all(np.isfinite(numbers)) and np.all(np.isfinite(slopes))):
+        raise IntegrationError("the state is not finite", time=0.0, state=node)
+    return numbers, slopes
+
+
+def moved(one: System, path: Path, step: np.ndarray) -> Path:
+    """The path after a scaled step, its period kept in range."""
+    count, size = path.nodes.shape
+    change = step * one.columns
+    period = float(np.clip(path.period + change[count * size], *one.periods))
+    nodes = path.nodes + change[: count * size].reshape(count, size)
+    return Path(nodes, period, path.unfolding + change[count * size + 1 :])
+
+
+def solve(one: System, start: Path, settings: QuickSettings) -> tuple[Path, np.ndarray]:
+    """A path with a small scaled residual and the Jacobian there; `ConvergenceError` says why there is none."""
+    path, damping = start, 1e-2
+    residual, jacobian = linearised(one, path)
+    norm = float(np.abs(residual).max())
+    for evaluation in range(1, settings.most_evaluations + 1):
+        if norm < settings.converged:
+            return path, jacobian
+        if any(evaluation > after and norm > most for after, most in settings.hopeless):
+            raise ConvergenceError("hopeless start")
+        step = damped_step(jacobian, residual, damping, settings.largest_step)
+        try:
+            trial = moved(one, path, step)
+            found, slopes = linearised(one, trial)
+        except IntegrationError:
+            damping = max(10 * damping, 1e-3)
+            continue
+        if float(np.linalg.norm(found)) < float(np.linalg.norm(residual)):
+            path, residual, jacobian = trial, found, slopes
+            norm, damping = float(np.abs(residual).max()), damping / 10 if damping > 1e-9 else 0.0
+        else:
+            damping = max(5 * damping, 1e-4)
+    raise ConvergenceError("iteration limit")
+
+
+def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float, longest: float) -> np.ndarray:
+    """The Levenberg-Marquardt step, no longer than `longest` in any component."""
+    size = jacobian.shape[1]
+    matrix = jacobian if damping == 0.0 else np.vstack([jacobian, np.sqrt(damping) * np.eye(size)])
+    right = -residual if damping == 0.0 else np.concatenate([-residual, np.zeros(size)])
+    step = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
+    return np.asarray(step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300)))
+
+
+def polished(one: System, path: Path, jacobian: np.ndarray, settings: QuickSettings) -> Path:
+    """The path to round-off: chord Newton steps with the residual of the eighth-order integrator."""
+    inverse = np.linalg.pinv(jacobian, rcond=1e-13)
+    residual = accurate(one, path)
+    best = float(np.abs(residual).max())
+    for _ in range(settings.polish_steps):
+        trial = moved(one, path, -inverse @ residual)
+        found = accurate(one, trial)
+        size = float(np.abs(found).max())
+        if not size < best:
+            break
+        path, residual, best = trial, found, size
+        if best < settings.polished:
+            break
+    if not best < 1e-10:
+        raise ConvergenceError("polish stalled")
+    return path
+
+
+def accurate(one: System, path: Path) -> np.ndarray:
+    """Scaled residual with segments integrated to round-off."""
+    count, span = len(path.nodes), path.period * one.problem.boundary.fraction / len(path.nodes)
+    least = least_steps(round(count / one.problem.boundary.fraction))
+    tail = tail_of(one.flow, path.unfolding)
+    ends = [segment(one.flow, node, (0.0, span), tail, least)[-1] for node in path.nodes]
+    return rows(one, path, np.asarray(ends)) / one.rows
+
+
+__all__ = ["Path", "QuickSettings", "System", "end_state", "polished", "segments_needed", "shot", "solve", "system"]

@@ -1,0 +1,157 @@
+"""Same orbit or another? A signature for the look-up and a phase-aligned distance as the judge.
+
+Energy, minimal period and action do not depend on where on the loop an orbit starts, on reflection
+(q, v) -> (-q, -v) or on time reversal (q, v, t) -> (q, -v, -t); orbits that agree in them are then
+laid over each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from orbitfinder.flow import build_flow
+from orbitfinder.mechanics.model import Model
+from orbitfinder.periodic.measure import dense
+from orbitfinder.periodic.orbit import Orbit
+
+LOOP_SAMPLES = 256
+"""States that a signature keeps of its loop."""
+AGREEMENT = 1e-7
+"""Energy, period and action of one orbit found twice differ by less than this, relative."""
+DISTANCE = 1e-3
+"""Loops of one orbit lie over each other to this, relative to the motion's extent."""
+BIN = 1e-6
+"""Width of the bins of log(period) and log(action) that the atlas is indexed by; wider than `AGREEMENT`."""
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What an orbit is recognised by: energy (J), minimal period (s), |action| (J s) and its loop.
+
+    `loop` holds `LOOP_SAMPLES` states (k x 2n) at equal times over the period, without the closing
+    one; `angles` says which coordinates count modulo 2 pi; `multipliers` are sorted, largest first.
+    """
+
+    energy: float
+    period: float
+    action: float
+    symmetry: str
+    multipliers: np.ndarray
+    loop: np.ndarray
+    angles: tuple[bool, ...]
+
+    @property
+    def bins(self) -> tuple[int, int]:
+        """Quantised logarithms of period and action: the key of the look-up, with its neighbours."""
+        return quantised(self.period), quantised(self.action)
+
+
+def quantised(value: float) -> int:
+    """The bin of a positive number."""
+    return int(np.floor(np.log(max(value, 1e-300)) / BIN))
+
+
+def signature_of(orbit: Orbit, model: Model) -> Signature:
+    """The signature of an orbit over its minimal period; integrated again when it carries no samples."""
+    times, samples = orbit.times, orbit.samples
+    if len(samples) < 2:
+        times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
+    n = model.degrees_of_freedom
+    order = np.lexsort((orbit.floquet_multipliers.imag, -np.abs(orbit.floquet_multipliers)))
+    moments = np.arange(LOOP_SAMPLES) * orbit.period / LOOP_SAMPLES
+    spline = CubicHermiteSpline(times, samples[:, :n], samples[:, n:])
+    return Signature(
+        energy=orbit.energy,
+        period=orbit.period,
+        action=abs(orbit.action),
+        symmetry=orbit.symmetry,
+        multipliers=orbit.floquet_multipliers[order],
+        loop=np.hstack([spline(moments), spline(moments, 1)]),
+        angles=tuple(model.angles) or (False,) * n,
+    )
+
+
+def same_orbit(first: Signature, second: Signature) -> bool:
+    """True when two signatures belong to one orbit up to phase, reflection and time reversal."""
+    return agree(first, second) and distance(first, second) < DISTANCE
+
+
+def agree(first: Signature, second: Signature) -> bool:
+    """Energy, period and action agree to `AGREEMENT`."""
+    pairs = ((first.energy, second.energy), (first.period, second.period), (first.action, second.action))
+    return all(abs(a - b) <= AGREEMENT * max(1.0, abs(a), abs(b)) for a, b in pairs)
+
+
+def distance(first: Signature, second: Signature) -> float:
+    """Largest gap between two loops at equal times, phases aligned, at its least over the images of the second.
+
+    Relative to the extents of coordinates and rates; angles modulo 2 pi.
+    """
+    if first.loop.shape != second.loop.shape:
+        return float("inf")
+    n = first.loop.shape[1] // 2
+    scale = _extents(first.loop, n)
+    return min(_aligned(first, image, scale) for image in images(second.loop))
+
+
+def images(loop: np.ndarray) -> Iterator[np.ndarray]:
+    """The loop, its reflection, its time reversal and both (k x 2n each)."""
+    n = loop.shape[1] // 2
+    backwards = np.concatenate([np.ones(n), -np.ones(n)])
+    reversed_loop = np.roll(loop[::-1], 1, axis=0) * backwards
+    yield from (loop, -loop, reversed_loop, -reversed_loop)
+
+
+def _extents(loop: np.ndarray, n: int) -> np.ndarray:
+    """One scale (2n) for coordinates and one for rates."""
+    coordinates = min(max(float(np.ptp(loop[:, :n], axis=0).max()), 1e-300), np.pi)
+    rates = max(float(np.abs(loop[:, n:]).max()), 1e-300)
+    return np.concatenate([np.full(n, coordinates), np.full(n, rates)])
+
+
+def wrapped(gaps: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
+    """Differences of states (... x 2n) with angles brought to [-pi, pi)."""
+    turning = np.zeros(gaps.shape[-1], bool)
+    turning[: len(angles)] = angles
+    return np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+
+
+def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:
+    """The gap of one image at the phase where it passes the first state of the other loop.
+
+    The phase is found among the samples, then between them by stepping along the chord, and the
+    shifted image is compared with the whole loop.
+    """
+    count, n = image.shape[0], image.shape[1] // 2
+    gaps = np.abs(wrapped(image - first.loop[0], first.angles) / scale).max(axis=1)
+    found = np.inf
+    for k in np.argsort(gaps)[:3]:
+        shift = _phase(first, np.roll(image, -int(k), axis=0), scale)
+        moments = (np.arange(count) + k + shift) * first.period / count
+        moved = _interpolated(image, moments, first.period, n, first.angles)
+        found = min(found, float(np.abs(wrapped(moved - first.loop, first.angles) / scale).max()))
+    return found
+
+
+def _phase(first: Signature, rolled: np.ndarray, scale: np.ndarray) -> float:
+    """Fraction of a sampling interval from the image's first sample to the loop's first state."""
+    chord = wrapped(rolled[1] - rolled[-1], first.angles) / scale / 2
+    gap = wrapped(first.loop[0] - rolled[0], first.angles) / scale
+    step = float(chord @ gap / max(float(chord @ chord), 1e-300))
+    return float(np.clip(step, -1.0, 1.0))
+
+
+def _interpolated(
+    loop: np.ndarray, moments: np.ndarray, period: float, n: int, angles: Sequence[bool]
+) -> np.ndarray:
+    """States of a closed loop at any times, by Hermite splines through its unwrapped coordinates."""
+    closed = np.vstack([loop, loop[:1]])
+    steps = wrapped(np.diff(closed, axis=0), angles)
+    path = closed[0] + np.vstack([np.zeros((1, 2 * n)), np.cumsum(steps, axis=0)])
+    spline = CubicHermiteSpline(np.linspace(0.0, period, len(path)), path[:, :n], path[:, n:])
+    inside = moments % period
+    return np.hstack([spline(inside), spline(inside, 1)])

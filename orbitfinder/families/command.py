@@ -1,0 +1,177 @@
+"""`orbitfinder continue`: a family computed into a folder, resumed where an earlier run stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.continuation import Walk, first_point, follow
+from orbitfinder.families.points import Batch, End, Family, FamilyPoint, FamilySettings, place_of
+from orbitfinder.families.propagate import FORMULATIONS, build_propagator, closure_check
+from orbitfinder.families.start import Start, begin, unknown_parameters
+from orbitfinder.families.store import (
+    FORMAT,
+    VERSION,
+    Journal,
+    append,
+    assemble,
+    plain,
+    read_journal,
+    restored,
+    save_family,
+    start_journal,
+)
+from orbitfinder.families.system import Curve, boundary_matrices
+from orbitfinder.mechanics.model import Model
+from orbitfinder.periodic.orbit import Orbit, load_orbit
+from orbitfinder.periodic.problem import Problem
+
+SAVE_EVERY = 50
+"""Steps between two rewritings of family.json while a family grows."""
+
+Progress = Callable[[Batch], None]
+Origin = str | Path | Orbit | Problem | Start
+
+
+def continue_command(
+    origin: Origin,
+    parameter: str = "energy",
+    until: float | None = None,
+    at: Sequence[float] = (),
+    points: int = 300,
+    out: str | Path = "families",
+    progress: Progress | None = None,
+    *,
+    name: str | None = None,
+    settings: FamilySettings | None = None,
+    model: Model | None = None,
+) -> Family:
+    """Follow the family of an orbit (path of an orbit.json, Orbit, Problem or branch Start).
+
+    Writes DIR/<name>/family.json and family.npz and resumes DIR/<name>/family.jsonl when the same was
+    asked before. `at` are values of the parameter at which points are computed exactly, `until` the
+    value to stop at. A branch `Start` needs its `name`. Raises `InputError`, `ConvergenceError`.
+    """
+    settings = replace(settings or FamilySettings(), parameter=parameter, points=points)
+    origin = load_orbit(origin) if isinstance(origin, (str, Path)) else origin
+    label = name or (origin.name if isinstance(origin, (Orbit, Problem)) else "")
+    if not label:
+        raise InputError("name: missing; a family that starts from a branch needs a name")
+    folder, request = Path(out) / label, _request(origin, settings, until, at)
+    journal = read_journal(folder)
+    if journal is None or journal.header.get("request") != request:
+        start = origin if isinstance(origin, Start) else begin(origin, settings)
+        journal = _fresh(folder, label, start, settings, request)
+        curve = start.curve
+    else:
+        curve = curve_from(journal, model or _model_of(origin), settings)
+    return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
+
+
+def _model_of(origin: Orbit | Problem | Start) -> Model:
+    from orbitfinder.mechanics.catalogue import build_model
+
+    if isinstance(origin, Start):
+        return origin.curve.propagator.model
+    return origin.model if isinstance(origin, Problem) else build_model(origin.system)
+
+
+def _request(
+    origin: Orbit | Problem | Start, settings: FamilySettings, until: float | None, at: Sequence[float]
+) -> dict[str, Any]:
+    """What decides whether a journal answers the same question; the number of points may grow."""
+    if isinstance(origin, Start):
+        head = origin.found.place.head.tolist()
+    elif isinstance(origin, Orbit):
+        head = [*origin.state.tolist(), origin.period]
+    else:
+        head = [*map(float, origin.guess.state), float(origin.guess.period), plain(origin.pin), origin.symmetry]
+    chosen = {key: value for key, value in plain(settings).items() if key != "points"}
+    return {"origin": plain(head), "settings": chosen, "until": until, "at": [float(value) for value in at]}
+
+
+def _fresh(folder: Path, name: str, start: Start, settings: FamilySettings, request: dict[str, Any]) -> Journal:
+    curve = start.curve
+    origin = first_point(start, settings, closure_check(curve.propagator.model) if settings.certify else None)
+    header = {
+        "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.propagator.model.system),
+        "parameter": settings.parameter, "request": request, "origin": plain(origin),
+        "curve": {
+            "symmetry": curve.propagator.symmetry.name, "free": list(curve.propagator.free),
+            "constant": curve.constant, "held": [list(one) for one in curve.held],
+            "weights": curve.weights, "period": curve.period,
+        },
+    }  # fmt: skip
+    start_journal(folder, plain(header))
+    found = read_journal(folder)
+    assert found is not None
+    return found
+
+
+def curve_from(journal: Journal, model: Model, settings: FamilySettings) -> Curve:
+    """The very curve that a journal was computed on."""
+    entry = journal.header["curve"]
+    if entry["symmetry"] not in FORMULATIONS:
+        raise InputError(f"{journal.header['name']}: unknown symmetry {entry['symmetry']!r}; delete the journal")
+    unknown_parameters(model, settings)
+    propagator = build_propagator(model, entry["symmetry"], tuple(entry["free"]))
+    held = tuple((int(k), float(value)) for k, value in entry["held"])
+    numbers = (np.asarray(entry["constant"], float), held, np.asarray(entry["weights"], float), entry["period"])
+    return Curve(propagator, *boundary_matrices(propagator), *numbers)
+
+
+def directions(
+    origin: FamilyPoint, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]]
+) -> Iterator[tuple[int, float | None, tuple[float, ...]]]:
+    """(direction, stop, exact values) of every walk that is wanted: towards the goals, else as set."""
+    until, at = goals
+    if until is None and not at:
+        signs = {"both": (1, -1), "forward": (1,), "backward": (-1,)}.get(settings.directions)
+        if signs is None:
+            raise InputError(f"directions: must be both, forward or backward, got {settings.directions!r}")
+        yield from ((sign, None, ()) for sign in signs)
+        return
+    for sign in (1, -1):
+        wanted = [value for value in at if sign * (value - origin.value) > 0]
+        if until is not None and sign * (until - origin.value) > 0:
+            inside = tuple(value for value in wanted if sign * (until - value) > 0)
+            yield sign, until, inside
+        elif wanted and until is None:
+            last = max(wanted, key=lambda value: sign * value)
+            yield sign, last, tuple(value for value in wanted if value != last)
+
+
+def _finish(
+    folder: Path,
+    journal: Journal,
+    curve: Curve,
+    settings: FamilySettings,
+    goals: tuple[float | None, tuple[float, ...]],
+    progress: Progress | None,
+) -> Family:
+    """Walk what is left in each direction, journalling every step."""
+    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
+    check = closure_check(curve.propagator.model) if settings.certify else None
+    batches = list(journal.batches)
+    for sign, stop, exact in directions(origin, settings, goals):
+        done, end = journal.steps(sign), journal.end(sign)
+        if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
+            continue
+        for batch in follow(Walk(curve, settings, sign, origin, check, stop, exact), done):
+            append(folder, batch)
+            batches.append(batch)
+            if progress:
+                progress(batch)
+            if len(batches) % SAVE_EVERY == 0:
+                save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+    family = assemble(Journal(journal.header, tuple(batches)))
+    save_family(family, folder)
+    return family
+
+
+__all__ = ["End", "continue_command", "curve_from", "place_of"]

@@ -1,0 +1,80 @@
+"""Systems made by Python functions: the built-in ones for everybody, others only where the user vouches for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import Model
+from orbitfinder.suggest import closest
+
+BUILT_IN = "orbitfinder.systems"
+
+
+def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
+    """The Model of a `kind = "python"` description {module, function, arguments}.
+
+    `orbitfinder.systems` is always allowed and only its registered functions are. With `trusted`
+    (the folder of a file that the user vouches for) any other module is imported: from that folder
+    if it is there, else an installed one. Raises `InputError`, also for whatever the function raises.
+    """
+    module, name = system.get("module", BUILT_IN), system.get("function")
+    arguments = system.get("arguments", {})
+    if not (isinstance(module, str) and isinstance(name, str) and isinstance(arguments, Mapping)):
+        raise InputError("system: a python system needs module and function (text) and arguments (a table)")
+    function = _built_in(name) if module == BUILT_IN else _foreign(module, name, trusted)
+    try:
+        model = function(**arguments)
+    except InputError:
+        raise
+    except TypeError as error:
+        raise InputError(f"system.arguments: {error}; compare with help({module}.{name})") from error
+    except Exception as error:
+        raise InputError(f"system.function: {module}.{name} failed with {type(error).__name__}: {error}") from error
+    if not isinstance(model, Model):
+        raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
+    if module == BUILT_IN:
+        return model
+    described = {"kind": "python", "module": module, "function": name, "arguments": dict(arguments)}
+    return replace(model, system=described)
+
+
+def _built_in(name: str) -> Callable[..., Any]:
+    from orbitfinder.systems import FUNCTIONS
+
+    if name not in FUNCTIONS:
+        known = ", ".join(FUNCTIONS)
+        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, FUNCTIONS)}; it has {known}")
+    return FUNCTIONS[name]
+
+
+def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]:
+    """A function of a module that is not ours, imported only for a trusted file."""
+    import importlib
+    import importlib.util
+
+    if trusted is None:
+        raise InputError(
+            f"system.module: {module!r} is a program that is not part of orbitfinder, so it was not run; read it, "
+            f"then add --trust, or use module = {BUILT_IN!r}"
+        )
+    if not all(part.isidentifier() for part in module.split(".")):
+        raise InputError(f"system.module: {module!r} is no module name; give one such as 'my_system' (my_system.py)")
+    beside = trusted / f"{module}.py"
+    try:
+        if beside.is_file():
+            spec = importlib.util.spec_from_file_location(f"orbitfinder_trusted_{module}", beside)
+            assert spec is not None and spec.loader is not None
+            found = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(found)
+        else:
+            found = importlib.import_module(module)
+    except Exception as error:
+        raise InputError(f"system.module: {module!r} cannot be imported ({type(error).__name__}: {error})") from error
+    function = getattr(found, name, None)
+    if not callable(function):
+        raise InputError(f"system.function: {module} has no function {name!r}; define it there")
+    return function  # type: ignore[no-any-return]

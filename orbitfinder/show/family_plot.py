@@ -1,0 +1,126 @@
+"""Pictures of a family: frequency against energy, multipliers in the plane and against the parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from orbitfinder.families.points import Family, FamilyPoint
+from orbitfinder.show.style import COLOURS, dress, new_figure, save_png
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MARKERS = {
+    "fold": ("v", "fold"),
+    "branch_point": ("o", "branch point"),
+    "period_doubling": ("s", "period doubling"),
+    "resonance": (".", "resonance"),
+    "collision": ("x", "collision"),
+    "stability_change": ("D", "stability change"),
+}
+"""Marker and legend entry of each kind of event."""
+UNITS = {"energy": "J", "period": "s"}
+
+
+def save_family_figures(family: Family, folder: str | Path) -> list[Path]:
+    """Write the three figures of a family as PNG files; returns their paths."""
+    figures = {
+        "frequency_energy": frequency_energy([family]),
+        "multipliers_plane": multipliers_plane(family),
+        "multipliers": multipliers_along(family),
+    }
+    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+
+
+def frequency_energy(families: Sequence[Family], marks: dict[str, tuple[float, float]] | None = None) -> Figure:
+    """Frequency against energy, one colour a family: solid where stable, dashed where unstable, events marked.
+
+    `marks` are further orbits to show, name -> (energy, period).
+    """
+    names = ", ".join(family.name for family in families)
+    figure = new_figure(8.0, 5.6, f"{names}: frequency and energy")
+    axes = figure.subplots()
+    shown: dict[str, Any] = {}
+    for k, family in enumerate(families):
+        colour = COLOURS[k % len(COLOURS)]
+        for stable, run in runs(family.points):
+            energy, period = ([getattr(point, name) for point in run] for name in ("energy", "period"))
+            style = {"linestyle": "-" if stable else "--", "linewidth": 1.8 if stable else 1.1}
+            axes.plot(energy, 1.0 / np.asarray(period), color=colour, **style)
+        for event in family.events:
+            marker, text = MARKERS[event.kind]
+            face = colour if event.kind != "branch_point" else "white"
+            size = 3.0 if event.kind == "resonance" else 5.5
+            (line,) = axes.plot(event.energy, 1.0 / event.period, marker, color=colour, markerfacecolor=face,
+                                markersize=size, linestyle="none")  # fmt: skip
+            shown.setdefault(text, line)
+        last = family.points[-1]
+        axes.annotate(family.name, (last.energy, 1.0 / last.period), fontsize=8, color=colour, parse_math=False)
+    for name, (energy, period) in (marks or {}).items():
+        axes.plot(energy, 1.0 / period, "*", color="black", markersize=10)
+        axes.annotate(f" {name}", (energy, 1.0 / period), fontsize=8, parse_math=False)
+    dress(axes, "energy (J)", "frequency (1/s)")
+    if shown:
+        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def runs(points: Sequence[FamilyPoint]) -> list[tuple[bool, list[FamilyPoint]]]:
+    """Maximal stretches of points with the same verdict (stable or not), each joined to the next."""
+    found: list[tuple[bool, list[FamilyPoint]]] = []
+    for point in points:
+        stable = point.stability != "unstable"
+        if not found or found[-1][0] != stable:
+            joined = [found[-1][1][-1]] if found else []
+            found.append((stable, joined))
+        found[-1][1].append(point)
+    return found
+
+
+def multipliers_plane(family: Family) -> Figure:
+    """Every point's multipliers in the complex plane, inside a square a little wider than the unit circle."""
+    figure = new_figure(6.4, 6.4, f"{family.name}: Floquet multipliers")
+    axes = figure.subplots()
+    angle = np.linspace(0, 2 * np.pi, 361)
+    axes.plot(np.cos(angle), np.sin(angle), color="0.6", linewidth=0.8)
+    values = np.concatenate([point.floquet_multipliers for point in family.points])
+    where = np.concatenate([np.full(point.floquet_multipliers.size, point.value) for point in family.points])
+    near = np.abs(values) < 2.5
+    dots = axes.scatter(values.real[near], values.imag[near], c=where[near], s=9, cmap="viridis")
+    axes.set_aspect("equal")
+    axes.set(xlim=(-2.6, 2.6), ylim=(-2.6, 2.6))
+    dress(axes, "real part", "imaginary part")
+    figure.colorbar(dots, ax=axes, label=axis_name(family), shrink=0.8)
+    return figure
+
+
+def multipliers_along(family: Family) -> Figure:
+    """|mu| (logarithmic) and the stability indices along the family, each index as one curve."""
+    figure = new_figure(8.0, 6.4, f"{family.name}: stability along the family")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    values = family.values("value")
+    sizes = np.abs(np.stack([point.floquet_multipliers for point in family.points]))
+    upper.semilogy(values, np.maximum(sizes, 1e-12), ".", color=COLOURS[0], markersize=3)
+    indices = np.stack([point.indices for point in family.points])
+    for k in range(indices.shape[1]):
+        lower.plot(values, indices[:, k].real, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
+    for level in (-2.0, 2.0):
+        lower.axhline(level, color="0.5", linewidth=0.7)
+    for event in family.events:
+        if event.kind in ("branch_point", "period_doubling", "collision"):
+            lower.axvline(event.parameter, color="0.75", linewidth=0.6)
+    lower.set_ylim(-4.0, 4.0)
+    root = family.points[0].root
+    dress(upper, "", "|multiplier|")
+    dress(lower, axis_name(family), "stability index" + (" of the half period" if root == 2 else ""))
+    return figure
+
+
+def axis_name(family: Family) -> str:
+    """The parameter with its unit, where that is known."""
+    unit = UNITS.get(family.parameter)
+    return f"{family.parameter} ({unit})" if unit else family.parameter

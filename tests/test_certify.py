@@ -1,0 +1,263 @@
+"""The certificate: planted errors are rejected by the name of the failing check."""
+
+import json
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from orbitfinder.flow import Flow
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.model import energy
+from orbitfinder.periodic.certify import Tolerances, certify
+from orbitfinder.periodic.orbit import load_orbit, save_orbit
+
+NAMES = ["triple-1", "triple-2", "quadruple-1", "quadruple-2"]
+
+
+@pytest.fixture(params=NAMES)
+def orbit(request, report_orbits):
+    """Each report orbit."""
+    return report_orbits[request.param]
+
+
+@pytest.fixture
+def good(report_orbits):
+    """One elliptic orbit, quick to certify."""
+    return report_orbits["quadruple-2"]
+
+
+def test_good_orbits_pass_with_the_checks_that_were_promised(orbit):
+    """Every check of the contract is made and passed, with its tolerance."""
+    certificate = certify(orbit)
+    assert certificate.failures == ()
+    promised = {
+        "closure", "second_closure", "energy_drift", "minimal_period", "not_equilibrium", "trivial_multipliers",
+        "symplectic", "unfolding", "energy", "action", "recorded_closure", "floquet_multipliers", "stability",
+        "symmetry", "pair_defect",
+    }  # fmt: skip
+    assert promised <= {check.name for check in certificate.checks}
+    assert certificate.scale == pytest.approx(max(1, np.abs(orbit.floquet_multipliers).max()), rel=1e-6)
+
+
+def test_certifying_twice_gives_the_same_numbers(good):
+    """A certificate depends on the orbit alone."""
+    assert certify(good) == certify(good)
+
+
+def test_the_certificate_needs_no_cvodes(good, monkeypatch):
+    """With CasADi's integrators and solvers disabled and the flow out of reach, certify still answers."""
+
+    def refuse(*_, **__):
+        pytest.fail("the certificate used the finder's integrator")
+
+    monkeypatch.setattr(ca, "integrator", refuse)
+    monkeypatch.setattr(ca, "nlpsol", refuse)
+    monkeypatch.setattr(Flow, "end", property(refuse))
+    monkeypatch.setattr(Flow, "derivatives", property(refuse))
+    assert certify(good).passed
+
+
+def test_the_certificate_uses_neither_nodes_nor_samples(good):
+    """State and period alone decide: without nodes and samples the answer is the same."""
+    bare = replace(good, nodes=good.state[None], times=np.zeros(0), samples=np.zeros((0, 8)))
+    assert certify(bare) == certify(good)
+
+
+@pytest.mark.parametrize("change", [1e-3, 1e-6, -1e-6, 1e-9])
+def test_a_wrong_period_fails_closure(orbit, change):
+    """A period off by 1e-3 down to 1e-9 relative is rejected by closure."""
+    assert "closure" in certify(replace(orbit, period=orbit.period * (1 + change))).failures
+
+
+@pytest.mark.parametrize("component", range(8))
+def test_a_state_nudged_by_a_millionth_fails_closure(good, component):
+    """1e-6 on any one component of the state is rejected by closure, and by the energy that no longer fits."""
+    state = good.state.copy()
+    state[component] += 1e-6
+    found = certify(replace(good, state=state))
+    assert "closure" in found.failures
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_state_nudged_along_the_family_fails_too(report_orbits, name):
+    """All components off by 1e-6: rejected by closure."""
+    orbit = report_orbits[name]
+    assert "closure" in certify(replace(orbit, state=orbit.state + 1e-6)).failures
+
+
+@pytest.mark.parametrize("cover", [2, 3, 7])
+def test_a_multiple_of_the_period_fails_minimal_period(good, cover):
+    """Two, three and seven times round closes, and is rejected by minimal_period."""
+    assert "minimal_period" in certify(replace(good, period=cover * good.period)).failures
+
+
+def test_a_running_orbit_twice_round_fails_minimal_period(pendulum_orbit):
+    """Angles are compared modulo 2 pi, so a doubled running orbit is recognised as well."""
+    from scipy.special import ellipk
+
+    lift = 8.0 + 4.9
+    period = 4 * float(ellipk(2 * 4.9 / lift)) / np.sqrt(6 * lift)
+    state = np.array([0.0, np.sqrt(6 * lift)])
+    running = replace(pendulum_orbit, state=state, period=2 * period, winding=(2,))
+    assert "minimal_period" in certify(running).failures
+    once = certify(replace(running, period=period, winding=(1,)))
+    assert not {"closure", "minimal_period", "not_equilibrium"} & set(once.failures)
+    assert "closure" in certify(replace(running, winding=(1,))).failures
+
+
+@pytest.mark.parametrize("angles", [[0.0] * 4, [np.pi] * 4, [0.0, np.pi, 0.0, np.pi]])
+def test_an_equilibrium_fails_not_equilibrium(good, angles):
+    """Hanging, upright and folded at rest close perfectly, and are rejected by not_equilibrium."""
+    state = np.concatenate([angles, np.zeros(4)])
+    assert "not_equilibrium" in certify(replace(good, state=state)).failures
+
+
+def test_a_small_oscillation_is_no_equilibrium():
+    """An honest motion of 1e-4 rad passes not_equilibrium."""
+    from orbitfinder.periodic.conditions import pin
+    from orbitfinder.periodic.problem import Guess, Problem
+    from orbitfinder.periodic.solve import find_orbit
+
+    orbit = find_orbit(Problem(chain(1), Guess([1e-4, 0.0], 1.64), pin=pin(theta1=1e-4)))
+    assert orbit.certificate.failures == ()
+
+
+def test_an_unfolding_that_did_not_return_to_zero_fails(good):
+    """s = 1e-6 is a damped system's orbit: rejected by unfolding."""
+    assert certify(replace(good, unfolding=(1e-6,))).failures == ("unfolding",)
+
+
+@pytest.mark.parametrize("name", ["period", "energy", "action"])
+def test_disagreement_with_what_was_expected_fails_by_name(good, name):
+    """An expected number off by ten tolerances is rejected as expected_<name>; within it passes."""
+    value = getattr(good, name)
+    off = replace(good, expected={name: (value + 1e-8, 1e-9)})
+    assert certify(off).failures == (f"expected_{name}",)
+    assert certify(replace(good, expected={name: (value + 1e-10, 1e-9)})).passed
+
+
+def edited(orbit, path, keep_record=True, **changes):
+    """The orbit as read back from an orbit.json in which someone changed some entries."""
+    file = save_orbit(orbit, path / "orbit.json")
+    document = json.loads(file.read_text()) | changes
+    if not keep_record:
+        del document["record"]
+    file.write_text(json.dumps(document))
+    return load_orbit(file)
+
+
+def edits(orbit):
+    """Entry -> (forged value, name of the check that must fail without the help of the digest)."""
+    multipliers = [[mu.real, mu.imag] for mu in orbit.floquet_multipliers]
+    system = dict(orbit.system)
+    return {
+        "energy": (orbit.energy + 1e-7, "energy"),
+        "action": (orbit.action * (1 + 1e-7), "action"),
+        "floquet_multipliers": ([[re, im + 1e-4] for re, im in multipliers], "floquet_multipliers"),
+        "stability": ("unstable", "stability"),
+        "symmetry": ("none", "symmetry"),
+        "closure": (1e-9, "recorded_closure"),
+        "state": ((orbit.state + 1e-9).tolist(), "closure"),
+        "period": (orbit.period + 1e-9, "closure"),
+        "winding": ([1, 0, 0, 0], "closure"),
+        "unfolding": ([1e-3], "unfolding"),
+        "system": (system | {"gravity": 9.81}, "closure"),
+    }
+
+
+ENTRIES = [
+    "energy", "action", "floquet_multipliers", "stability", "symmetry", "closure", "state", "period", "winding",
+    "unfolding", "system",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("keep_record", [True, False])
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_a_file_edited_by_hand_fails_the_check_of_that_entry(good, tmp_path, entry, keep_record):
+    """Each forged entry is caught by its own recomputation, with the digest and without it."""
+    value, check = edits(good)[entry]
+    failures = certify(edited(good, tmp_path, keep_record, **{entry: value})).failures
+    assert check in failures
+    assert ("record" in failures) == keep_record
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        ("closure", 0.0),
+        ("tolerance", 1e-3),
+        ("pair_defect", 0.0),
+        ("expected", {"period": {"value": 0.0, "tolerance": 1e9}}),
+        ("nodes", [[0.0] * 8]),
+        ("record", "0" * 64),
+    ],
+)
+def test_an_edit_too_small_to_recompute_fails_the_digest(good, tmp_path, entry, value):
+    """What no recomputation contradicts is still caught by record, the digest of the numbers as written."""
+    assert certify(edited(good, tmp_path, **{entry: value})).failures == ("record",)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value"),
+    [("length", [1.0, 1.0, 1.0, 1.0 + 1e-6]), ("mass", [1.0, 1.0, 1.0 + 1e-6, 1.0]), ("com", [0.5, 0.5, 0.5, 0.51])],
+)
+def test_a_changed_system_fails_closure(good, tmp_path, parameter, value):
+    """A mass or length changed by a millionth is another system, in which the orbit does not close."""
+    system = dict(good.system) | {parameter: value}
+    assert "closure" in certify(edited(good, tmp_path, False, system=system)).failures
+
+
+def test_a_forged_certificate_in_the_file_changes_nothing(good, tmp_path):
+    """Claiming passed: true for a wrong period does not help: verify recomputes."""
+    forged = {"passed": True, "scale": 1e9, "checks": [
+        {"name": "closure", "value": 0.0, "tolerance": 1.0, "passed": True, "note": ""},
+    ]}  # fmt: skip
+    orbit = edited(good, tmp_path, False, certificate=forged, period=good.period * 1.001)
+    assert orbit.certificate.passed
+    assert "closure" in certify(orbit).failures
+
+
+def test_a_loosened_tolerance_does_not_hide_a_bad_closure(good, tmp_path):
+    """With tolerance 0.9 in a file without digest the second closure still rejects a nudged state."""
+    state = (good.state + 1e-6).tolist()
+    orbit = edited(good, tmp_path, False, tolerance=0.9, state=state, energy=energy(chain(4), np.asarray(state)))
+    assert "second_closure" in certify(orbit).failures
+
+
+@pytest.mark.parametrize("period", [np.nan, np.inf, 0.0, -1.0])
+def test_a_period_that_is_no_duration_fails_finite(good, period):
+    """NaN, infinity, zero and negative periods are answered by a failed check, not by an exception."""
+    assert certify(replace(good, period=period)).failures == ("finite",)
+
+
+def test_a_state_that_is_not_a_number_fails_finite(good):
+    """NaN in the state is answered by a failed check."""
+    assert certify(replace(good, state=np.full(8, np.nan))).failures == ("finite",)
+
+
+def test_an_orbit_that_cannot_be_integrated_fails_integration(good):
+    """A state thrown to 1e200 is answered by a failed check naming the integration."""
+    assert certify(replace(good, state=good.state * 1e200)).failures == ("integration",)
+
+
+def test_tolerances_can_be_tightened(good):
+    """A caller may ask for more: what then fails is named, and the default passes."""
+    assert certify(good, tolerances=Tolerances(cover=10.0)).failures == ("minimal_period",)
+
+
+def test_a_custom_model_is_certified_with_the_model_in_hand():
+    """A system no file describes is certified when its Model is given, and refused by name without."""
+    from orbitfinder.errors import InputError
+    from orbitfinder.mechanics.lagrange import Symbols, lagrange
+    from orbitfinder.periodic.conditions import pin
+    from orbitfinder.periodic.problem import Guess, Problem
+    from orbitfinder.periodic.solve import find_orbit
+
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = lagrange(0.5 * v**2, 0.5 * q**2 + 0.25 * q**4, Symbols(q, v))
+    orbit = find_orbit(Problem(model, Guess([1.0, 0.0], 5.0), pin=pin(q1=1.0)))
+    assert certify(orbit, model).failures == ()
+    with pytest.raises(InputError, match=r"system.kind: cannot rebuild 'custom'"):
+        certify(orbit)

@@ -1,0 +1,320 @@
+"""Families of periodic orbits against known curves, reference orbits and the report's own orbits."""
+
+import json
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.branching import switch
+from orbitfinder.families.command import continue_command, curve_from
+from orbitfinder.families.continuation import Walk, first_point, follow
+from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
+from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.propagate import closure_check
+from orbitfinder.families.stability import matched
+from orbitfinder.families.start import begin
+from orbitfinder.families.store import load_family, read_journal
+from orbitfinder.flow import build_flow
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.periodic.measure import multipliers
+from orbitfinder.periodic.problem import Problem
+
+DATA = Path(__file__).parent / "data"
+MODES = json.loads((DATA / "normal_modes.json").read_text(encoding="utf-8"))["orbits"]
+REPORT = {one["name"]: one for one in json.loads((DATA / "report_orbits.json").read_text(encoding="utf-8"))["orbits"]}
+SEVEN = [(3, 1), (3, 2), (3, 3), (4, 1), (4, 2), (4, 3), (4, 4)]
+
+
+def complex_of(pairs):
+    return np.array([complex(*pair) for pair in pairs])
+
+
+def multiplier_error(found, wanted):
+    """Largest relative distance of each wanted multiplier from the nearest found one."""
+    return max(np.abs(found - mu).min() / max(1.0, abs(mu)) for mu in wanted)
+
+
+@pytest.mark.parametrize(("links", "mode"), SEVEN)
+def test_normal_modes_reproduce_the_reference(links, mode, tmp_path):
+    """All seven families at 0.1, 1, 6 and 20 J: period to 1e-10, multipliers to 1e-7, closure certified."""
+    wanted = [one for one in MODES if one["links"] == links and one["mode"] == mode]
+    problem = mode_problem(chain(links), mode)
+    quiet = FamilySettings(events=False)
+    family = continue_command(problem, at=[one["energy"] for one in wanted], out=tmp_path, settings=quiet)
+    assert family.ends[0].kind == "target"
+    for one in wanted:
+        (point,) = (p for p in family.points if p.role != "step" and abs(p.energy - one["energy"]) < 1e-9)
+        assert abs(point.period - one["period"]) < 1e-10
+        expected = complex_of(one["floquet_multipliers"])
+        if np.abs(expected).max() < 1e3:
+            assert multiplier_error(point.floquet_multipliers, expected) < 1e-7
+        assert point.stability == one["stability"]
+    assert all(point.closure <= 1e-11 * point.scale for point in family.points)
+    assert all(point.symmetry == "brake+reflection" for point in family.points)
+
+
+def test_simple_pendulum_to_the_separatrix(tmp_path):
+    """T = 4 K(sin(a/2)) / w0 along the whole family, until the period is five times the linear one."""
+    model = chain(1)
+    linear = 2 * np.pi / np.sqrt(9.8 * 0.5 / (1 / 12 + 0.25))
+    settings = FamilySettings(longest_period=5.5, directions="forward")
+    family = continue_command(mode_problem(model, 1), out=tmp_path, settings=settings)
+    assert family.ends[0].kind == "homoclinic"
+    assert family.points[-1].period > 5 * linear
+    for point in family.points:
+        # sin^2(a/2) from the energy V = -4.9 cos(a) is ill-conditioned at the separatrix, so from the angle
+        amplitude = point.state[0]
+        exact = linear / (np.pi / 2) * ellipk(np.sin(amplitude / 2) ** 2)
+        slope = np.tan(amplitude / 2) + 1  # of the period with the amplitude, in orders of magnitude
+        assert abs(point.period - exact) < 1e-11 * slope * max(1.0, point.period)
+
+
+def test_families_end_at_the_equilibrium(tmp_path):
+    """Backwards from a small amplitude the family shrinks to the hanging position, and says so."""
+    settings = FamilySettings(directions="backward")
+    family = continue_command(mode_problem(chain(2), 1, 0.1), out=tmp_path, settings=settings)
+    assert family.ends[0].kind == "equilibrium"
+    assert family.points[0].energy < family.points[-1].energy
+
+
+def test_modes_of_every_equilibrium():
+    """2^n equilibria; each has as many oscillating modes as its potential has rising directions."""
+    model = chain(3)
+    places = equilibria(model)
+    assert len(places) == 8
+    counts = [len(normal_modes(model, place).centres) for place in places]
+    assert counts[0] == 3 and counts[-1] == 0
+    assert counts == [3 - int(round(place.sum() / np.pi)) for place in places]
+    with pytest.raises(InputError, match="oscillating"):
+        mode_problem(model, 1, equilibrium=places[-1])
+
+
+def test_family_of_an_upright_equilibrium(tmp_path):
+    """A family born where the last link stands upright: its period tends to the linear one."""
+    model, place = chain(3), np.array([0.0, 0.0, np.pi])
+    settings = FamilySettings(directions="forward", events=False)
+    family = continue_command(mode_problem(model, 1, 1e-3, place), points=5, out=tmp_path, settings=settings)
+    linear = 2 * np.pi / normal_modes(model, place).frequencies[0]
+    assert abs(family.points[0].period - linear) < 1e-5
+    assert all(point.stability == "unstable" for point in family.points)
+
+
+@pytest.fixture(scope="module")
+def second_mode():
+    """The triple pendulum's second mode up to 12 J above hanging: curve, points and events."""
+    return walked(2, -32.5)
+
+
+def walked(mode, until):
+    settings = FamilySettings()
+    start = begin(mode_problem(chain(3), mode), settings)
+    check = closure_check(start.curve.propagator.model)
+    origin = first_point(start, settings, check)
+    batches = list(follow(Walk(start.curve, settings, 1, origin, check, until)))
+    points = [origin, *(point for batch in batches for point in batch.points)]
+    return start.curve, points, [event for batch in batches for event in batch.events]
+
+
+def branch_at(start, energy, points=80):
+    """Follow a branch away from where it was born; the point at an energy."""
+    settings = FamilySettings(events=False, points=points)
+    check = closure_check(start.curve.propagator.model)
+    origin = first_point(start, settings, check)
+    sign = 1 if np.sum(start.curve.weights * origin.tangent * start.direction) > 0 else -1
+    for batch in follow(Walk(start.curve, settings, sign, origin, check, at=(energy,))):
+        for point in batch.points:
+            if point.role == "at":
+                return point
+    return None
+
+
+def test_triple_1_is_reached_by_switching(second_mode):
+    """The report's first triple orbit lies on the branch that breaks the second mode's reflection."""
+    curve, _, events = second_mode
+    event = next(one for one in events if one.kind == "branch_point")
+    assert event.multiplier == -1.0  # of the half map: the reflection is lost
+    (start,) = switch(curve, event)
+    assert start.curve.propagator.symmetry.name == "brake"
+    point = branch_at(start, REPORT["triple-1"]["energy"])
+    assert abs(point.period - 1.65533898831464) < 1e-11
+    wanted = complex_of(REPORT["triple-1"]["floquet_multipliers"])
+    assert multiplier_error(point.floquet_multipliers, wanted) < 1e-9
+
+
+def test_triple_2_is_reached_by_switching():
+    """The report's second triple orbit lies on a period-quadrupled branch of the third mode."""
+    curve, _, events = walked(3, -43.0)
+    event = next(one for one in events if one.kind == "resonance" and one.order == 4)
+    starts = switch(curve, event)
+    assert {start.curve.propagator.symmetry.name for start in starts} == {"brake", "reversal"}
+    start = next(one for one in starts if one.curve.propagator.symmetry.name == "reversal")
+    point = branch_at(start, REPORT["triple-2"]["energy"])
+    assert abs(point.period - 2.92523733309107) < 1e-11
+
+
+def test_events_are_located(second_mode):
+    """At a branch point a multiplier of the whole period is +1: by CVODES over a full period."""
+    curve, _, events = second_mode
+    model = curve.propagator.model
+    flow, chosen = build_flow(model), [one for one in events if one.kind in ("branch_point", "period_doubling")]
+    assert len(chosen) >= 3
+    for event in chosen:
+        mu = multipliers(model, flow, event.state[None], event.period).multipliers
+        target = 1.0 if event.kind == "branch_point" else -1.0
+        pair = mu[np.argsort(np.abs(mu - target))[:2]]
+        # the pair is double and good to a square root only, its sum to all digits
+        assert abs(pair.sum() - 2 * target) < 1e-8
+
+
+def test_symmetric_and_full_formulations_agree(tmp_path):
+    """A quarter period and a whole one give the same orbit, multipliers and action."""
+    wanted = [one["energy"] for one in MODES if one["links"] == 3 and one["mode"] == 3][:3]
+    settings = FamilySettings(events=False)
+    problem = mode_problem(chain(3), 3, 0.05)
+    found = []
+    for symmetry in ("brake+reflection", "reflection", "brake", "none"):
+        start = begin(problem, settings, symmetry=symmetry)
+        folder = tmp_path / symmetry
+        found.append(continue_command(start, at=wanted, out=folder, name="mode", settings=settings))
+    for energy in wanted:
+        quarter, *others = ([p for p in f.points if p.role != "step" and abs(p.energy - energy) < 1e-9][0] for f in found)
+        for other in others:
+            assert abs(other.period - quarter.period) < 1e-12
+            assert abs(other.action - quarter.action) < 1e-10 * quarter.action
+            assert multiplier_error(other.floquet_multipliers, quarter.floquet_multipliers) < 1e-9
+
+
+def test_physical_parameter_at_constant_energy(tmp_path):
+    """A length varied at constant energy: the end of the family is an orbit of the changed system."""
+    model = chain(2)
+    origin = Problem(model, mode_problem(model, 1, 0.5).guess, symmetry="brake+reflection", name="longer")
+    family = continue_command(origin, "length2", until=1.3, out=tmp_path, settings=FamilySettings(events=False))
+    last = family.points[-1]
+    assert last.free["length2"] == pytest.approx(1.3, abs=1e-13)
+    assert abs(last.energy - family.points[0].energy) < 1e-12 * abs(last.energy) + 1e-12
+    changed = chain(2, length=[1.0, 1.3])
+    assert closure_check(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
+
+
+def test_unknown_parameter_is_refused(tmp_path):
+    """The message names what is known."""
+    with pytest.raises(InputError, match="use one of energy"):
+        continue_command(mode_problem(chain(1), 1), "enregy", out=tmp_path)
+
+
+def test_matching_follows_curves_that_cross():
+    """Two indices that pass through each other keep their order by where they were heading."""
+    before, slope = np.array([1.0 + 0j, 0.9 + 0j]), np.array([-0.2 + 0j, 0.2 + 0j])
+    assert np.array_equal(matched(before, np.array([1.1 + 0j, 0.8 + 0j]), slope), [0.8, 1.1])
+
+
+def test_family_file_round_trip(tmp_path):
+    """family.json and family.npz give back every number exactly; the contract's names are there."""
+    settings = FamilySettings(directions="forward")
+    family = continue_command(mode_problem(chain(2), 2), points=12, out=tmp_path, settings=settings)
+    path = tmp_path / "mode-2" / "family.json"
+    again = load_family(path)
+    assert all(np.array_equal(a.nodes, b.nodes) and a.period == b.period for a, b in zip(family.points, again.points))
+    document = json.loads(path.read_text(encoding="utf-8"))
+    names = ("state", "period", "energy", "action", "closure", "floquet_multipliers", "stability", "energy")
+    assert all(name in point for name in names for point in document["points"])
+    assert all({"kind", "index", "parameter", "period", "state"} <= set(event) for event in document["events"])
+
+
+SCRIPT = """
+import sys
+sys.path.insert(0, {root!r})
+from orbitfinder.families.command import continue_command
+from orbitfinder.families.normal_modes import mode_problem
+from orbitfinder.families.points import FamilySettings
+from orbitfinder.flow import build_flow
+from orbitfinder.mechanics.chain import chain
+settings = FamilySettings(directions="forward", longest_step={step})
+continue_command(mode_problem(chain(2), 1), points={points}, out={out!r}, settings=settings)
+"""
+
+
+def killed_and_resumed(tmp_path, kills, points, step, rng):
+    """Run, kill at random moments, run to the end; the families of that and of an undisturbed run."""
+    root = str(Path(__file__).parents[1])
+    out = tmp_path / "killed"
+    script = textwrap.dedent(SCRIPT.format(root=root, out=str(out), points=points, step=step))
+    for _ in range(kills):
+        process = subprocess.Popen([sys.executable, "-c", script])
+        wait_for_growth(out / "mode-1" / "family.jsonl", process)
+        time.sleep(float(rng.uniform(0.0, 0.3)))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    subprocess.run([sys.executable, "-c", script], check=True)
+    whole = tmp_path / "whole"
+    script = textwrap.dedent(SCRIPT.format(root=root, out=str(whole), points=points, step=step))
+    subprocess.run([sys.executable, "-c", script], check=True)
+    return load_family(out / "mode-1" / "family.json"), load_family(whole / "mode-1" / "family.json")
+
+
+def wait_for_growth(path, process):
+    size = path.stat().st_size if path.exists() else 0
+    while process.poll() is None and (path.stat().st_size if path.exists() else 0) <= size:
+        time.sleep(0.01)
+
+
+def compare(killed, whole, points):
+    assert len(killed.points) == len(whole.points) == points + 1
+    places = killed.values("arclength")
+    assert np.all(np.diff(places) > 0)
+    assert np.allclose(places, whole.values("arclength"), rtol=0, atol=1e-7)
+    assert np.allclose(killed.values("period"), whole.values("period"), rtol=1e-8)
+    assert [event.kind for event in killed.events] == [event.kind for event in whole.events]
+
+
+def test_killed_run_resumes(tmp_path):
+    """SIGKILL at random moments: no point lost, none doubled, the same family as without."""
+    compare(*killed_and_resumed(tmp_path, 2, 40, 0.03, np.random.default_rng(1)), 40)
+
+
+@pytest.mark.slow
+def test_killed_twenty_times(tmp_path):
+    """300 points, twenty kills."""
+    compare(*killed_and_resumed(tmp_path, 20, 300, 0.004, np.random.default_rng(2)), 300)
+
+
+def test_torn_line_is_dropped(tmp_path):
+    """A journal cut in the middle of a line resumes from the line before."""
+    settings = FamilySettings(directions="forward")
+    first = continue_command(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
+    journal = tmp_path / "mode-1" / "family.jsonl"
+    data = journal.read_bytes()
+    journal.write_bytes(data[: data.rfind(b"\n", 0, len(data) - 1) - 40])
+    kept = read_journal(tmp_path / "mode-1")
+    assert len(kept.steps(1)) < 6
+    again = continue_command(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
+    assert [p.period for p in again.points] == pytest.approx([p.period for p in first.points], abs=1e-10)
+    assert curve_from(kept, chain(1), settings).propagator.symmetry.name == "brake+reflection"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [1, 2, 3])
+def test_triple_modes_to_the_upright_saddle(mode, tmp_path):
+    """Each mode of the triple pendulum goes on to where its period blows up, 88.2 J above hanging."""
+    settings = FamilySettings(directions="forward", events=False)
+    family = continue_command(mode_problem(chain(3), mode), out=tmp_path, settings=settings)
+    assert family.ends[0].kind == "homoclinic"
+    assert abs(family.points[-1].energy + 44.1 - 88.2) < 0.05
+
+
+def test_family_figures(tmp_path):
+    """The three figures are written and not blank."""
+    from orbitfinder.show.family_plot import save_family_figures
+
+    settings = FamilySettings(directions="forward")
+    family = continue_command(mode_problem(chain(2), 2), points=15, out=tmp_path, settings=settings)
+    paths = save_family_figures(family, tmp_path)
+    assert len(paths) == 3 and all(path.stat().st_size > 10_000 for path in paths)

@@ -1,0 +1,164 @@
+"""The shooting program: its derivatives, its regularity, the Hessian handed to IPOPT."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import PRINTED, dop853, printed_problem, reference
+
+from orbitfinder.flow import build_flow
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.model import energy
+from orbitfinder.periodic.conditions import SYMMETRIES, pin, unfolded_invariants
+from orbitfinder.periodic.polish import polish, residual
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.shooting import Shooting, transcribe
+from orbitfinder.periodic.solve import SolveSettings, hessian, initial_nodes
+
+
+def shoot(problem: Problem) -> Shooting:
+    """The program of a problem started from its simulated guess."""
+    flow = build_flow(problem.model, problem.free, unfolded_invariants(problem.model, problem.boundary))
+    return transcribe(problem, initial_nodes(problem, flow, SolveSettings()), flow)
+
+
+def independent_residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """All rows with every segment integrated by SciPy's DOP853."""
+    layout = shooting.layout
+    period, s, free = layout.tail(w)
+    duration = period * shooting.problem.boundary.fraction / layout.segments
+    ends = [
+        dop853(shooting.flow, node, [k * duration, (k + 1) * duration], s, free)[-1]
+        for k, node in enumerate(layout.nodes(w))
+    ]
+    return shooting.rows(w, np.stack(ends).T).full().ravel()
+
+
+@pytest.mark.parametrize("free", [(), ("length2",), ("gravity", "mass1")])
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
+def test_the_jacobian_agrees_with_finite_differences(symmetry, free):
+    """Away from any solution, every entry of dg/dw equals the difference of DOP853 residuals to 1e-7."""
+    model = chain(2, [1.0, 0.8])
+    pins = dict(list(dict(energy=-15.0, period=1.9, theta1=0.5).items())[: 1 + len(free)])
+    guess = Guess([0.6, -0.2, 0.3, 0.5], 1.7)
+    shooting = shoot(Problem(model, guess, pin=pin(**pins), symmetry=symmetry, free=free, segments=2))
+    random = np.random.default_rng(0)
+    w = shooting.start + 0.05 * random.normal(size=shooting.layout.total)
+    found = shooting.jacobian(w).full()
+    assert found.shape == (shooting.layout.total,) * 2
+    h = 2e-3
+    for k, step in enumerate(h * np.eye(w.size)):
+        near = independent_residual(shooting, w + step) - independent_residual(shooting, w - step)
+        far = independent_residual(shooting, w + 2 * step) - independent_residual(shooting, w - 2 * step)
+        np.testing.assert_allclose(found[:, k], (8 * near - far) / (12 * h), atol=1e-7)
+
+
+def test_the_jacobian_without_gravity_agrees_with_finite_differences():
+    """Two unfoldings and two phase conditions have the right derivatives as well."""
+    problem = Problem(
+        chain(2, gravity=0.0), Guess([0.4, -0.2, 1.0, 0.5], 1.7), pin=pin(angular_momentum=1.0), segments=1
+    )
+    shooting = shoot(problem)
+    w = shooting.start + 0.05 * np.random.default_rng(1).normal(size=shooting.layout.total)
+    h = 2e-3
+    columns = []
+    for step in h * np.eye(w.size):
+        near = independent_residual(shooting, w + step) - independent_residual(shooting, w - step)
+        far = independent_residual(shooting, w + 2 * step) - independent_residual(shooting, w - 2 * step)
+        columns.append((8 * near - far) / (12 * h))
+    np.testing.assert_allclose(shooting.jacobian(w).full(), np.stack(columns, axis=1), atol=1e-7)
+
+
+def test_the_residual_of_the_polish_is_that_of_dop853():
+    """The polish's own eighth-order march and DOP853 give the same rows to 1e-12."""
+    shooting = shoot(printed_problem("quadruple-1", 0.01))
+    w = shooting.start
+    np.testing.assert_allclose(residual(shooting, w), independent_residual(shooting, w), atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def solved() -> tuple[Shooting, np.ndarray]:
+    """The program of a normal mode of the triple pendulum and its solution w."""
+    one = reference("normal_modes.json")["triple-mode-2-E6"]
+    model = chain(3)
+    problem = Problem(model, Guess(one["state"], one["period"]), pin=pin(energy=one["energy"]), segments=3)
+    shooting = shoot(problem)
+    return shooting, polish(shooting, shooting.start)
+
+
+def test_newtons_method_converges_quadratically(solved):
+    """On the square unfolded system the error of plain Newton squares at every step, from 1e-3 to round-off."""
+    shooting, exact = solved
+    w = exact + 1e-3 * np.random.default_rng(3).normal(size=exact.size)
+    errors = [np.abs(w - exact).max()]
+    while errors[-1] > 1e-11 and len(errors) < 8:
+        w = w - np.linalg.solve(shooting.jacobian(w).full(), residual(shooting, w))
+        errors.append(np.abs(w - exact).max())
+    assert errors[-1] <= 1e-11
+    assert len(errors) <= 5
+    # constants of order 100 are allowed; linear convergence would break this at the second step
+    assert all(after <= max(200 * before**2, 1e-11) for before, after in zip(errors, errors[1:], strict=False))
+
+
+def test_the_system_is_regular_only_with_the_unfolding(solved):
+    """Closure rows in (nodes, T) are dependent, by energy; the column of s makes them independent."""
+    shooting, exact = solved
+    matrix = shooting.jacobian(exact).full()
+    assert matrix.shape[0] == matrix.shape[1]
+    assert np.linalg.cond(matrix) < 1e6
+    rows = shooting.layout.size * shooting.layout.segments
+
+    def rank(columns: int) -> int:
+        sizes = np.linalg.svd(matrix[:rows, :columns], compute_uv=False)
+        return int(np.sum(sizes > 1e-8 * sizes[0]))
+
+    assert rank(rows + 1) == rows - 1
+    assert rank(rows + 2) == rows
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
+def test_every_symmetric_formulation_is_regular_at_a_symmetric_orbit(symmetry):
+    """At a normal mode the square Jacobian of each formulation is well conditioned and the residual vanishes."""
+    one = reference("normal_modes.json")["triple-mode-1-E1"]
+    guess = Guess(one["state"], one["period"])
+    shooting = shoot(Problem(chain(3), guess, pin=pin(energy=one["energy"]), symmetry=symmetry, segments=2))
+    w = polish(shooting, shooting.start)
+    assert np.abs(residual(shooting, w)).max() <= 1e-13
+    assert shooting.layout.tail(w)[0] == pytest.approx(one["period"], abs=1e-12)
+    assert np.linalg.cond(shooting.jacobian(w).full()) < 1e6
+
+
+def test_the_decision_vector_is_taken_apart_as_it_was_joined():
+    """nodes(), tail() and join() are inverse to each other."""
+    problem = Problem(chain(2), Guess([0.1, 0.2, 0.0, 0.0], 2.0), segments=3, free=("length1", "mass2"))
+    layout = shoot(problem).layout
+    w = np.arange(float(layout.total))
+    period, unfolding, free = layout.tail(w)
+    assert layout.total == 12 + 1 + 1 + 2
+    np.testing.assert_array_equal(layout.join(layout.nodes(w), period, free, unfolding), w)
+
+
+def test_the_start_lies_strictly_within_its_bounds_and_the_period_is_kept_from_zero():
+    """Bounds enclose the guess, are finite, and exclude T <= 0."""
+    shooting = shoot(printed_problem("triple-1"))
+    assert np.all(shooting.lower < shooting.start) and np.all(shooting.start < shooting.upper)
+    assert np.all(np.isfinite([shooting.lower, shooting.upper]))
+    assert shooting.layout.tail(shooting.lower)[0] > 0.1 * PRINTED["triple-1"].guessed_period
+
+
+@pytest.mark.parametrize("square", [True, False])
+def test_the_hessian_is_an_upper_triangle_with_casadis_signature(square):
+    """hess_lag takes (x, p, lam_f, lam_g), returns an upper triangle, and is what CasADi expects of that name."""
+    model = chain(2)
+    state = [0.3, -0.2, 0.5, 0.1]
+    shooting = shoot(Problem(model, Guess(state, 2.0), pin=pin(energy=energy(model, state)) if square else ()))
+    given = hessian(shooting)
+    sizes = (shooting.layout.total, 0, 1, shooting.constraints.numel())
+    assert tuple(given.numel_in(k) for k in range(given.n_in())) == sizes
+    assert given.n_out() == 1 and given.sparsity_out(0).is_triu()
+    expected = ca.Function("objective", [shooting.variables], [ca.hessian(shooting.objective, shooting.variables)[0]])
+    value = given(shooting.start, ca.DM(0, 1), 2.5, ca.DM.ones(sizes[3])).full()
+    if square:
+        np.testing.assert_allclose(value, 1e-8 * np.eye(sizes[0]))
+    else:
+        np.testing.assert_allclose(value, 2.5 * expected(shooting.start).full(), atol=1e-7)
+        assert np.diag(value).min() > 0
