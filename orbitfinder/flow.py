@@ -69,7 +69,7 @@ class Flow:
     def end(self) -> ca.Function:
         """The state integrator with the variational equations as its custom Jacobian."""
         names, inputs = self._inputs()
-        jacobian = _custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
+        jacobian = custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
         options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
         return ca.Function("flow_end", inputs, [_plain(self.field, self.settings, inputs)], names, ["xf"], options)
 
@@ -149,7 +149,7 @@ def _variational(field: ca.Function, settings: IntegratorSettings, inputs: list[
     return [end[:size], ca.reshape(end[size:], size, size + extra)]
 
 
-def _custom_jacobian(
+def custom_jacobian(
     field: ca.Function, derivatives: ca.Function, inputs: list[ca.MX], names: list[str], forced: bool
 ) -> ca.Function:
     """Jacobian blocks of `end` from the variational equations.

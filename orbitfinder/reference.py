@@ -53,6 +53,7 @@ def vector_field(function: ca.Function) -> VectorField:
     return call
 
 
+@np.errstate(over="ignore", invalid="ignore")  # SciPy's step control squares; what is not finite is raised
 def integrate(
     field: VectorField,
     state: np.ndarray,
@@ -70,6 +71,8 @@ def integrate(
 
     times = np.asarray(times, float)
     found = [np.asarray(state, float)]
+    if not np.all(np.isfinite(found[0])):
+        raise IntegrationError("the start is not finite", time=float(times[0]), state=found[0])
     if times[-1] == times[0]:
         return np.repeat(found, times.size, axis=0)
     if not np.all(np.abs(field(float(times[0]), found[0])) < 1e100):  # also where the state is NaN

@@ -170,7 +170,10 @@ class FindTable(Table):
         None, ge=1, le=MOST_SEGMENTS, description="shooting segments, at least 1; chosen automatically when left out"
     )
     tolerance: float = Field(
-        1e-12, gt=0, lt=1, description="closure that the certificate asks for, times the largest Floquet multiplier"
+        1e-12,
+        gt=0,
+        le=1e-6,
+        description="closure that the certificate asks for, at most 1e-6, times the largest Floquet multiplier",
     )
     free: list[str] = Field([], description='physical parameters that the solver may change, such as ["length3"]')
 

@@ -10,8 +10,8 @@ import pytest
 from orbitfinder.flow import Flow
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.certify import Tolerances, certify
-from orbitfinder.periodic.orbit import load_orbit, save_orbit
+from orbitfinder.periodic.certify import Tolerances, certify, gather
+from orbitfinder.periodic.orbit import Orbit, load_orbit, save_orbit
 
 NAMES = ["triple-1", "triple-2", "quadruple-1", "quadruple-2"]
 
@@ -237,9 +237,30 @@ def test_a_state_that_is_not_a_number_fails_finite(good):
     assert certify(replace(good, state=np.full(8, np.nan))).failures == ("finite",)
 
 
-def test_an_orbit_that_cannot_be_integrated_fails_integration(good):
-    """A state thrown to 1e200 is answered by a failed check naming the integration."""
-    assert certify(replace(good, state=good.state * 1e200)).failures == ("integration",)
+@pytest.mark.parametrize("size", [1e60, 1e200])
+def test_an_orbit_that_cannot_be_integrated_fails_integration(good, size):
+    """A state thrown to 1e60 or 1e200 is answered at once by a failed check naming the integration."""
+    assert certify(replace(good, state=good.state * size)).failures == ("integration",)
+
+
+def planted(state, period) -> Orbit:
+    """A double pendulum's arc that does not close, its record consistent with what certify will recompute."""
+    model, start = chain(2), np.asarray(state, float)
+    found = gather(model, start, period, np.zeros(2, int))
+    return Orbit(
+        name="planted", system=model.system, state=start, period=period, energy=found.energy, action=found.action,
+        closure=found.closure, symmetry="none", winding=(0, 0), floquet_multipliers=found.floquet.multipliers,
+        pair_defect=0.0, stability=found.floquet.stability, unfolding=(0.0,), nodes=start[None], times=np.zeros(0),
+        samples=np.zeros((0, 4)), tolerance=1e-12,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("period", [5.0, 20.0, 40.0])
+def test_chaos_does_not_excuse_an_arc_that_does_not_close(period):
+    """However large the multipliers of a chaotic arc (1e22 over 40 s), closure rejects it."""
+    certificate = certify(planted([2.0, 2.5, 0.0, 0.0], period))
+    assert "closure" in certificate.failures
+    assert certificate.scale <= 1e6
 
 
 def test_tolerances_can_be_tightened(good):

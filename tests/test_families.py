@@ -42,6 +42,12 @@ def multiplier_error(found, wanted):
     return max(np.abs(found - mu).min() / max(1.0, abs(mu)) for mu in wanted)
 
 
+def exact_point(family, energy):
+    """The one point that was asked for at this energy."""
+    (point,) = (p for p in family.points if p.role != "step" and abs(p.energy - energy) < 1e-9)
+    return point
+
+
 @pytest.mark.parametrize(("links", "mode"), SEVEN)
 def test_normal_modes_reproduce_the_reference(links, mode, tmp_path):
     """All seven families at 0.1, 1, 6 and 20 J: period to 1e-10, multipliers to 1e-7, closure certified."""
@@ -51,7 +57,7 @@ def test_normal_modes_reproduce_the_reference(links, mode, tmp_path):
     family = continue_command(problem, at=[one["energy"] for one in wanted], out=tmp_path, settings=quiet)
     assert family.ends[0].kind == "target"
     for one in wanted:
-        (point,) = (p for p in family.points if p.role != "step" and abs(p.energy - one["energy"]) < 1e-9)
+        point = exact_point(family, one["energy"])
         assert abs(point.period - one["period"]) < 1e-10
         expected = complex_of(one["floquet_multipliers"])
         if np.abs(expected).max() < 1e3:
@@ -92,7 +98,7 @@ def test_modes_of_every_equilibrium():
     assert len(places) == 8
     counts = [len(normal_modes(model, place).centres) for place in places]
     assert counts[0] == 3 and counts[-1] == 0
-    assert counts == [3 - int(round(place.sum() / np.pi)) for place in places]
+    assert counts == [3 - round(place.sum() / np.pi) for place in places]
     with pytest.raises(InputError, match="oscillating"):
         mode_problem(model, 1, equilibrium=places[-1])
 
@@ -149,6 +155,20 @@ def test_triple_1_is_reached_by_switching(second_mode):
     assert multiplier_error(point.floquet_multipliers, wanted) < 1e-9
 
 
+def test_branch_ends_where_it_was_born(second_mode, tmp_path):
+    """Followed backwards, the branch of triple 1 says that it joins the second mode, and where."""
+    curve, _, events = second_mode
+    event = next(one for one in events if one.kind == "branch_point")
+    (start,) = switch(curve, event)
+    settings = FamilySettings(directions="forward")
+    family = continue_command(start, points=8, out=tmp_path, name="branch", settings=settings)
+    assert family.ends[0].kind == "merged"
+    fold = family.events[-1]
+    assert (fold.kind, fold.detail) == ("fold", "energy")
+    assert abs(fold.parameter - event.parameter) < 1e-8
+    assert abs(fold.period - event.period) < 1e-8
+
+
 def test_triple_2_is_reached_by_switching():
     """The report's second triple orbit lies on a period-quadrupled branch of the third mode."""
     curve, _, events = walked(3, -43.0)
@@ -185,7 +205,7 @@ def test_symmetric_and_full_formulations_agree(tmp_path):
         folder = tmp_path / symmetry
         found.append(continue_command(start, at=wanted, out=folder, name="mode", settings=settings))
     for energy in wanted:
-        quarter, *others = ([p for p in f.points if p.role != "step" and abs(p.energy - energy) < 1e-9][0] for f in found)
+        quarter, *others = (exact_point(family, energy) for family in found)
         for other in others:
             assert abs(other.period - quarter.period) < 1e-12
             assert abs(other.action - quarter.action) < 1e-10 * quarter.action
@@ -222,7 +242,8 @@ def test_family_file_round_trip(tmp_path):
     family = continue_command(mode_problem(chain(2), 2), points=12, out=tmp_path, settings=settings)
     path = tmp_path / "mode-2" / "family.json"
     again = load_family(path)
-    assert all(np.array_equal(a.nodes, b.nodes) and a.period == b.period for a, b in zip(family.points, again.points))
+    pairs = list(zip(family.points, again.points, strict=True))
+    assert all(np.array_equal(a.nodes, b.nodes) and a.period == b.period for a, b in pairs)
     document = json.loads(path.read_text(encoding="utf-8"))
     names = ("state", "period", "energy", "action", "closure", "floquet_multipliers", "stability", "energy")
     assert all(name in point for name in names for point in document["points"])

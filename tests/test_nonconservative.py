@@ -43,6 +43,7 @@ def test_van_der_pol_has_its_published_period_and_amplitude(cycle):
 
 def test_van_der_pol_multiplier_is_the_exponential_of_the_divergence(cycle):
     """mu = exp(integral of 1 - x^2 over the cycle) (Liouville), integrated as a third equation: 1e-8 relative."""
+
     def field(t, x):
         return [x[1], (1 - x[0] ** 2) * x[1] - x[0], 1 - x[0] ** 2]
 
@@ -181,7 +182,7 @@ def test_the_jacobi_integral_is_conserved_where_the_kinetic_energy_has_linear_te
     np.testing.assert_allclose(momenta, [u - y, w + x], rtol=1e-14)
     rate = equations.field(0, [x, y, *momenta]).full().ravel()
     accelerated = model.acceleration(0, [x, y], [u, w], model.parameter_values).full().ravel()
-    np.testing.assert_allclose(rate[2:], accelerated + [-w, u], rtol=1e-12)
+    np.testing.assert_allclose(rate[2:], accelerated + np.array([-w, u]), rtol=1e-12)
 
 
 def test_the_arenstorf_orbit_closes_in_the_rotating_frame():

@@ -1,5 +1,6 @@
 """orbit.json: exact round trip, refusal of everything unreadable, whole files only."""
 
+import contextlib
 import json
 import os
 from dataclasses import fields, replace
@@ -236,10 +237,8 @@ def test_a_number_that_overflows_to_infinity_never_certifies(written, name):
     document = json.loads(written.read_text())
     text = json.dumps({**document, name: "PLACE"}).replace('"PLACE"', "1e999")
     written.write_text(text)
-    try:
+    with contextlib.suppress(InputError):
         assert not certify(load_orbit(written)).passed
-    except InputError:
-        pass
 
 
 def test_missing_files_and_folders_are_refused(tmp_path):

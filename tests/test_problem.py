@@ -22,7 +22,8 @@ def problem(links=2, gravity=9.8, **changes) -> Problem:
 def driven(period=np.pi):
     """A damped pendulum driven at 2 rad/s: no invariant."""
     q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
-    return lagrange(0.5 * v**2, -ca.cos(q), Symbols(q, v, time=t, forcing_period=period), forces=ca.cos(2 * t) - 0.1 * v)
+    symbols = Symbols(q, v, time=t, forcing_period=period)
+    return lagrange(0.5 * v**2, -ca.cos(q), symbols, forces=ca.cos(2 * t) - 0.1 * v)
 
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
@@ -156,9 +157,9 @@ GOOD = [0.1, 0.1, 0.0, 0.0]
         (dict(winding=(1, 0), symmetry="reflection"), "winding: a reflection orbit comes back"),
         (dict(segments=0), "segments: must be at least 1, got 0"),
         (dict(segments=-4), "segments: must be at least 1, got -4"),
-        (dict(tolerance=0.0), "tolerance: must be between 0 and 1, got 0.0"),
-        (dict(tolerance=1.0), "tolerance: must be between 0 and 1, got 1.0"),
-        (dict(tolerance=np.nan), "tolerance: must be between 0 and 1, got nan"),
+        (dict(tolerance=0.0), "tolerance: must be positive and at most 1e-06, got 0.0"),
+        (dict(tolerance=1.0), "tolerance: must be positive and at most 1e-06, got 1.0"),
+        (dict(tolerance=np.nan), "tolerance: must be positive and at most 1e-06, got nan"),
         (dict(free=("length7",)), "free: unknown physical parameter 'length7'; this system has length1"),
         (dict(pin=pin(thta1=0.1)), r"pin: unknown quantity 'thta1'.*theta1"),
         (dict(pin=pin(length1=0.1)), "pin: unknown quantity 'length1'"),

@@ -8,7 +8,7 @@ from orbitfinder.periodic.solve import find_orbit
 from orbitfinder.problemfile import load_problem
 
 FOLDER = Path(__file__).parents[1] / "problems"
-FILES = sorted([*(FOLDER / "report").glob("*.toml"), *(FOLDER / "examples").glob("*.toml")])
+FILES = sorted(path for room in ("report", "examples", "gallery") for path in (FOLDER / room).glob("*.toml"))
 REPORT = {
     "triple-1": 1.65533898831464,
     "triple-2": 2.92523733309107,

@@ -1,5 +1,7 @@
 """The shooting program: its derivatives, its regularity, the Hessian handed to IPOPT."""
 
+from itertools import pairwise
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -96,7 +98,7 @@ def test_newtons_method_converges_quadratically(solved):
     assert errors[-1] <= 1e-11
     assert len(errors) <= 5
     # constants of order 100 are allowed; linear convergence would break this at the second step
-    assert all(after <= max(200 * before**2, 1e-11) for before, after in zip(errors, errors[1:], strict=False))
+    assert all(after <= max(200 * before**2, 1e-11) for before, after in pairwise(errors))
 
 
 def test_the_system_is_regular_only_with_the_unfolding(solved):

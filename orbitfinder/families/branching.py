@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.events import parameter_slopes
 from orbitfinder.families.points import Event, FamilySettings, parameter_value
-from orbitfinder.families.propagate import build_propagator
+from orbitfinder.families.propagate import FORMULATIONS, build_propagator
 from orbitfinder.families.start import FIRST_STEPS, Start, corrected, curve_at, full_samples, unknown_parameters
 from orbitfinder.families.system import Aim, Curve, Place, advanced, at_place, correct, head_of
 
@@ -127,8 +128,6 @@ def _turns(curve: Curve, event: Event) -> np.ndarray:
 
 def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Place:
     """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
-    from orbitfinder.families.propagate import FORMULATIONS, march
-
     base, fraction = at_place(curve, _place_of(curve, event)), FORMULATIONS[symmetry].fraction
     here = curve.propagator.symmetry.fraction
     n, period = curve.propagator.size // 2, event.period * event.order
@@ -136,7 +135,7 @@ def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Place:
     count = len(states) - 1
     each = max(1, round(len(event.nodes) / here / 2)) if len(event.nodes) > 1 else 1
     parts = max(1, int(np.ceil(each * event.order * fraction)))
-    first = int(round(share * count))
+    first = round(share * count)
     chosen = first + np.round(np.arange(parts) * fraction * event.order * count / parts).astype(int)
     laps = chosen // count
     turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(n)])
@@ -146,8 +145,7 @@ def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Place:
     times = np.round(np.arange(parts) * fraction * event.order * count / parts) / (event.order * count)
     edges = np.append(times, fraction)
     steps = max(24, int(FIRST_STEPS * event.order * fraction / parts))
-    pieces = [np.linspace(a, b, steps + 1)[1:] for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    assert march is not None
+    pieces = [np.linspace(a, b, steps + 1)[1:] for a, b in pairwise(edges)]
     return Place(nodes, period, np.zeros(0), base.place.free, np.concatenate([[0.0], *pieces]))
 
 

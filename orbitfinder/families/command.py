@@ -121,8 +121,8 @@ def curve_from(journal: Journal, model: Model, settings: FamilySettings) -> Curv
     unknown_parameters(model, settings)
     propagator = build_propagator(model, entry["symmetry"], tuple(entry["free"]))
     held = tuple((int(k), float(value)) for k, value in entry["held"])
-    numbers = (np.asarray(entry["constant"], float), held, np.asarray(entry["weights"], float), entry["period"])
-    return Curve(propagator, *boundary_matrices(propagator), *numbers)
+    constant, weights = (np.asarray(entry[name], float) for name in ("constant", "weights"))
+    return Curve(propagator, *boundary_matrices(propagator), constant, held, weights, entry["period"])
 
 
 def directions(

@@ -10,12 +10,14 @@ import logging
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.ends import end_after
+from orbitfinder.families.ends import end_after, merged, shortest_step
 from orbitfinder.families.events import Interval, Probe, find_events, make_interval, make_probe, parameter_slopes
+from orbitfinder.families.mesh import settled
 from orbitfinder.families.points import (
     Batch,
     Check,
@@ -39,12 +41,13 @@ from orbitfinder.families.system import (
     correct,
     distance,
     head_of,
-    settled,
     tangent,
 )
 
 SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
+ECHO = 1e-2
+"""Arclength before a junction of two families within which nothing else is reported."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,7 @@ def first_point(start: Start, settings: FamilySettings, check: Check | None) -> 
     head = start.direction
     if parameter_slopes(start.curve, start.found.place, head)[settings.parameter] < 0:
         head = -head
-    began = time.perf_counter()
-    where = {"index": 0, "arclength": 0.0, "step": settings.first_step, "wall_time": time.perf_counter() - began}
+    where: dict[str, Any] = {"index": 0, "arclength": 0.0, "step": settings.first_step}
     return make_point(start.curve, start.found, head, settings.parameter, check, **where)[0]
 
 
@@ -95,7 +97,8 @@ def follow(walk: Walk, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
         try:
             stand, batch = stride(walk, stand)
         except (ConvergenceError, IntegrationError) as error:
-            yield Batch(walk.direction, end=end_after(walk.curve, stand.found, walk.settings, stand.shortest_period, str(error)))
+            end = end_after(walk.curve, stand.found, walk.settings, stand.shortest_period, str(error))
+            yield Batch(walk.direction, end=end)
             return
         yield batch
         if batch.end is not None:
@@ -132,8 +135,9 @@ def stride(walk: Walk, stand: Stand) -> tuple[Stand, Batch]:
             return _attempt(walk, stand, length)
         except (ConvergenceError, IntegrationError) as error:
             length *= 0.5
-            if length < walk.settings.shortest_step:
-                raise ConvergenceError(f"step below {walk.settings.shortest_step:g}: {error}") from error
+            least = shortest_step(walk.curve, stand.found, walk.settings, stand.shortest_period)
+            if length < least:
+                raise ConvergenceError(f"step below {least:g}: {error}") from error
 
 
 def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
@@ -153,12 +157,13 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
         whole = tangent(curve, found, head_of(whole, raw.place))
     last = make_probe(curve, length, raw, tangent(curve, raw, head) if found is not raw else whole,
                       stand.point.indices + stand.trend)  # fmt: skip
-    where = {
+    where: dict[str, Any] = {
         "index": stand.point.index + 1,
         "arclength": stand.point.arclength + walk.direction * length,
         "step": _next_step(walk.settings, length, raw.iterations, turn),
         "indices": last.indices,
     }
+    where["about"] = last.about if found is raw else None
     point, _ = make_point(curve, found, head_of(whole, found.place), walk.settings.parameter, walk.check, **where)
     point = replace(point, wall_time=time.perf_counter() - began)
     after = Stand(
@@ -194,9 +199,18 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
         final = _exact(walk, stand, interval, walk.until, folds, "end")
         if final:
             end = End("target", f"reached {settings.parameter} = {walk.until!r}")
-            kept = [point for group in extras for point in group if abs(point.arclength - where) <= abs(final[0].arclength - where)]
-            before = [event for event in named if abs(event.arclength - where) <= abs(final[0].arclength - where)]
-            return Batch(walk.direction, _ordered([*kept, final[0]]), tuple(before), end)
+            reach = abs(final[0].arclength - where)
+            kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
+            before = tuple(event for event in named if abs(event.arclength - where) <= reach)
+            return Batch(walk.direction, _ordered([*kept, final[0]]), before, end)
+    for event in named:
+        joined = merged(curve, _place_of(curve, event)) if (event.kind, event.detail) == ("fold", "energy") else None
+        if joined is not None:
+            reach = abs(event.arclength - where)
+            kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
+            # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
+            before = [one for one in named if abs(one.arclength - where) < reach - ECHO]
+            return Batch(walk.direction, _ordered(kept), (*before, event), joined)
     found = end_after(curve, after.found, settings, after.shortest_period, "", stand.found, walk.origin, after.point)
     points = [point for group in extras for point in group]
     if found is not None and found.kind == "equilibrium":
@@ -217,6 +231,11 @@ def _events(interval: Interval, settings: FamilySettings) -> list[tuple[float, E
         return []
 
 
+def _place_of(curve: Curve, event: Event) -> Place:
+    free = np.array(list(event.free.values()))
+    return Place(event.nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
+
+
 def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:
     return tuple(sorted(points, key=lambda point: abs(point.arclength)))
 
@@ -233,7 +252,7 @@ def _exact(
     levels = [_level(walk, interval, edge) for edge in edges]
     found = []
     for a, b, low, high in zip(edges[:-1], edges[1:], levels[:-1], levels[1:], strict=True):
-        if (low - value) * (high - value) > 0 or low == value or low == high:
+        if (low - value) * (high - value) > 0 or low in (value, high):
             continue
         guess = interval.guess(a + (b - a) * (value - low) / (high - low))
         place = _solve_level(walk, stand, guess, value, interval.length)
@@ -241,7 +260,7 @@ def _exact(
         normal = walk.curve.weights * head_of(stand.whole, stand.found.place)
         along = float(normal @ (place.place.head - stand.found.place.head))
         expected = interval.indices(along)
-        where = {
+        where: dict[str, Any] = {
             "index": stand.point.index, "arclength": stand.point.arclength + walk.direction * along,
             "step": stand.point.step, "role": role,
             "indices": make_probe(walk.curve, along, place, whole, expected).indices,

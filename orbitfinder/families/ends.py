@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from orbitfinder.families.points import End, FamilyPoint, FamilySettings
-from orbitfinder.families.system import Curve, Solution
+from orbitfinder.families.propagate import rates
+from orbitfinder.families.start import full_samples
+from orbitfinder.families.system import Curve, Place, Solution, at_place
+from orbitfinder.periodic.symmetry import recognise
 
 SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
@@ -13,8 +16,12 @@ SLOW_SHARE = 0.4
 """... and an orbit that spends this share of its period there is nearly homoclinic to it."""
 UNDERFLOW_GROWTH = 2.0
 """A step underflow with the period this much above the shortest, and slow, is read as homoclinic."""
-RETURN = 1e-2
-"""A family is back when energy, period and action agree with its start to this times the change per step."""
+MOST_COVERS = 6
+"""A family may join another one of up to this many times shorter a period."""
+JOINED = 1e-3
+"""How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
+HOMOCLINIC_STEP = 1e-2
+"""Steps of a nearly homoclinic family are not made shorter than this."""
 
 
 def end_after(
@@ -36,12 +43,21 @@ def end_after(
         return End("step underflow", failure)
     if before is not None and collapsed(curve, before, found):
         where = np.array2string(centre(curve, before), precision=6)
-        return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {before.place.period:.9g} s")
+        reason = f"the orbits shrink to the equilibrium at q = {where}, period {before.place.period:.9g} s"
+        return End("equilibrium", reason)
     if grown > settings.longest_period and share > SLOW_SHARE:
         return _homoclinic(curve, found, state, grown, "")
-    if origin is not None and point is not None and before is not None and returned(curve, before, found, origin, point):
+    started = origin is not None and point is not None and before is not None
+    if started and returned(curve, before, found, origin, point):  # type: ignore[arg-type]
+        assert point is not None
         return End("returned", f"back at its start after an arclength of {abs(point.arclength):.6g}")
     return None
+
+
+def shortest_step(curve: Curve, found: Solution, settings: FamilySettings, shortest_period: float) -> float:
+    """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
+    near = found.place.period > UNDERFLOW_GROWTH * shortest_period and slowness(curve, found)[0] > SLOW_SHARE
+    return HOMOCLINIC_STEP if near else settings.shortest_step
 
 
 def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
@@ -62,9 +78,8 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
     """
     p, place = curve.propagator, found.place
     states, n = found.march.states, p.size // 2
-    rates = np.stack([p.field(0.0, x, place.unfolding, place.free).full().ravel() for x in states])
-    clock = np.sqrt(curve.weights[n])
-    speed = np.sqrt((rates[:, :n] ** 2).sum(axis=1) + (clock * rates[:, n:]) ** 2 @ np.ones(n))
+    slopes, clock = rates(p, states, place.tail), np.sqrt(curve.weights[n])
+    speed = np.sqrt((slopes[:, :n] ** 2).sum(axis=1) + ((clock * slopes[:, n:]) ** 2).sum(axis=1))
     weights = np.diff(place.mesh)
     slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
@@ -103,3 +118,40 @@ def returned(curve: Curve, before: Solution, found: Solution, origin: FamilyPoin
     length = float(np.sqrt(curve.weights @ step**2))
     aside = float(np.sqrt(curve.weights @ (start - a - share * step) ** 2))
     return bool(-0.05 < share <= 1.05 and aside < 0.1 * length)
+
+
+def merged(curve: Curve, place: Place) -> End | None:
+    """At a fold in energy: whether the family joins there one of more symmetry or of a shorter period.
+
+    A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
+    """
+    found = at_place(curve, place)
+    energy = float(curve.propagator.quantities(place.nodes[0], place.free)[0].full()[0, 0])
+    where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
+    times, states = full_samples(curve, found)
+    angles = np.asarray(curve.propagator.model.angles)
+    name = recognise(times, states, angles)
+    extent, count = float(np.ptp(states, axis=0).max()), len(states) - 1
+    returns = [np.abs(_between(states, count / k) - states[0]).max() for k in range(2, MOST_COVERS + 1)]
+    covers = [k for k, gap in enumerate(returns, 2) if gap < JOINED * extent]
+    if covers:
+        return End("merged", f"joins a family of period T/{max(covers)} {where}")
+    if name not in ("none", curve.propagator.symmetry.name):
+        return End("merged", f"joins a family of symmetry {name} {where}")
+    if "reflection" not in curve.propagator.symmetry.name and _unreflected(states, angles) < JOINED * extent:
+        return End("merged", f"joins a family that is its own mirror image {where}")
+    return None
+
+
+def _unreflected(states: np.ndarray, angles: np.ndarray) -> float:
+    """The largest component of x(t + T/2) + x(t), angles modulo 2 pi."""
+    half, n = (len(states) - 1) // 2, states.shape[1] // 2
+    total = states[half : 2 * half] + states[:half]
+    wrapped = (total[:, :n] + np.pi) % (2 * np.pi) - np.pi
+    total[:, :n] = np.where(angles, wrapped, total[:, :n])
+    return float(np.abs(total).max())
+
+
+def _between(states: np.ndarray, place: float) -> np.ndarray:
+    low = int(place)
+    return np.asarray(states[low] + (place - low) * (states[min(low + 1, len(states) - 1)] - states[low]))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from math import gcd
 
 import numpy as np
@@ -63,6 +64,18 @@ class Interval:
 
 
 Measure = Callable[[Probe], float]
+
+
+def _slope(name: str) -> Measure:
+    return lambda probe: probe.slopes[name]
+
+
+def _passage(j: int, level: float) -> Measure:
+    return lambda probe: float(probe.indices[j].real - level)
+
+
+def _discriminant(i: int, j: int) -> Measure:
+    return lambda probe: float(((probe.indices[i] - probe.indices[j]) ** 2).real)
 
 
 @dataclass(frozen=True)
@@ -135,19 +148,19 @@ def tests_for(interval: Interval, settings: FamilySettings) -> Iterator[Test]:
         names = [*interval.curve.propagator.free]
     for name in names:
         if a.slopes[name] * b.slopes[name] < 0:
-            yield Test("fold", name, lambda probe, name=name: probe.slopes[name])
+            yield Test("fold", name, _slope(name))
     for j, (before, after) in enumerate(zip(a.indices, b.indices, strict=True)):
         if not (_is_real(before) and _is_real(after)):
             continue
         for level, kind, order, multiplier in _index_levels(a.about.root, settings.resonances):
             if (before.real - level) * (after.real - level) < 0:
-                measure: Measure = lambda probe, j=j, level=level: float(probe.indices[j].real - level)  # noqa: E731
-                yield Test(kind, f"q = {order}" if kind == "resonance" else "", measure, order, multiplier)
+                detail = f"q = {order}" if kind == "resonance" else ""
+                yield Test(kind, detail, _passage(j, level), order, multiplier)
     for i in range(a.indices.size):
         for j in range(i + 1, a.indices.size):
             before, after = ((p.indices[i] - p.indices[j]) ** 2 for p in (a, b))
             if _is_real(before) and _is_real(after) and before.real * after.real < 0:
-                yield Test("collision", "", lambda p, i=i, j=j: float(((p.indices[i] - p.indices[j]) ** 2).real))
+                yield Test("collision", "", _discriminant(i, j))
 
 
 def located(interval: Interval, test: Test) -> Probe:
@@ -210,7 +223,7 @@ def _changes(
         return []
     edges = [0.0, *(p.distance for p, _ in critical), interval.length]
     verdicts = [a]
-    for before, after in zip(edges[1:-2], edges[2:-1], strict=True):
+    for before, after in pairwise(edges[1:-1]):
         inner = probe_at(interval, 0.5 * (before + after)) if after - before > 1e-7 else None
         verdicts.append(verdicts[-1] if inner is None else inner.about.floquet.stability == "unstable")
     verdicts.append(b)

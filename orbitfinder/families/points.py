@@ -154,14 +154,15 @@ def parameter_value(curve: Curve, place: Place, name: str) -> float:
 
 
 def make_point(
-    curve: Curve, found: Solution, along: np.ndarray, parameter: str, check: Check | None, **where: Any
+    curve: Curve, found: Solution, along: np.ndarray, parameter: str, check: Check | None,
+    about: Spectrum | None = None, **where: Any
 ) -> tuple[FamilyPoint, Spectrum]:
     """The FamilyPoint of a corrected place; `where` gives index, arclength, step, role, indices.
 
     Raises `ConvergenceError` when the independent closure is above what double precision can hold.
     """
     p, place = curve.propagator, found.place
-    about = spectrum(curve, found)
+    about = about or spectrum(curve, found)
     largest = float(np.abs(about.floquet.multipliers).max(initial=1.0))
     allowed = CLOSURE * max(1.0, largest)
     free = dict(zip(p.free, map(float, place.free), strict=True))

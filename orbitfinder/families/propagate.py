@@ -137,7 +137,8 @@ def _quantities(model: Model, free: tuple[str, ...]) -> tuple[ca.Function, ca.Fu
     momenta = ca.Function("momenta_parts", parts, [ca.densify(ca.vertcat(upper, lower))])
     x = ca.MX.sym("x", 2 * n)
     whole = [x[:n], x[n:], chosen]
-    return ca.Function("quantities", [x, chosen], slopes.call(whole)), ca.Function("momenta", [x, chosen], momenta.call(whole))
+    quantities = ca.Function("quantities", [x, chosen], slopes.call(whole))
+    return quantities, ca.Function("momenta", [x, chosen], momenta.call(whole))
 
 
 @lru_cache(maxsize=64)
@@ -148,6 +149,17 @@ def _march(propagator: Propagator, steps: int, segments: int) -> ca.Function:
 @lru_cache(maxsize=64)
 def _trials(propagator: Propagator, count: int) -> ca.Function:
     return propagator.trial.map(count)
+
+
+@lru_cache(maxsize=64)
+def _fields(propagator: Propagator, count: int) -> ca.Function:
+    return propagator.field.map(count)
+
+
+def rates(propagator: Propagator, states: np.ndarray, tail: np.ndarray) -> np.ndarray:
+    """dx/dt (k x 2n) at states (k x 2n); `tail` is (T, s, free)."""
+    s, free = np.split(tail[1:], [propagator.unfolding])
+    return np.asarray(_fields(propagator, len(states))(0.0, states.T, s, free).full().T)
 
 
 @dataclass(frozen=True)
@@ -228,7 +240,8 @@ def closure_check(model: Model) -> ClosureCheck:
 
     Hamilton's equations, derived from the energies alone, by SciPy's adaptive DOP853 at its tightest.
     """
-    n, prepared = model.degrees_of_freedom, [({}, *_hamiltonian(model))]
+    n = model.degrees_of_freedom
+    prepared: list[tuple[dict[str, float], Any, ca.Function]] = [({}, *_hamiltonian(model))]
 
     def check(
         state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,

@@ -21,7 +21,7 @@ class Spectrum:
     `root` is 2 where the orbit is its own mirror image after half a period, else 1: the multipliers
     are then squares of those of the half map x(0) -> -x(T/2), whose `indices` nu + 1/nu (complex, one
     a reciprocal pair) are what bifurcations are read from. `krein` is +1 or -1 for each multiplier on
-    the unit circle off the real axis, 0 for the others. `critical(...)` needs `reduced` and `basis`.
+    the unit circle off the real axis, 0 for the others.
     """
 
     floquet: Floquet
@@ -151,22 +151,5 @@ def matched(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = 
 def _squeezed(indices: np.ndarray) -> np.ndarray:
     """Large indices on a logarithmic scale, so that none of them dominates the matching."""
     size = np.abs(indices)
-    return np.asarray(indices * np.where(size > 4.0, (4.0 + np.log(np.maximum(size, 4.0) / 4.0)) / np.maximum(size, 4.0), 1.0))
-
-
-def critical_vectors(found: Spectrum, target: complex) -> np.ndarray:
-    """Real directions (k x 2n, k = 1 or 2) of the eigenvector of the root map nearest to `target`."""
-    values, vectors = np.linalg.eig(found.reduced)
-    vector = vectors[:, np.argmin(np.abs(values - target))]
-    vector = vector / vector[np.argmax(np.abs(vector))]
-    parts = [found.basis @ vector.real] + ([found.basis @ vector.imag] if abs(target.imag) > 1e-3 else [])
-    return np.asarray([part / np.linalg.norm(part) for part in parts])
-
-
-def unstable_pairs(indices: np.ndarray, error: float) -> int:
-    """How many pairs are off the unit circle by more than the error bar."""
-    away = np.where(np.abs(indices.imag) > error, np.abs(indices.imag), np.abs(indices.real) - 2.0)
-    return int(np.sum(away > error))
-
-
-__all__ = ["Spectrum", "critical_vectors", "matched", "reciprocal_pairs", "spectrum", "unstable_pairs"]
+    bounded = np.maximum(size, 4.0)
+    return np.asarray(indices * np.where(size > 4.0, (4.0 + np.log(bounded / 4.0)) / bounded, 1.0))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.mesh import remeshed, settled
 from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.propagate import Propagator, build_propagator, march
+from orbitfinder.families.propagate import Propagator, build_propagator, march, rates
 from orbitfinder.families.system import (
     Aim,
     Curve,
@@ -19,8 +21,6 @@ from orbitfinder.families.system import (
     head_of,
     kernel,
     make_curve,
-    remeshed,
-    settled,
 )
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
@@ -197,9 +197,9 @@ def _odd_state(curve: Curve, times: np.ndarray, states: np.ndarray) -> np.ndarra
     k = int(np.argmin(np.abs(away).max(axis=1)))
     v = states[k, n:]
     moment = times[k] - float(away[k] @ v) / max(float(v @ v), 1e-300)
-    rates = np.stack([curve.propagator.field(0.0, x, np.zeros(curve.propagator.unfolding), _numbers(curve)).full().ravel()
-                      for x in states])  # fmt: skip
-    state = CubicHermiteSpline(times, states, rates)(moment % times[-1])
+    tail = np.concatenate([[times[-1]], np.zeros(curve.propagator.unfolding), _numbers(curve)])
+    slopes = rates(curve.propagator, states, tail)
+    state = CubicHermiteSpline(times, states, slopes)(moment % times[-1])
     return np.asarray(state)
 
 
@@ -214,7 +214,7 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     n, parts = p.size // 2, len(place.nodes)
     edges = place.mesh[:: (place.mesh.size - 1) // parts]
     each = -(-count // parts)
-    mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in zip(edges[:-1], edges[1:], strict=True)]])
+    mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
     states = march(p, place.nodes, mesh, place.tail).states
     signs = np.concatenate([np.ones(n), -np.ones(n)])
     name = p.symmetry.name
@@ -225,9 +225,8 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     if "reflection" in name:
         half = curve.constant if name == "reflection" else np.concatenate([2 * curve.constant[n:], np.zeros(n)])
         mesh, states = np.concatenate([mesh, mesh[-1] + mesh[1:]]), np.vstack([states, half - states[1:]])
-    rates = np.stack([p.field(0.0, x, place.unfolding, place.free).full().ravel() for x in states])
     times = np.linspace(0.0, place.period, count + 1)
-    return times, CubicHermiteSpline(mesh * place.period, states, rates)(times)
+    return times, CubicHermiteSpline(mesh * place.period, states, rates(p, states, place.tail))(times)
 
 
 def section_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: str) -> np.ndarray:

@@ -213,7 +213,9 @@ def load_family(path: str | Path) -> Family:
         raise InputError(f"{source}: malformed entry ({error}); continue the family again") from error
 
 
-def _with_dense(source: Path, kind: str, type_: Any, entries: Sequence[Mapping[str, Any]], size: int) -> tuple[Any, ...]:
+def _with_dense(
+    source: Path, kind: str, type_: Any, entries: Sequence[Mapping[str, Any]], size: int
+) -> tuple[Any, ...]:
     """Points or events with the arrays of family.npz put back."""
     known = {one.name for one in dataclasses.fields(type_)}
     with np.load(source.with_suffix(".npz"), allow_pickle=False) as data:

@@ -11,21 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.propagate import March, Propagator, boundary_matrices, march, step_errors
+from orbitfinder.families.propagate import March, Propagator, boundary_matrices, march
 
 NEWTON_READY = 1e-12
 """Residual from which one more Newton step, not evaluated again, reaches round-off."""
 NEWTON_FLOOR = 1e-9
 """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
 MOST_NEWTON = 12
-STEP_ERROR = 3e-14
-"""Estimated relative error that one Runge-Kutta step may have; the true one is some 100 times smaller."""
-GROWTH = 30.0
-"""Segments are added until each one's state-transition matrix is below this."""
-MOST_SEGMENTS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +91,6 @@ def make_curve(
     relative = 1.0 / np.maximum(np.abs(free), 1e-3) ** 2
     weights = np.concatenate([np.ones(n), np.full(n, clock), [1.0 / period**2], relative])
     return Curve(propagator, *boundary_matrices(propagator), constant, held, weights)
-
-
-def uniform_mesh(curve: Curve, segments: int, steps: int) -> np.ndarray:
-    """Equal steps over the horizon, in units of the period."""
-    return np.linspace(0.0, curve.propagator.symmetry.fraction, segments * steps + 1)
 
 
 def phase_rows(curve: Curve, reference: Place) -> np.ndarray:
@@ -252,57 +241,6 @@ def advanced(place: Place, whole: np.ndarray, length: float, curvature: np.ndarr
     """The predictor: a step of this length along a tangent, with its curvature where that is known."""
     step = length * whole if curvature is None else length * whole + length**2 * curvature
     return _moved(place, step)
-
-
-def needs_mesh(curve: Curve, found: Solution) -> bool:
-    """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
-    errors = step_errors(curve.propagator, found.march.states, found.place.mesh, found.place.tail)
-    growths = _growths(curve, found)
-    wanted = _steps_wanted(errors)
-    return bool(errors.max() > 30 * STEP_ERROR or growths.max() > 4 * GROWTH or wanted < 0.5 * errors.size)
-
-
-def _growths(curve: Curve, found: Solution) -> np.ndarray:
-    size = curve.propagator.size
-    clock = np.sqrt(curve.weights[:size])
-    return np.array([
-        np.linalg.norm(block[:, :size] * clock[:, None] / clock[None, :], 2) for block in found.march.sensitivities
-    ])  # fmt: skip
-
-
-def _steps_wanted(errors: np.ndarray) -> float:
-    return float(np.sum((errors / STEP_ERROR) ** 0.125))
-
-
-def remeshed(curve: Curve, found: Solution) -> Place:
-    """The place on a mesh that spreads the error estimate evenly, with as many segments as the growth asks for.
-
-    The estimate goes with the eighth power of the step, so (error / allowed)^(1/8) is the number of
-    steps that each present step should become. Nodes are interpolated and must be corrected again.
-    """
-    place, states = found.place, found.march.states
-    errors = step_errors(curve.propagator, states, place.mesh, place.tail)
-    density = np.maximum((errors / STEP_ERROR) ** 0.125, 0.15)
-    growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
-    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
-    each = int(np.ceil(1.1 * density.sum() / count)) + 2
-    each += -each % 4  # few distinct sizes, so that compiled marches are used again
-    work = np.concatenate([[0.0], np.cumsum(density)])
-    mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
-    p = curve.propagator
-    rates = np.stack([p.field(0.0, x, place.unfolding, place.free).full().ravel() for x in states]) * place.period
-    nodes = CubicHermiteSpline(place.mesh, states, rates)(mesh[:-1:each])
-    return replace(place, nodes=np.vstack([place.nodes[:1], nodes[1:]]), mesh=mesh)
-
-
-def settled(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
-    """The same orbit on a fitting mesh, held in the hyperplane through it with this normal."""
-    for _ in range(4):
-        if not needs_mesh(curve, found):
-            break
-        aim = Aim(float(normal @ found.place.head), normal)
-        found = correct(curve, remeshed(curve, found), aim, found.place)
-    return found
 
 
 def at_place(curve: Curve, place: Place) -> Solution:

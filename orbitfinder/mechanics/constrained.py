@@ -279,4 +279,5 @@ def reduced(model: ConstrainedModel) -> Model:
         points=model.points,
         centres=model.centres,
         forcing_period=model.forcing_period,
+        native=model,
     )

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
+
+if TYPE_CHECKING:
+    from orbitfinder.mechanics.constrained import ConstrainedModel
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ class Model:
     centres: ca.Function | None = None
     gyroscopic: ca.Function | None = None
     forcing_period: ca.Function | None = None
+    native: ConstrainedModel | None = None
+    """the DAE that this is the reduced form of, in redundant coordinates under constraints"""
 
     @property
     def conservative(self) -> bool:

@@ -24,6 +24,8 @@ from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceS
 
 SAMPLES = 512
 """Intervals at which the certifying integration is inspected."""
+LARGEST_SCALE = 1e6
+"""Tolerances grow with the largest multiplier up to this factor; beyond, closure would mean nothing."""
 LARGEST_COVER = 30
 """A recorded period is tested for being up to this many times the true one."""
 
@@ -32,6 +34,8 @@ LARGEST_COVER = 30
 class Tolerances:
     """What each check allows; closure and its kin are multiplied by the certificate's scale."""
 
+    largest_closure: float = 1e-6
+    """whatever tolerance a record asks for, no gap beyond this is a closure"""
     second_closure: float = 1e-9
     energy_drift: float = 1e-11
     cover: float = 1e-6
@@ -40,6 +44,8 @@ class Tolerances:
     symplectic: float = 1e-8
     unfolding: float = 1e-9
     record: float = 1e-10
+    constraint: float = 1e-11
+    native_closure: float = 1e-7
     multipliers: float = 1e-6
 
 
@@ -62,6 +68,10 @@ def gather(
     model: Model, state: np.ndarray, period: float, turns: np.ndarray, settings: ReferenceSettings = TIGHTEST
 ) -> Evidence:
     """Integrate Hamilton's equations with their variations once round and measure (see `Evidence`)."""
+    if model.native is not None:
+        from orbitfinder.periodic.dae_evidence import gather_constrained
+
+        return gather_constrained(model, state, period, turns, settings)
     n = model.degrees_of_freedom
     equations = canonical(model)
     values = model.parameter_values
@@ -141,8 +151,8 @@ def _symplectic_defect(monodromy: np.ndarray) -> float:
 def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | None = None) -> Certificate:
     """The certificate of an orbit, from its state and period alone.
 
-    The closure is required to be below `orbit.tolerance` times max(1, largest multiplier), which
-    is what double precision can hold. `model` is needed for systems that no file describes.
+    The closure is required to be below `orbit.tolerance` times max(1, largest multiplier) (at most
+    1e6), which is what double precision can hold. `model` is needed for systems that no file describes.
     """
     allowed = tolerances or Tolerances()
     model = model or build_model(orbit.system)
@@ -157,9 +167,10 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         second = _second_closure(model, orbit, turns)
     except IntegrationError as error:
         return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
-    scale = max(1.0, float(np.abs(evidence.floquet.multipliers).max(initial=1.0)))
+    scale = min(max(1.0, float(np.abs(evidence.floquet.multipliers).max(initial=1.0))), LARGEST_SCALE)
+    bound = min(orbit.tolerance, allowed.largest_closure)
     checks = [
-        _at_most("closure", evidence.closure, orbit.tolerance * scale, "DOP853 on Hamilton's equations"),
+        _at_most("closure", evidence.closure, bound * scale, "DOP853 on Hamilton's equations"),
         _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift * scale, "relative to the energy exchanged")
         if model.conservative
@@ -176,6 +187,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         _at_most("unfolding", max(map(abs, orbit.unfolding), default=0.0), allowed.unfolding * scale, "back at 0")
         if model.invariants
         else None,
+        *_constraint_checks(orbit, model, allowed, scale),
         *_record_checks(orbit, evidence, model, allowed, scale),
         *_expected_checks(orbit),
     ]
@@ -197,6 +209,20 @@ def _second_closure(model: Model, orbit: Orbit, turns: np.ndarray) -> float:
     function = ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])
     ends = integrate(vector_field(function), orbit.state, np.array([0.0, orbit.period]), SECOND)
     return gap(ends[0], ends[-1], turns)
+
+
+def _constraint_checks(orbit: Orbit, model: Model, allowed: Tolerances, scale: float) -> list[Check]:
+    """The state on the constraints and, by IDAS on the native DAE, back where it was after a period."""
+    if model.native is None:
+        return []
+    from orbitfinder.periodic.dae_evidence import constraint_defect, native_closure
+
+    defect = constraint_defect(model, orbit.state)
+    returned = native_closure(model, orbit.state, orbit.period, np.asarray(orbit.winding, int))
+    return [
+        _at_most("constraint", defect, allowed.constraint, "largest |phi|, |J v| of the state"),
+        _at_most("native_closure", returned, allowed.native_closure * scale, "IDAS on the native DAE"),
+    ]
 
 
 def _motion(evidence: Evidence) -> float:
@@ -253,10 +279,11 @@ def _record_checks(
     """What the record claims against what was recomputed; catches a file edited by hand."""
     size = max(1.0, abs(evidence.energy))
     bulk = max(1.0, abs(evidence.action))
+    bound = min(orbit.tolerance, allowed.largest_closure)
     checks = [
         _at_most("energy", abs(orbit.energy - evidence.energy) / size, allowed.record, "recorded - recomputed"),
         _at_most("action", abs(orbit.action - evidence.action) / bulk, allowed.record * scale, "recorded - recomputed"),
-        _at_most("recorded_closure", abs(orbit.closure - evidence.closure), orbit.tolerance * scale, "recorded - recomputed"),
+        _at_most("recorded_closure", abs(orbit.closure - evidence.closure), bound * scale, "recorded - recomputed"),
         _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
         _same("stability", orbit.stability, evidence.floquet.stability),
         _same("symmetry", orbit.symmetry, recognise(evidence.times, evidence.states, np.asarray(model.angles))),

@@ -15,6 +15,7 @@ from orbitfinder.periodic.polish import least_steps, segment, tail_of
 from orbitfinder.periodic.problem import Problem
 from orbitfinder.periodic.shooting import boundary_shift
 from orbitfinder.periodic.symmetry import recognise
+from orbitfinder.periodic.tangent import tangent_space
 
 
 def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfolding: np.ndarray) -> Orbit:
@@ -89,6 +90,9 @@ def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> F
     for k, node in enumerate(nodes):
         monodromy = transition(flow, node, period / count, k * period / count)[1] @ monodromy
     gradients, directions = frame(model, flow, nodes[0])
+    if model.native is not None:
+        basis = tangent_space(model.native, nodes[0])
+        monodromy, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
     return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=model.conservative)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.flow import Flow
+from orbitfinder.flow import Flow, integration_error
 from orbitfinder.periodic.shooting import Shooting
 from orbitfinder.quiet import captured
 from orbitfinder.runge_kutta import refined_march
@@ -45,10 +45,24 @@ def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     duration = period * problem.boundary.fraction / layout.segments
     tail = tail_of(shooting.flow, unfolding, free)
     least = least_steps(round(layout.segments / problem.boundary.fraction))
+    spans = [(k * duration, (k + 1) * duration) for k in range(layout.segments)]
     ends = [
-        segment(shooting.flow, node, (k * duration, (k + 1) * duration), tail, least)[-1] for k, node in enumerate(layout.nodes(w))
+        segment(shooting.flow, node, span, tail, least)[-1]
+        for node, span in zip(layout.nodes(w), spans, strict=True)
     ]
     return np.asarray(shooting.rows(w, np.asarray(ends).T).full().ravel())
+
+
+def jacobian_at(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """dg/dw by the variational equations; CVODES' failure becomes an `IntegrationError`."""
+    failure: RuntimeError | None = None
+    with captured() as output:
+        try:
+            return np.asarray(shooting.jacobian(w).full())
+        except RuntimeError as error:
+            failure = error
+    nodes, period = shooting.layout.nodes(w), shooting.layout.tail(w)[0]
+    raise integration_error(f"{output.text}\n{failure}", nodes[0], 0.0, period / len(nodes))
 
 
 def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
@@ -58,8 +72,7 @@ def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
     least-squares one. Raises `ConvergenceError` when the residual grows instead.
     """
     w, best = start, residual(shooting, start)
-    with captured():
-        jacobian = shooting.jacobian(w).full()
+    jacobian = jacobian_at(shooting, w)
     for _ in range(MOST_STEPS):
         step = np.linalg.lstsq(jacobian, -best, rcond=None)[0]
         trial = w + step

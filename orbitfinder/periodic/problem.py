@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.dae_flow import check_consistent
 from orbitfinder.errors import CountError, InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, Pin, Symmetry, check_pin, unfolded_invariants
@@ -15,6 +16,8 @@ from orbitfinder.periodic.symmetry import check_symmetry, time_dependent
 
 CLOSURE_TOLERANCE = 1e-12
 """Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
+LARGEST_TOLERANCE = 1e-6
+"""A looser closure than this is not called one, whatever a problem or a file asks for."""
 
 
 @dataclass(frozen=True)
@@ -154,8 +157,10 @@ def _check(problem: Problem) -> None:
     _check_winding(problem)
     if problem.segments is not None and problem.segments < 1:
         raise InputError(f"segments: must be at least 1, got {problem.segments}; leave it out for the default")
-    if not 0 < problem.tolerance < 1:
-        raise InputError(f"tolerance: must be between 0 and 1, got {problem.tolerance}; the default is 1e-12")
+    if not 0 < problem.tolerance <= LARGEST_TOLERANCE:
+        raise InputError(
+            f"tolerance: must be positive and at most {LARGEST_TOLERANCE:g}, got {problem.tolerance}; the default is 1e-12"
+        )
     for name in problem.free:
         model.parameter_index(name)
     for one in problem.pin:
@@ -167,6 +172,8 @@ def _check(problem: Problem) -> None:
         )
     if not model.conservative:
         _check_forcing(problem)
+    if model.native is not None:
+        check_consistent(replace(model.native, parameter_values=model.parameter_values), state)
     check_symmetry(model, state, problem.symmetry, problem.forcing_cycles)
 
 

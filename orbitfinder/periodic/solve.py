@@ -17,6 +17,7 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.failure import explain, refuse_equilibrium
+from orbitfinder.periodic.dae_segments import build_dae_flow
 from orbitfinder.periodic.measure import dense, measure
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.polish import polish
@@ -72,7 +73,8 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     check_invariants(problem)
     problem = at_forcing_period(problem)
     unfolded = unfolded_invariants(problem.model, problem.boundary)
-    flow = build_flow(problem.model, problem.free, unfolded, settings.integrator)
+    build = build_flow if problem.model.native is None else build_dae_flow
+    flow = build(problem.model, problem.free, unfolded, settings.integrator)
     nodes = initial_nodes(problem, flow, settings)
     if problem.winding is None:
         problem = replace(problem, winding=winding_of(problem, flow, nodes))
@@ -84,7 +86,7 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     if settings.with_certificate:
         orbit = replace(orbit, certificate=certify(orbit, refined.problem.model))
     if progress:
-        progress(Progress("certified", 0, orbit.closure, orbit.period, time.perf_counter() - began))
+        progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
 
 
@@ -278,5 +280,6 @@ def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[
         "ipopt_tolerance": settings.ipopt_tolerance,
         "guess": {"state": [float(x) for x in problem.guess.state], "period": float(problem.guess.period)},
         "pin": {one.name: one.value for one in problem.pin},
+        "invariants": [one.name for one in problem.model.invariants],
         "wall_time": round(time.perf_counter() - began, 3),
     }

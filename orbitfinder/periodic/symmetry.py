@@ -11,8 +11,8 @@ from orbitfinder.mechanics.model import Model
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
-MIRROR = 1e-3
-"""Agreement of the motion before and after a turning instant, relative; splines over steep parts cost digits."""
+MIRROR = 1e-5
+"""Largest harmonic of the motion that breaks the mirror about a turning instant, relative to the largest rate."""
 
 
 def recognise(times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> str:
@@ -104,10 +104,12 @@ def _mirrored(
     defects = np.abs(defect(there)).max(axis=1)
     if not defects.size or defects.min() > allowed:
         return False
-    centre, period = moments[int(defects.argmin())], times[-1]
-    lags = times[:-1]
-    odd = rates((centre + lags) % period) + sign * rates((centre - lags) % period)
-    return bool(np.abs(odd).max() <= MIRROR * np.abs(states[:, n:]).max())
+    centre = moments[int(defects.argmin())]
+    # v odd (even) about the centre: Fourier coefficients there are imaginary (real); exact for periodic samples
+    harmonics = np.fft.rfft(states[:-1, n:], axis=0) * (2.0 / (len(states) - 1))
+    phases = np.exp(2j * np.pi * np.arange(len(harmonics)) * centre / times[-1])[:, None]
+    broken = (harmonics * phases).real if sign > 0 else (harmonics * phases).imag
+    return bool(np.abs(broken).max() <= MIRROR * np.abs(states[:, n:]).max())
 
 
 def time_dependent(model: Model) -> bool:
@@ -121,6 +123,11 @@ def check_symmetry(model: Model, state: np.ndarray, symmetry: str, cycles: int =
     Brake needs a(-t, q, -v) = a(t, q, v); reflection needs a(t + T/2, -q, -v) = -a(t, q, v), where
     T is `cycles` periods of the forcing.
     """
+    if model.native is not None and symmetry != "none":
+        raise InputError(
+            f"symmetry: {symmetry!r} cannot be imposed on a system under constraints, whose stabilisation is damped; "
+            "use symmetry = 'none' (symmetric orbits are recognised)"
+        )
     half = 0.0
     if model.forcing_period is not None:
         half = cycles * float(model.forcing_period(model.parameter_values)) / 2

@@ -48,9 +48,9 @@ def frequency_energy(families: Sequence[Family], marks: dict[str, tuple[float, f
     for k, family in enumerate(families):
         colour = COLOURS[k % len(COLOURS)]
         for stable, run in runs(family.points):
-            energy, period = ([getattr(point, name) for point in run] for name in ("energy", "period"))
+            across, up = [point.energy for point in run], [1.0 / point.period for point in run]
             style = {"linestyle": "-" if stable else "--", "linewidth": 1.8 if stable else 1.1}
-            axes.plot(energy, 1.0 / np.asarray(period), color=colour, **style)
+            axes.plot(across, up, color=colour, **style)
         for event in family.events:
             marker, text = MARKERS[event.kind]
             face = colour if event.kind != "branch_point" else "white"

@@ -1,0 +1,262 @@
+"""Where searches start: a function of (seed, index) alone, so that any worker can make any start.
+
+Every strategy proposes a state on the energy shell, simulates it over the longest period wanted and
+takes one of the times at which the boundary condition of its symmetry comes nearest to holding.
+Close returns as starting points: D. P. Lathrop, E. J. Kostelich, Physical Review A 40 (1989) 4028-4031.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.flow import Flow, IntegratorSettings, build_flow, sample
+from orbitfinder.mechanics.model import Model, energies
+from orbitfinder.periodic.conditions import SYMMETRIES, unfolded_invariants
+from orbitfinder.periodic.guesses import normal_modes
+
+SAMPLES_PER_PERIOD = 400
+"""Samples of the simulation over the longest period."""
+CHOICES = 4
+"""The period is drawn from this many of the nearest returns."""
+RECURRENCE_SPAN = 3.0
+"""A recurrence start simulates this many of the longest periods."""
+ATTEMPTS = 200
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a search looks for: energy in J and the range of minimal periods in s."""
+
+    energy: float
+    periods: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Everything about a model that starts share: flows by symmetry, equilibrium, normal modes."""
+
+    model: Model
+    target: Target
+    loose: Mapping[str, Flow]
+    tight: Mapping[str, Flow]
+    equilibrium: np.ndarray
+    shapes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start: its number, strategy, the symmetry imposed, state (2n) and period (s)."""
+
+    index: int
+    strategy: str
+    symmetry: str
+    state: np.ndarray
+    period: float
+
+
+def bench(model: Model, target: Target, tolerance: float = 1e-8) -> Bench:
+    """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
+    check(model, target)
+    place = equilibrium(model)
+    lowest = float(energies(model, np.concatenate([place, np.zeros_like(place)])[None])[1][0])
+    if target.energy <= lowest:
+        raise InputError(
+            f"energy: {target.energy:.9g} J is not above {lowest:.9g} J, the system at rest; give a larger energy"
+        )
+    loose, tight = (
+        {
+            name: build_flow(model, (), unfolded_invariants(model, symmetry), settings)
+            for name, symmetry in SYMMETRIES.items()
+        }
+        for settings in (IntegratorSettings(tolerance, tolerance, 5000), IntegratorSettings())
+    )
+    return Bench(model, target, loose, tight, place, normal_modes(model, place)[1])
+
+
+def check(model: Model, target: Target) -> None:
+    """`InputError` when a model has no energy shells, or when the target makes no sense."""
+    names = [one.name for one in model.invariants]
+    if not model.conservative or model.forced or len(names) != 1:
+        raise InputError(
+            f"search: works on energy shells of systems that conserve the energy and nothing else; this one "
+            f"conserves {', '.join(names) or 'nothing'}; use find with a guess instead"
+        )
+    low, high = target.periods
+    if not (np.isfinite(high) and 0 < low < high):
+        raise InputError(f"search.period: must be two increasing positive numbers, got {low:g}, {high:g}; in s")
+    if not np.isfinite(target.energy):
+        raise InputError(f"energy: must be finite, got {target.energy}; give a number in J")
+
+
+def equilibrium(model: Model) -> np.ndarray:
+    """Coordinates (n) of the minimum of the potential nearest to q = 0."""
+    from scipy.optimize import minimize
+
+    n = model.degrees_of_freedom
+
+    def potential(q: np.ndarray) -> float:
+        return float(model.potential(q, model.parameter_values))
+
+    zero = np.zeros(n)
+    slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
+    if np.abs(slopes).max() < 1e-11 * max(1.0, abs(potential(zero))):
+        return zero
+    found = minimize(potential, zero, method="BFGS", options={"gtol": 1e-11})
+    return np.asarray(minimize(potential, found.x, method="Nelder-Mead", options={"xatol": 1e-12, "fatol": 0}).x)
+
+
+def make_start(one: Bench, seed: int, index: int) -> Start:
+    """The start with this number; `ConvergenceError` when its strategy proposes none."""
+    name = strategy_of(index)
+    symmetry, propose = STRATEGIES[name]
+    random = np.random.default_rng([seed, index])
+    state = propose(one, random)
+    if name == "recurrence":
+        state, period = _recurrence(one, state, random)
+    else:
+        period = _return_time(one, symmetry, state, random)
+    return Start(index, name, symmetry, state, period)
+
+
+def strategy_of(index: int) -> str:
+    """Strategies take turns."""
+    return tuple(STRATEGIES)[index % len(STRATEGIES)]
+
+
+def random_position(one: Bench, random: np.random.Generator, most: float = 1.0) -> np.ndarray:
+    """Coordinates (n) with V < E, angles uniform within `most` of a half turn of the equilibrium."""
+    n = one.model.degrees_of_freedom
+    reach = np.where(np.asarray(one.model.angles or (False,) * n), np.pi, 2.0)
+    for attempt in range(ATTEMPTS):
+        shrink = most * (1.0 - 0.9 * attempt / ATTEMPTS)
+        q = one.equilibrium + shrink * reach * random.uniform(-1, 1, n)
+        if potential(one, q) < one.target.energy:
+            return q
+    raise ConvergenceError("no position below the energy")
+
+
+def potential(one: Bench, q: np.ndarray) -> float:
+    """V(q) in J."""
+    return float(one.model.potential(q, one.model.parameter_values))
+
+
+def on_shell(one: Bench, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """The state (2n) at q with velocity along `direction` and the target's energy."""
+    kinetic = float(one.model.kinetic(q, direction, one.model.parameter_values))
+    size = np.sqrt((one.target.energy - potential(one, q)) / max(kinetic, 1e-300))
+    return np.concatenate([q, size * direction])
+
+
+def at_rest(one: Bench, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """The state of rest where the ray from q (V < E) along `direction` first meets V = E."""
+    from scipy.optimize import brentq
+
+    def excess(length: float) -> float:
+        return potential(one, q + length * direction) - one.target.energy
+
+    lengths = np.linspace(0.0, 2 * np.pi, 64) / np.linalg.norm(direction)
+    above = [length for length in lengths if excess(length) > 0]
+    if not above:
+        raise ConvergenceError("the ray does not meet the energy")
+    step = lengths[1]
+    root = brentq(excess, above[0] - step, above[0], xtol=1e-14)
+    return np.concatenate([q + root * direction, np.zeros(q.size)])
+
+
+def _random_state(one: Bench, random: np.random.Generator) -> np.ndarray:
+    q = random_position(one, random)
+    return on_shell(one, q, random.normal(size=q.size))
+
+
+def _random_rest(one: Bench, random: np.random.Generator) -> np.ndarray:
+    q = random_position(one, random, 0.7)
+    return at_rest(one, q, random.normal(size=q.size))
+
+
+def _mode_rest(one: Bench, random: np.random.Generator) -> np.ndarray:
+    """Rest on the energy shell along a combination of one to three normal modes."""
+    n = one.shapes.shape[1]
+    weights = random.normal(size=n) * (random.uniform(size=n) < 0.6)
+    if not weights.any():
+        weights[random.integers(n)] = 1.0
+    return at_rest(one, one.equilibrium, one.shapes @ weights)
+
+
+def _centre(one: Bench, random: np.random.Generator) -> np.ndarray:
+    """Passing through the equilibrium configuration, where many reflection-symmetric orbits go through."""
+    return on_shell(one, one.equilibrium, random.normal(size=one.equilibrium.size))
+
+
+STRATEGIES: Mapping[str, tuple[str, Callable[[Bench, np.random.Generator], np.ndarray]]] = {
+    "brake": ("brake", _random_rest),
+    "normal-modes": ("brake+reflection", _mode_rest),
+    "random": ("none", _random_state),
+    "rest-symmetric": ("brake+reflection", _random_rest),
+    "reflection": ("reflection", _random_state),
+    "brake-modes": ("brake", _mode_rest),
+    "recurrence": ("none", _random_state),
+    "centre": ("reflection", _centre),
+}
+"""Name -> (symmetry imposed, proposal of a state on the energy shell)."""
+
+
+def wrapping(model: Model) -> np.ndarray:
+    """Which components of a state (2n) count modulo 2 pi."""
+    n = model.degrees_of_freedom
+    return np.concatenate([np.asarray(model.angles or (False,) * n, bool), np.zeros(n, bool)])
+
+
+def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
+    """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
+    n = one.model.degrees_of_freedom
+    rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
+    start, turning = states[0], wrapping(one.model)
+    if symmetry == "brake":
+        return np.asarray(np.abs(states[:, n:]).max(axis=1) / rate)
+    gaps = states - start if symmetry == "none" else states + start
+    gaps = np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+    if symmetry == "brake+reflection":
+        return np.asarray(np.abs(states[:, :n]).max(axis=1))
+    return np.asarray((np.abs(gaps) / np.concatenate([np.ones(n), np.full(n, rate)])).max(axis=1))
+
+
+def simulated(one: Bench, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states of a loose simulation."""
+    count = int(np.ceil(SAMPLES_PER_PERIOD * duration / one.target.periods[1])) + 1
+    return np.linspace(0.0, duration, count), sample(one.loose["none"], state, duration, count)
+
+
+def _return_time(one: Bench, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
+    """A period at which the boundary condition nearly holds, drawn from the nearest few."""
+    fraction = SYMMETRIES[symmetry].fraction
+    low, high = one.target.periods
+    times, states = simulated(one, state, fraction * high)
+    gaps = boundary_gap(one, symmetry, states)
+    inner = (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:]) & (times[1:-1] >= fraction * low)
+    found = np.flatnonzero(inner) + 1
+    if not found.size:
+        raise ConvergenceError("no return in the range of periods")
+    best = found[np.argsort(gaps[found])][:CHOICES]
+    return float(times[random.choice(best)] / fraction)
+
+
+def _recurrence(one: Bench, state: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
+    """The state and period of one of the closest returns of a longer simulation to itself."""
+    low, high = one.target.periods
+    times, states = simulated(one, state, RECURRENCE_SPAN * high)
+    step, found = float(times[1]), []
+    for begin in range(0, int((RECURRENCE_SPAN - 1) * SAMPLES_PER_PERIOD), 10):
+        gaps = boundary_gap(one, "none", states[begin : begin + SAMPLES_PER_PERIOD])
+        first = int(np.ceil(low / step))
+        inner = gaps[first:-1]
+        minima = np.flatnonzero((inner <= gaps[first - 1 : -2]) & (inner <= gaps[first + 1 :])) + first
+        found += [(float(gaps[k]), begin, int(k)) for k in minima]
+    if not found:
+        raise ConvergenceError("no return in the range of periods")
+    best = sorted(found)[:CHOICES]
+    _, begin, length = best[random.integers(len(best))]
+    return states[begin], length * step

@@ -1,0 +1,65 @@
+"""A linkage in minimal coordinates by coordinate partitioning: n - 2 independent angles and no constraint left.
+
+The two dependent bars i < j close a triangle over the gap that the others leave (as in `assembly`), so
+their angles are explicit functions of the independent ones u, and with theta = Theta(u) the energies
+T(Theta, dTheta/du u'), V(Theta) give Lagrange's equations. Source: R. A. Wehage, E. J. Haug, "Generalized
+coordinate partitioning for dimension reduction in analysis of constrained dynamic systems", Journal of
+Mechanical Design 104 (1982) 247-255. Valid while the dependent bars are not in line (a dead point).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.constrained import ConstrainedModel
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanics.linkage import dimensions
+from orbitfinder.mechanics.model import Model
+
+
+def minimal_linkage(model: ConstrainedModel, independent: Sequence[int], branch: int = 1) -> Model:
+    """The Model of a linkage in the angles of its `independent` bars (n - 2 of 1..n), same energies.
+
+    `branch` is the sign of sin(theta_j - theta_i) of the dependent bars i < j, constant along the motion.
+    Raises `InputError`.
+    """
+    lengths, ground = dimensions(model)
+    chosen = [int(k) - 1 for k in independent]
+    rest = [k for k in range(lengths.size) if k not in chosen]
+    if len(rest) != 2 or len(set(chosen)) != lengths.size - 2 or branch not in (1, -1):
+        raise InputError(
+            f"independent: need {lengths.size - 2} different bars of 1 to {lengths.size} and branch +1 or -1, "
+            f"got {list(independent)!r} and {branch!r}"
+        )
+    assert model.lift is not None
+    u, rates = ca.SX.sym("u", len(chosen)), ca.SX.sym("udot", len(chosen))
+    angles = [ca.SX(0)] * lengths.size
+    gap = ca.SX(ca.DM(ground))
+    for position, k in enumerate(chosen):
+        angles[k] = u[position]
+        gap -= float(lengths[k]) * ca.vertcat(ca.cos(u[position]), ca.sin(u[position]))
+    i, j = rest
+    angles[i], angles[j] = _dyad(gap, float(lengths[i]), float(lengths[j]), branch)
+    theta = ca.vertcat(*angles)
+    values, n = ca.DM(model.parameter_values), model.coordinates
+    state = model.lift(theta, ca.jtimes(theta, u, rates), values)
+    return lagrange(
+        model.kinetic(state[:n], state[n:], values),
+        model.potential(state[:n], values),
+        Symbols(u, rates),
+        names=[f"theta{k + 1}" for k in chosen],
+        angles=(True,) * len(chosen),
+        system={"kind": "custom", "linkage": dict(model.system)},
+    )
+
+
+def _dyad(gap: ca.SX, first: float, second: float, branch: int) -> tuple[ca.SX, ca.SX]:
+    """Angles of two bars that span a gap (2): heading -+ arccos of the cosine rule, and what is left."""
+    distance = ca.norm_2(gap)
+    opening = ca.acos((distance**2 + first**2 - second**2) / (2 * distance * first))
+    angle = ca.atan2(gap[1], gap[0]) - branch * opening
+    elbow = gap - first * ca.vertcat(ca.cos(angle), ca.sin(angle))
+    return angle, ca.atan2(elbow[1], elbow[0])
