@@ -17,14 +17,27 @@ from orbitfinder.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from orbitfinder import errors as errors
+    from orbitfinder.dae_flow import DaeSettings as DaeSettings
+    from orbitfinder.dae_flow import simulate_dae as simulate_dae
     from orbitfinder.flow import IntegratorSettings as IntegratorSettings
     from orbitfinder.flow import build_flow as build_flow
     from orbitfinder.flow import end_state as end_state
     from orbitfinder.flow import sample as sample
     from orbitfinder.flow import transition as transition
+    from orbitfinder.mechanics.assembly import assemble as assemble
+    from orbitfinder.mechanics.assembly import linkage_rates as linkage_rates
     from orbitfinder.mechanics.chain import chain as chain
+    from orbitfinder.mechanics.constrained import Baumgarte as Baumgarte
+    from orbitfinder.mechanics.constrained import ConstrainedModel as ConstrainedModel
+    from orbitfinder.mechanics.constrained import constrained as constrained
     from orbitfinder.mechanics.lagrange import Symbols as Symbols
     from orbitfinder.mechanics.lagrange import lagrange as lagrange
+    from orbitfinder.mechanics.linkage import joint_forces as joint_forces
+    from orbitfinder.mechanics.linkage import linkage as linkage
+    from orbitfinder.mechanics.linkage import linkage_state as linkage_state
+    from orbitfinder.mechanics.maximal import chain_dae as chain_dae
+    from orbitfinder.mechanics.maximal import maximal_states as maximal_states
+    from orbitfinder.mechanics.maximal import minimal_states as minimal_states
     from orbitfinder.mechanics.model import Model as Model
     from orbitfinder.mechanics.model import energies as energies
     from orbitfinder.mechanics.model import energy as energy
@@ -40,24 +53,11 @@ if TYPE_CHECKING:
     from orbitfinder.periodic.problem import Problem as Problem
     from orbitfinder.periodic.solve import SolveSettings as SolveSettings
     from orbitfinder.periodic.solve import find_orbit as find_orbit
-    from orbitfinder.dae_flow import DaeSettings as DaeSettings
-    from orbitfinder.dae_flow import simulate_dae as simulate_dae
-    from orbitfinder.mechanics.assembly import assemble as assemble
-    from orbitfinder.mechanics.assembly import linkage_rates as linkage_rates
-    from orbitfinder.mechanics.constrained import Baumgarte as Baumgarte
-    from orbitfinder.mechanics.constrained import ConstrainedModel as ConstrainedModel
-    from orbitfinder.mechanics.constrained import constrained as constrained
-    from orbitfinder.mechanics.linkage import joint_forces as joint_forces
-    from orbitfinder.mechanics.linkage import linkage as linkage
-    from orbitfinder.mechanics.linkage import linkage_state as linkage_state
-    from orbitfinder.mechanics.maximal import chain_dae as chain_dae
-    from orbitfinder.mechanics.maximal import maximal_states as maximal_states
-    from orbitfinder.mechanics.maximal import minimal_states as minimal_states
+    from orbitfinder.problemfile import load_problem as load_problem
     from orbitfinder.show.animate import orbit_clip as orbit_clip
     from orbitfinder.show.animate import save_animation as save_animation
     from orbitfinder.show.animate import simulation_clip as simulation_clip
     from orbitfinder.show.plot import save_figures as save_figures
-    from orbitfinder.problemfile import load_problem as load_problem
 
 # name -> the module that defines it; "" marks a module exported whole
 _HOMES = {

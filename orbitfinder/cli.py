@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder import interrupt, pictures
+from orbitfinder import following, interrupt, pictures
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.version import __version__
 
@@ -244,5 +244,5 @@ def init(name: str) -> None:
     click.echo(f"{path}: written; next: orbitfinder run {path}")
 
 
-for command in (pictures.reproduce, pictures.plot, pictures.animate):
+for command in (pictures.reproduce, pictures.plot, pictures.animate, following.follow):
     cli.add_command(command)

@@ -212,7 +212,7 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         guess=guess,
         pin=pin(**(find.pin or {})),
         symmetry=find.symmetry,
-        winding=None if find.winding is None else tuple(find.winding),
+        winding=_turns(find.winding, model),
         segments=find.segments,
         tolerance=find.tolerance,
         free=tuple(find.free),
@@ -221,6 +221,13 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         title=table.title,
         source=table.source,
     )
+
+
+def _turns(winding: list[int] | None, model: Model) -> tuple[int, ...] | None:
+    """Turns per coordinate; a linkage's may be given per bar, whose centres of mass do not turn."""
+    if winding is None or model.native is None or len(winding) * 3 != model.degrees_of_freedom:
+        return None if winding is None else tuple(winding)
+    return tuple(k for turn in winding for k in (0, 0, turn))
 
 
 def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.ndarray | None:

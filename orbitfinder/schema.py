@@ -16,6 +16,8 @@ from pydantic_core import PydanticCustomError
 MOST_LINKS = 2000
 """Chains longer than this are refused: their state-transition matrices alone fill the memory."""
 MOST_SEGMENTS = 1000
+MOST_BARS = 40
+"""Bars of a linkage; its state-transition matrix has 6 rows per bar."""
 LARGEST_NUMBER = 1e300
 
 
@@ -74,6 +76,32 @@ class ChainSystem(Table):
     formulation: str = Field("recursive", description="how the equations are derived; the motion is the same")
 
 
+class LinkageSystem(Table):
+    """A closed planar chain of bars between two pivots on the ground, as a native DAE in maximal coordinates."""
+
+    kind: Literal["linkage"] = Field(description="which system this is")
+    length: list[Positive] = Field(
+        min_length=2, max_length=MOST_BARS,
+        description=f"length of the bars in m, positive, 2 to {MOST_BARS} of them; three and the ground are a four-bar",
+    )  # fmt: skip
+    ground: list[float] = Field(
+        min_length=2, max_length=2,
+        description="position [x, y] in m of the pivot at the end of the last bar, x down, y right; the first is at 0",
+    )  # fmt: skip
+    mass: PerLink = Field(1.0, description="mass of the bars in kg, positive, one number or one per bar")
+    inertia: PerLink | None = Field(
+        None, description="inertia of the bars about their centres of mass in kg m^2, m l^2 / 12 when left out"
+    )
+    com: PerLink = Field(
+        0.5, description="centre of mass as a fraction of the length from the upper joint, one number or one per bar"
+    )
+    gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
+    baumgarte: list[Positive] = Field(
+        [10.0, 10.0], min_length=2, max_length=2,
+        description="stabilisation [alpha, beta] of the constraints in 1/s, both positive",
+    )  # fmt: skip
+
+
 class PythonSystem(Table):
     """A system made by a Python function: a built-in one, or with `--trust` any installed or neighbouring module's."""
 
@@ -89,7 +117,7 @@ class PythonSystem(Table):
     )
 
 
-SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "python": PythonSystem}
+SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "python": PythonSystem}
 """The `[system]` table of each `kind`; a new kind is added here and in `mechanics.catalogue`."""
 
 
@@ -134,13 +162,28 @@ class GuessTable(Table):
         "with columns t (s), angles (rad), rates (rad/s); a header line is allowed",
     )
 
+    angles: dict[str, float] | None = Field(
+        None,
+        description="linkages: some link angles at t = 0 in rad, such as { theta1 = 0.6 }, as many as degrees of "
+        "freedom; the rest follows by assembly",
+    )
+    branch: Literal[1, -1] | None = Field(
+        None, description="linkages: which of the two assemblies, the sign of sin(theta_j - theta_i) of the other bars"
+    )
+    rates: dict[str, float] | None = Field(
+        None, description="linkages: some rates at t = 0 in rad/s, such as { theta1dot = 2.0 }; at rest when left out"
+    )
+    equilibrium: list[float] | None = Field(
+        None, description="linkages: link angles near the equilibrium of the mode, the lowest one when left out"
+    )
+
     @model_validator(mode="after")
     def _one_form(self) -> GuessTable:
-        given = [name for name in ("state", "mode", "csv") if getattr(self, name) is not None]
+        given = [name for name in ("state", "mode", "csv", "angles") if getattr(self, name) is not None]
         if len(given) != 1:
             found = " and ".join(given) or "none of them"
             raise PydanticCustomError(
-                "guess", "give exactly one of state (with period), mode (with amplitude) or csv, not {f}", {"f": found}
+                "guess", "give exactly one of state (with period), mode (with amplitude), angles or csv, not {f}", {"f": found}
             )
         if self.duration is not None and (self.state is None or self.period is not None):
             raise PydanticCustomError("guess", "duration goes with state and takes the place of period")

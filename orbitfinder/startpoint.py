@@ -12,11 +12,17 @@ from orbitfinder.periodic.guesses import normal_mode
 from orbitfinder.periodic.problem import Guess
 from orbitfinder.periodic.recurrence import normal_mode_sum, recurrences
 from orbitfinder.schema import GuessTable
+from orbitfinder.startlinkage import linkage_guess
 from orbitfinder.trajectory import read_trajectory
 
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
+    if model.native is not None and model.system.get("kind") == "linkage":
+        return linkage_guess(given, model, folder)
+    linkage_keys = [key for key in ("angles", "branch", "rates", "equilibrium") if getattr(given, key) is not None]
+    if linkage_keys:
+        raise InputError(f"guess.{linkage_keys[0]}: is for linkages only; give state and period, mode or csv")
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names))
     if given.mode is not None and given.amplitude is not None:

@@ -19,11 +19,33 @@ FLOORS = (
     ("atlas",),
     ("show",),
     ("report",),
-    ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation"),
-    ("console", "runner", "pictures", "cli", "__main__"),
+    ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation", "startlinkage"),
+    ("console", "runner", "pictures", "following", "searching", "cli", "__main__"),
 )
-SOLVING = ("conditions", "shooting", "solve", "polish", "measure", "certify", "guesses", "preparation")
-CASADI = ("mechanics", "systems", "flow", "dae_flow", "reference", "runge_kutta", "families.propagate", *(f"periodic.{name}" for name in SOLVING))
+SOLVING = (
+    "conditions",
+    "shooting",
+    "solve",
+    "polish",
+    "measure",
+    "certify",
+    "guesses",
+    "preparation",
+    "dae_orbit",
+    "dae_segments",
+    "dae_evidence",
+    "tangent",
+)
+CASADI = (
+    "mechanics",
+    "systems",
+    "flow",
+    "dae_flow",
+    "reference",
+    "runge_kutta",
+    "families.propagate",
+    *(f"periodic.{name}" for name in SOLVING),
+)
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 

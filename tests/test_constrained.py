@@ -152,7 +152,7 @@ def test_forces_may_depend_on_time():
 
 
 def test_hundred_links_for_ten_seconds():
-    """From horizontal rest by CVODES the energy stays within 1e-9 of m g l n^2 / 2 (times: benchmarks/derivation.py)."""
+    """From horizontal rest by CVODES the energy stays within 1e-9 of m g l n^2 / 2."""
     from orbitfinder.flow import IntegratorSettings
     from orbitfinder.mechanics.model import energies
 

@@ -209,8 +209,8 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
             reach = abs(event.arclength - where)
             kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
-            before = [one for one in named if abs(one.arclength - where) < reach - ECHO]
-            return Batch(walk.direction, _ordered(kept), (*before, event), joined)
+            clear = [one for one in named if abs(one.arclength - where) < reach - ECHO]
+            return Batch(walk.direction, _ordered(kept), (*clear, event), joined)
     found = end_after(curve, after.found, settings, after.shortest_period, "", stand.found, walk.origin, after.point)
     points = [point for group in extras for point in group]
     if found is not None and found.kind == "equilibrium":

@@ -159,7 +159,8 @@ def _check(problem: Problem) -> None:
         raise InputError(f"segments: must be at least 1, got {problem.segments}; leave it out for the default")
     if not 0 < problem.tolerance <= LARGEST_TOLERANCE:
         raise InputError(
-            f"tolerance: must be positive and at most {LARGEST_TOLERANCE:g}, got {problem.tolerance}; the default is 1e-12"
+            f"tolerance: must be positive and at most {LARGEST_TOLERANCE:g}, got {problem.tolerance}; "
+            f"the default is {CLOSURE_TOLERANCE:g}"
         )
     for name in problem.free:
         model.parameter_index(name)

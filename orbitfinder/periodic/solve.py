@@ -16,8 +16,8 @@ from orbitfinder.flow import Flow, IntegratorSettings, build_flow, end_state, tr
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
-from orbitfinder.periodic.failure import explain, refuse_equilibrium
 from orbitfinder.periodic.dae_segments import build_dae_flow
+from orbitfinder.periodic.failure import explain, refuse_equilibrium
 from orbitfinder.periodic.measure import dense, measure
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.polish import polish
