@@ -34,7 +34,7 @@ SOLVING = (
     "dae_orbit",
     "dae_segments",
     "dae_evidence",
-    "tangent",
+    "tangent", "linkage_guesses",
 )
 CASADI = (
     "mechanics",

@@ -58,7 +58,7 @@ def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) 
     symmetry, n = problem.boundary, problem.model.degrees_of_freedom
     if symmetry.name == "none":
         return nodes
-    shift = np.concatenate([boundary_shift(problem, nodes), np.zeros(n)])
+    end = None
     if "brake" in symmetry.name:
         reverse = np.concatenate([np.ones(n), -np.ones(n)])
         horizon = symmetry.fraction * period
@@ -67,6 +67,8 @@ def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) 
         mirrored = nodes[:0:-1] * reverse
         if symmetry.name == "brake":
             return np.vstack([nodes, end, mirrored])
+    shift = np.concatenate([boundary_shift(problem, nodes, None if end is None else end[0]), np.zeros(n)])
+    if end is not None:
         nodes = np.vstack([nodes, end, shift - mirrored])
     return np.vstack([nodes, shift - nodes])
 

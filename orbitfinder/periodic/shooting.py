@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from orbitfinder.flow import Flow, build_flow
+from orbitfinder.flow import Flow, build_flow, end_state
 from orbitfinder.periodic.conditions import boundary_rows, pin_row, unfolded_invariants
 from orbitfinder.periodic.problem import Problem
 
@@ -98,7 +98,8 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     w = ca.vertcat(*parts, *tail)
     ends = _ends(problem, flow, parts, tail)
     given = ca.MX.sym("ends", size, layout.segments)
-    rows = ca.Function("rows", [w, given], [_rows(problem, nodes, parts, tail, given)])
+    shift = boundary_shift(problem, nodes, _quarter_end(problem, nodes, flow))
+    rows = ca.Function("rows", [w, given], [_rows(problem, (nodes[0], shift), parts, tail, given)])
     constraints = rows(w, ends)
     lower, upper = _bounds(problem, layout, start)
     weights = _weights(problem, layout, start)
@@ -117,27 +118,37 @@ def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -
 
 
 def _rows(
-    problem: Problem, guess: np.ndarray, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX
+    problem: Problem, guess: tuple[np.ndarray, np.ndarray], parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX
 ) -> ca.MX:
-    """All rows of g: continuity, boundary, phase conditions, pins."""
+    """All rows of g: continuity, boundary, phase conditions, pins; from the guess its state and shift."""
+    state, shift = guess
     model, symmetry = problem.model, problem.boundary
     period, _, free = tail
     parameters = model.parameters(problem.free, free)
     rows = [ends[:, k] - parts[k + 1] for k in range(len(parts) - 1)]
-    rows.append(boundary_rows(symmetry, parts[0], ends[:, -1], boundary_shift(problem, guess)))
-    for direction in phase_directions(problem, guess[0]):
-        rows.append(ca.dot(ca.DM(direction), parts[0] - ca.DM(guess[0])))
+    rows.append(boundary_rows(symmetry, parts[0], ends[:, -1], shift))
+    for direction in phase_directions(problem, state):
+        rows.append(ca.dot(ca.DM(direction), parts[0] - ca.DM(state)))
     if model.forcing_period is not None:
         rows.append(period - problem.forcing_cycles * model.forcing_period(parameters))
     rows += [pin_row(model, one, parts[0], period, parameters) for one in problem.pin]
     return ca.vertcat(*rows)
 
 
-def boundary_shift(problem: Problem, guess: np.ndarray) -> np.ndarray:
+def _quarter_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
+    """The guess's state after a quarter period, at the centre of its swing, where the symmetry has one."""
+    if problem.symmetry != "brake+reflection":
+        return None
+    duration = problem.guess.period * problem.boundary.fraction / len(nodes)
+    return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
+
+
+def boundary_shift(problem: Problem, guess: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:
     """Multiples of 2 pi (n) by which the boundary rows are displaced.
 
     The winding for a full period; for a reflection, the multiple that the guess is nearest to
-    (the motion may be symmetric about an upright link).
+    (the motion may be symmetric about an upright link): its mean over half a period, or its `end`
+    after a quarter, 0 where that is not given.
     """
     n = problem.model.degrees_of_freedom
     if problem.symmetry == "none":
@@ -145,7 +156,8 @@ def boundary_shift(problem: Problem, guess: np.ndarray) -> np.ndarray:
     angles = np.asarray(problem.model.angles)
     if problem.symmetry == "brake":
         return np.zeros(n)
-    centre = np.mean(guess[:, :n], axis=0) if problem.symmetry == "reflection" else np.zeros(n)
+    quarter = np.zeros(n) if end is None else end[:n]
+    centre = np.mean(guess[:, :n], axis=0) if problem.symmetry == "reflection" else quarter
     return np.where(angles, 2 * np.pi * np.round(centre / np.pi), 0.0)
 
 

@@ -84,7 +84,9 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), *refined.layout.tail(w)[:2])
     orbit = replace(orbit, provenance=provenance(problem, settings, began))
     if settings.with_certificate:
-        orbit = replace(orbit, certificate=certify(orbit, refined.problem.model))
+        certificate = certify(orbit, refined.problem.model)
+        independent = [check.value for check in certificate.checks if check.name == "closure"]
+        orbit = replace(orbit, certificate=certificate, closure=(independent or [orbit.closure])[0])
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
