@@ -42,9 +42,17 @@ if TYPE_CHECKING:
     from orbitfinder.mechanics.model import energies as energies
     from orbitfinder.mechanics.model import energy as energy
     from orbitfinder.mechanics.model import positions as positions
+    from orbitfinder.mechanics.partition import minimal_linkage as minimal_linkage
     from orbitfinder.periodic.certify import certify as certify
     from orbitfinder.periodic.conditions import nearest as nearest
     from orbitfinder.periodic.conditions import pin as pin
+    from orbitfinder.periodic.dae_orbit import certify_dae as certify_dae
+    from orbitfinder.periodic.dae_orbit import dae_problem as dae_problem
+    from orbitfinder.periodic.dae_orbit import find_dae_orbit as find_dae_orbit
+    from orbitfinder.periodic.linkage_guesses import first_return as first_return
+    from orbitfinder.periodic.linkage_guesses import linkage_equilibrium as linkage_equilibrium
+    from orbitfinder.periodic.linkage_guesses import linkage_mode as linkage_mode
+    from orbitfinder.periodic.linkage_guesses import linkage_modes as linkage_modes
     from orbitfinder.periodic.orbit import Certificate as Certificate
     from orbitfinder.periodic.orbit import Orbit as Orbit
     from orbitfinder.periodic.orbit import load_orbit as load_orbit
@@ -102,6 +110,14 @@ _HOMES = {
     "save_animation": "show.animate",
     "simulation_clip": "show.animate",
     "save_figures": "show.plot",
+    "minimal_linkage": "mechanics.partition",
+    "certify_dae": "periodic.dae_orbit",
+    "dae_problem": "periodic.dae_orbit",
+    "find_dae_orbit": "periodic.dae_orbit",
+    "first_return": "periodic.linkage_guesses",
+    "linkage_equilibrium": "periodic.linkage_guesses",
+    "linkage_mode": "periodic.linkage_guesses",
+    "linkage_modes": "periodic.linkage_guesses",
     "load_problem": "problemfile",
 }
 

@@ -183,7 +183,9 @@ class GuessTable(Table):
         if len(given) != 1:
             found = " and ".join(given) or "none of them"
             raise PydanticCustomError(
-                "guess", "give exactly one of state (with period), mode (with amplitude), angles or csv, not {f}", {"f": found}
+                "guess",
+                "give exactly one of state (with period), mode (with amplitude), angles or csv, not {f}",
+                {"f": found},
             )
         if self.duration is not None and (self.state is None or self.period is not None):
             raise PydanticCustomError("guess", "duration goes with state and takes the place of period")

@@ -34,7 +34,8 @@ SOLVING = (
     "dae_orbit",
     "dae_segments",
     "dae_evidence",
-    "tangent", "linkage_guesses",
+    "tangent",
+    "linkage_guesses",
 )
 CASADI = (
     "mechanics",

@@ -1,5 +1,6 @@
 """Periodic orbits on the native DAE, against closed forms, quadratures and minimal coordinates."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -126,9 +127,10 @@ def test_rotating_four_bar_has_the_period_of_the_quadrature():
     """The crank turns over once in a period: winding found from the motion, period by quadrature to 1e-9."""
     model = of.linkage(**FOUR_BAR)
     theta = of.assemble(model, {"theta1": 0.6})
-    start = of.linkage_state(model, theta, of.linkage_rates(model, theta, {"theta1dot": 12.0}))
+    start = of.linkage_state(model, theta, of.linkage_rates(model, theta, {"theta1dot": 16.0}))
     level = energy(reduced(model), start)
-    orbit = find_dae_orbit(model, start, first_return(model, start), pin=of.pin(energy=level))
+    problem = dae_problem(model, start, first_return(model, start), pin=of.pin(energy=level))
+    orbit = of.find_orbit(replace(problem, tolerance=5e-12))  # the shear amplifies round-off
     assert orbit.certificate.passed, orbit.certificate.failures
     assert orbit.winding == (0, 0, 1, 0, 0, 0, 0, 0, 0)
     assert orbit.period == pytest.approx(rotating_period(model, level), abs=1e-9)
@@ -167,13 +169,17 @@ def test_five_bar_about_a_saddle_is_unstable():
     assert orbit.stability == "unstable" and orbit.floquet_multipliers[0].real == pytest.approx(growth, rel=0.2)
 
 
-def test_six_bar_mode():
-    """Three degrees of freedom: slowest mode of the hanging equilibrium, four multipliers in two pairs."""
+@pytest.mark.parametrize(
+    ("mode", "amplitude", "stability"), [(1, 0.1, "elliptic"), (2, 0.2, "elliptic"), (2, 0.4, "unstable")]
+)
+def test_six_bar_modes(mode, amplitude, stability):
+    """Three degrees of freedom: modes of the hanging equilibrium at growing energy, four multipliers in two pairs."""
     model = of.linkage(**SIX_BAR)
-    guess = linkage_mode(model, 1, 0.25)
-    orbit = find_dae_orbit(model, guess.state, guess.period, pin=of.pin(energy=-33.5))
+    guess = linkage_mode(model, mode, amplitude)
+    level = energy(reduced(model), guess.state)
+    orbit = find_dae_orbit(model, guess.state, guess.period, pin=of.pin(energy=level))
     assert orbit.certificate.passed, orbit.certificate.failures
-    assert orbit.symmetry == "brake" and orbit.floquet_multipliers.size == 4
+    assert orbit.symmetry == "brake" and orbit.floquet_multipliers.size == 4 and orbit.stability == stability
 
 
 def test_linear_modes_are_the_small_orbits():
@@ -201,8 +207,6 @@ def test_baumgarte_multipliers_never_appear():
 
 def test_a_tampered_orbit_is_not_certified():
     """A state off the orbit fails closure, one off the constraints fails there too."""
-    from dataclasses import replace
-
     model = cartesian_pendulum()
     orbit = find_dae_orbit(model, [0.2, np.sqrt(0.45), 0, 0], 1.9, pin=of.pin(energy=-1.3 * 9.81 * 0.2))
     assert certify_dae(orbit, model).passed
@@ -226,8 +230,6 @@ def test_bad_input_is_refused(change, words):
 
 def test_symmetry_is_refused_in_redundant_coordinates():
     """The damped stabilisation has no time reversal, so a brake condition would be singular."""
-    from dataclasses import replace
-
     problem = dae_problem(cartesian_pendulum(), [0.7, 0, 0, 1], 1.7)
     with pytest.raises(InputError, match="under constraints"):
         replace(problem, symmetry="brake")

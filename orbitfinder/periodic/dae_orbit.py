@@ -64,7 +64,9 @@ def find_dae_orbit(
     return find_orbit(problem, settings, progress)
 
 
-def certify_dae(orbit: Orbit, model: ConstrainedModel | None = None, tolerances: Tolerances | None = None) -> Certificate:
+def certify_dae(
+    orbit: Orbit, model: ConstrainedModel | None = None, tolerances: Tolerances | None = None
+) -> Certificate:
     """The certificate of an orbit under constraints; `model` is needed where no file describes the system.
 
     DOP853 on constrained Hamilton's equations without stabilisation, a linkage in its link angles; see `certify`.

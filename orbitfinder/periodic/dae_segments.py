@@ -55,25 +55,32 @@ class DaeFlow(Flow):
 
     def _integrated(self, inputs: list[ca.MX]) -> ca.MX:
         t0, x0, duration, s, free = inputs
-        options = {**self.dae_settings.options(), "calc_ic": True}
-        solver = ca.integrator("segment", "idas", self._dae(), 0.0, 1.0, options)
+        solver = ca.integrator("segment", "idas", self._dae(), 0.0, 1.0, self.dae_settings.options())
         native, n = _native(self.model), self.model.degrees_of_freedom
         z0 = native.algebraic(t0, x0[:n], x0[n:], self.model.parameters(self.free, free))
-        return solver(x0=x0, z0=z0, p=ca.vertcat(t0, duration, s, free))["xf"]
+        slope = duration * self.field(t0, x0, s, free)
+        deviation = solver(x0=ca.MX(x0.numel(), 1), z0=z0, p=ca.vertcat(t0, duration, s, free, x0, slope))["xf"]
+        return x0 + slope + deviation
 
     def _dae(self) -> dict[str, ca.SX]:
-        """The DAE on [0, 1] as CasADi's integrators take it; p = (t0, duration, s, free)."""
+        """The DAE on [0, 1] as CasADi's integrators take it; p = (t0, duration, s, free, x(0), x'(0)).
+
+        Its state is the deviation x - x(0) - clock x'(0), which starts with derivative 0: IDAS takes x' for 0
+        at the start and fails its first error test where that is wrong.
+        """
         native, n = _native(self.model), self.model.degrees_of_freedom
         clock, t0, duration = ca.SX.sym("clock"), ca.SX.sym("t0"), ca.SX.sym("duration")
         s, free = ca.SX.sym("s", len(self.unfolded)), ca.SX.sym("free", len(self.free))
-        x, z = ca.SX.sym("x", 2 * n), ca.SX.sym("z", n + native.constraints)
+        y, z = ca.SX.sym("y", 2 * n), ca.SX.sym("z", n + native.constraints)
+        base, slope = ca.SX.sym("base", 2 * n), ca.SX.sym("slope", 2 * n)
+        x = base + clock * slope + y
         parameters = self.model.parameters(self.free, free)
         acceleration = z[:n]
         for k, invariant in enumerate(self.unfolded):
             acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
         return {
-            "t": clock, "x": x, "z": z, "p": ca.vertcat(t0, duration, s, free),
-            "ode": duration * ca.vertcat(x[n:], acceleration),
+            "t": clock, "x": y, "z": z, "p": ca.vertcat(t0, duration, s, free, base, slope),
+            "ode": duration * ca.vertcat(x[n:], acceleration) - slope,
             "alg": native.residual(t0 + clock * duration, x, z, parameters),
         }  # fmt: skip
 

@@ -89,7 +89,8 @@ def linkage_mode(
 def first_return(model: ConstrainedModel, state: np.ndarray, longest: float = 20.0) -> float:
     """Time (s) at which the motion from a state (2n) is first back near its start, angles modulo 2 pi.
 
-    Of a linkage of one degree of freedom that is its period, to the sampling. Raises `InputError` when it does not come back.
+    Of a linkage of one degree of freedom that is its period, to the sampling. Raises `InputError` when it
+    does not come back.
     """
     count = int(200 * longest) + 1
     motion = simulate_dae(model, state, longest, count)
@@ -100,7 +101,8 @@ def first_return(model: ConstrainedModel, state: np.ndarray, longest: float = 20
     distance = np.maximum(np.abs(away[:, :n]).max(axis=1), np.abs(away[:, n:]).max(axis=1) / clock)
     near = NEAR_RETURN * float(distance.max())
     left = int(np.argmax(distance > near))
-    back = [k for k in range(left + 1, count - 1) if distance[k] < near and distance[k - 1] >= distance[k] <= distance[k + 1]]
+    lowest = (distance[1:-1] < near) & (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])
+    back = [k for k in np.flatnonzero(lowest) + 1 if k > left]
     if not left or not back:
         raise InputError(f"guess.period: the motion does not come back within {longest:g} s; give a period")
     return float(motion.times[back[0]])

@@ -23,7 +23,7 @@ ENERGY_SPAN, COMPARISON_SPAN = 10.0, 25.0
 SAMPLES_PER_SECOND = 100
 STABILISED = Baumgarte(alpha=20.0, beta=20.0)
 IDAS_TOLERANCE = 5e-15
-"""about the tightest at which IDAS still works here (2e-15 fails); at the report's 1e-13 its energy drifts 7e-9 J in 10 s"""
+"""about the tightest at which IDAS still works here (2e-15 fails); at 1e-13 the energy drifts 7e-9 J in 10 s"""
 LYAPUNOV_SPAN = 400.0
 """s over which the exponent is averaged"""
 
