@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.flow import Flow, end_state, transition
+from orbitfinder.flow import Flow, transition
 from orbitfinder.periodic.polish import least_steps, segment, tail_of
 from orbitfinder.periodic.problem import Problem
 from orbitfinder.periodic.shooting import boundary_shift, phase_directions
@@ -243,4 +243,3 @@ def accurate(one: System, path: Path) -> np.ndarray:
     return rows(one, path, np.asarray(ends)) / one.rows
 
 
-__all__ = ["Path", "QuickSettings", "System", "end_state", "polished", "segments_needed", "shot", "solve", "system"]

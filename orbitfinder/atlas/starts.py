@@ -180,7 +180,7 @@ def _random_rest(one: Bench, random: np.random.Generator) -> np.ndarray:
 def _mode_rest(one: Bench, random: np.random.Generator) -> np.ndarray:
     """Rest on the energy shell along a combination of one to three normal modes."""
     n = one.shapes.shape[1]
-    weights = random.normal(size=n) * (random.uniform(size=n) < 0.6)
+    weights = np.where(random.uniform(size=n) < 0.6, random.normal(size=n), 0.0)
     if not weights.any():
         weights[random.integers(n)] = 1.0
     return at_rest(one, one.equilibrium, one.shapes @ weights)

@@ -1,0 +1,41 @@
+"""Same orbit or another: images and phase shifts are the same, other orbits are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbitfinder.atlas.refine import attempt
+from orbitfinder.atlas.signature import LOOP_SAMPLES, images, same_orbit, signature_of
+from orbitfinder.atlas.starts import Target, bench, make_start, strategy_of
+from orbitfinder.mechanics.chain import chain
+
+
+@pytest.fixture(scope="module")
+def signatures(report_orbits):
+    return {name: signature_of(orbit, chain(orbit.state.size // 2)) for name, orbit in report_orbits.items()}
+
+
+def test_images_and_phase_shifts_are_the_same_orbit(signatures):
+    """Reflection, time reversal, both, each from another point of the loop."""
+    for one in signatures.values():
+        for image in images(one.loop):
+            assert same_orbit(one, replace(one, loop=np.roll(image, LOOP_SAMPLES // 3, axis=0)))
+
+
+def test_other_orbits_are_other(signatures):
+    """No two of the report's orbits are the same, nor is a loop moved off itself."""
+    names = list(signatures)
+    assert not any(same_orbit(signatures[a], signatures[b]) for a in names for b in names if a != b)
+    one = signatures["triple-1"]
+    assert not same_orbit(one, replace(one, loop=one.loop * 1.01))
+
+
+def test_starts_depend_on_seed_and_index_alone():
+    """The same number makes the same start on another bench; an orbit found keeps the energy."""
+    target = Target(-30.0, (0.5, 6.0))
+    first, second = bench(chain(3), target), bench(chain(3), target)
+    one, other = make_start(first, 0, 2), make_start(second, 0, 2)
+    assert np.array_equal(one.state, other.state) and one.period == other.period
+    found = [attempt(first, 0, k, strategy_of(k)).orbit for k in range(4)]
+    assert any(found) and all(abs(orbit.energy + 30.0) < 1e-10 for orbit in found if orbit)
