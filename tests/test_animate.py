@@ -40,6 +40,16 @@ def test_gif_has_constant_frame_rate_and_loops(tmp_path) -> None:
     assert sorted(tmp_path.iterdir()) == [path]
 
 
+def test_white_stays_white(tmp_path) -> None:
+    """The palette does not tint the background of any frame."""
+    from PIL import Image
+
+    with Image.open(save_animation(swinging(), tmp_path / "clip.gif")) as picture:
+        for k in range(picture.n_frames):
+            picture.seek(k)
+            assert picture.convert("RGB").getpixel((1, 100)) == (255, 255, 255)
+
+
 def test_no_jump_at_the_loop() -> None:
     """The last frame is as near to the first as any two neighbours are."""
     tips = swinging().points[:, :, -1]

@@ -29,7 +29,7 @@ from orbitfinder.periodic.conditions import SYMMETRIES, Symmetry, boundary_rows,
 from orbitfinder.reference import TIGHTEST, integrate
 from orbitfinder.reference import vector_field as numpy_field
 
-FORMULATIONS = {**SYMMETRIES, "reversal": Symmetry("reversal", 0.5, False, True, False, True, False)}
+FORMULATIONS = {**SYMMETRIES, "reversal": Symmetry("reversal", 0.5, False, True, False, True)}
 """The symmetries of a Problem, and odd motions, q(-t) = -q(t): reversal combined with reflection."""
 
 

@@ -49,8 +49,8 @@ class Symmetry:
     """A boundary condition on a part of the period, and what it makes superfluous.
 
     `fraction` of the period is integrated. An invariant needs its unfolding only where the
-    boundary rows contain it twice, a phase condition is needed only where a shift keeps the
-    rows, and a pin only where the rows leave the invariant's value open.
+    boundary rows contain it twice, and a phase condition is needed only where a shift keeps
+    the rows.
     """
 
     name: str
@@ -59,16 +59,15 @@ class Symmetry:
     unfold_others: bool
     time_phase: bool
     other_phases: bool
-    pin_others: bool
 
 
 SYMMETRIES: Mapping[str, Symmetry] = {
     one.name: one
     for one in (
-        Symmetry("none", 1.0, True, True, True, True, True),
-        Symmetry("reflection", 0.5, True, False, True, False, False),
-        Symmetry("brake", 0.5, False, True, False, True, False),
-        Symmetry("brake+reflection", 0.25, False, False, False, False, False),
+        Symmetry("none", 1.0, True, True, True, True),
+        Symmetry("reflection", 0.5, True, False, True, False),
+        Symmetry("brake", 0.5, False, True, False, True),
+        Symmetry("brake+reflection", 0.25, False, False, False, False),
     )
 }
 

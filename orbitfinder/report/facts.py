@@ -16,8 +16,6 @@ SEPARATION = 17.0
 """s after which the report's solutions diverge (section 2.4)"""
 HOURS_FOR_100_LINKS = 5.0
 """more than this to derive 100 links (section 2.3)"""
-FOUR_BAR_GROUND = (0.0, 2.0)
-"""our choice of ground pivot (x down, y right, m) for three links of 1 m; the report prints none"""
 
 
 @dataclass(frozen=True)

@@ -102,8 +102,26 @@ def draw_frames(clip: Clip, settings: AnimationSettings | None = None) -> list[A
     for k in range(count):
         back = [(k - j) % count if clip.loops else max(0, k - j) for j in range(clip.trace, -1, -1)]
         pictures.append(_draw(clip, k, clip.points[back, :, -1], view))
-    palette = pictures[count // 2].quantize(24)
-    return [picture.quantize(24, palette=palette, dither=0) for picture in pictures]
+    palette = _palette()
+    return [picture.quantize(palette=palette, dither=0) for picture in pictures]
+
+
+TRACE = "#F0B48A"
+SHADES = 10
+"""steps from white to each colour: what smooth edges need"""
+
+
+def _palette() -> Any:
+    """A Pillow palette of the colours drawn, shaded towards white, so that white stays white."""
+    from PIL import Image, ImageColor
+
+    entries = [255, 255, 255]
+    for colour in (COLOURS[0], COLOURS[1], TRACE, "#000000"):
+        for k in range(1, SHADES + 1):
+            entries += [round(255 + (part - 255) * k / SHADES) for part in ImageColor.getrgb(colour)]
+    holder = Image.new("P", (1, 1))
+    holder.putpalette(entries)
+    return holder
 
 
 @dataclass(frozen=True)
@@ -139,7 +157,7 @@ def _draw(clip: Clip, frame: int, trail: np.ndarray, view: _View) -> Any:
     many = len(where) > 20
     if not clip.closed:
         path = view.place(trail.T)
-        pen.line(path, fill="#F0B48A", width=2 * view.factor, joint="curve")
+        pen.line(path, fill=TRACE, width=2 * view.factor, joint="curve")
     pen.line(where, fill=COLOURS[0], width=(2 if many else 4) * view.factor, joint="curve")
     if not many:
         for x, y in where[1:]:
