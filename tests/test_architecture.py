@@ -13,14 +13,20 @@ LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 FLOORS = (
     ("version", "errors", "quiet", "suggest", "interrupt"),
     ("mechanics", "systems"),
-    ("flow", "dae_flow", "reference", "runge_kutta"),
+    ("flow", "dae_flow", "reference", "runge_kutta", "compiled", "taylor"),
     ("periodic",),
     ("families",),
     ("atlas",),
+    ("proof",),
     ("show",),
-    ("report",),
+    ("exports",),
+    ("page",),
+    ("report", "validation"),
     ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation", "startlinkage"),
-    ("console", "runner", "pictures", "following", "searching", "cli", "__main__"),
+    (
+        "console", "runner", "pictures", "following", "searching", "guessing", "proving", "paging",
+        "exporting", "doctor", "completion", "cli", "__main__",
+    ),
 )
 SOLVING = (
     "conditions",
@@ -44,7 +50,11 @@ CASADI = (
     "dae_flow",
     "reference",
     "runge_kutta",
+    "compiled",
+    "taylor",
     "families.propagate",
+    "proof",
+    "exports",
     *(f"periodic.{name}" for name in SOLVING),
 )
 MODULES = sorted(PACKAGE.rglob("*.py"))
