@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder import following, interrupt, pictures
+from orbitfinder import completion, doctor, exporting, following, interrupt, paging, pictures
+from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.version import __version__
 
@@ -101,6 +102,7 @@ def cli() -> None:
 @click.option("--out", default="orbits", show_default=True, type=FILES, help="Folder for DIR/<name>/orbit.json.")
 @click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 256), help="Processes side by side.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the certified orbits.")
+@compile_option
 @trust_option
 @json_option
 def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, trust: bool, as_json: bool) -> None:
@@ -244,5 +246,14 @@ def init(name: str) -> None:
     click.echo(f"{path}: written; next: orbitfinder run {path}")
 
 
-for command in (pictures.reproduce, pictures.plot, pictures.animate, following.follow):
+for command in (
+    pictures.reproduce,
+    pictures.plot,
+    pictures.animate,
+    paging.page,
+    following.follow,
+    exporting.export,
+    doctor.doctor,
+    completion.completion,
+):
     cli.add_command(command)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orbitfinder import interrupt
+from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def origin_of(file: Path, trust: bool) -> Orbit | Problem:
 @click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
 @click.option("--out", default="families", show_default=True, type=FILES, help="Folder for DIR/<name>/family.json.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the family.")
+@compile_option
 @click.option("--trust", is_flag=True, help="Execute Python problem files; only for files you have read.")
 def follow(
     file: Path, parameter: str, until: float | None, at: str, points: int, out: Path, figures: bool, trust: bool

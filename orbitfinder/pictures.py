@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from orbitfinder import interrupt
+from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError
 
 FILES = click.Path(path_type=Path)
@@ -15,6 +16,7 @@ FILES = click.Path(path_type=Path)
 @click.command()
 @click.option("--out", default="results/report", show_default=True, type=FILES, help="Folder for the page and figures.")
 @click.option("--fresh", is_flag=True, help="Compute every part again, also those already finished.")
+@compile_option
 def reproduce(out: Path, fresh: bool) -> None:
     """Reproduce the whole MATLAB report: figures, orbits, animations and a page beside it.
 

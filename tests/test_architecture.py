@@ -13,7 +13,7 @@ LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 FLOORS = (
     ("version", "errors", "quiet", "suggest", "interrupt"),
     ("mechanics", "systems"),
-    ("flow", "dae_flow", "reference", "runge_kutta", "compiled", "taylor"),
+    ("flow", "dae_flow", "reference", "runge_kutta", "compiled", "taylor", "defects"),
     ("periodic",),
     ("families",),
     ("atlas",),
@@ -25,7 +25,7 @@ FLOORS = (
     ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation", "startlinkage"),
     (
         "console", "runner", "pictures", "following", "searching", "guessing", "proving", "paging",
-        "exporting", "doctor", "completion", "cli", "__main__",
+        "exporting", "doctor", "completion", "compileoption", "cli", "__main__",
     ),
 )
 SOLVING = (
@@ -42,6 +42,11 @@ SOLVING = (
     "dae_evidence",
     "tangent",
     "linkage_guesses",
+    "freedom",
+    "instability",
+    "nlp",
+    "objectives",
+    "second_variation",
 )
 CASADI = (
     "mechanics",
@@ -52,6 +57,7 @@ CASADI = (
     "runge_kutta",
     "compiled",
     "taylor",
+    "defects",
     "families.propagate",
     "proof",
     "exports",

@@ -15,13 +15,14 @@ from scipy.special import ellipk
 from orbitfinder.errors import InputError
 from orbitfinder.families.branching import switch
 from orbitfinder.families.command import continue_command, curve_from
-from orbitfinder.families.continuation import Walk, first_point, follow
+from orbitfinder.families.continuation import follow
 from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
 from orbitfinder.families.points import FamilySettings
 from orbitfinder.families.propagate import closure_check
 from orbitfinder.families.stability import matched
 from orbitfinder.families.start import begin
 from orbitfinder.families.store import load_family, read_journal
+from orbitfinder.families.walk import Walk, first_point
 from orbitfinder.flow import build_flow
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.periodic.measure import multipliers

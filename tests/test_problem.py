@@ -7,7 +7,7 @@ import pytest
 from orbitfinder.errors import CountError, InputError
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.periodic import solve
+from orbitfinder.periodic import objectives
 from orbitfinder.periodic.conditions import SYMMETRIES, lowest_energy, nearest, pin
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.solve import find_orbit
@@ -72,7 +72,7 @@ def no_solver(monkeypatch):
 
     monkeypatch.setattr(ca, "nlpsol", refuse)
     monkeypatch.setattr(ca, "integrator", refuse)
-    monkeypatch.setattr(solve, "solve_nlp", refuse)
+    monkeypatch.setattr(objectives, "solve_nlp", refuse)
 
 
 def test_two_pins_are_refused_before_solving(no_solver):

@@ -14,7 +14,8 @@ from orbitfinder.periodic.conditions import SYMMETRIES, pin, unfolded_invariants
 from orbitfinder.periodic.polish import polish, residual
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import Shooting, transcribe
-from orbitfinder.periodic.solve import SolveSettings, hessian, initial_nodes
+from orbitfinder.periodic.nlp import SolveSettings, hessian
+from orbitfinder.periodic.solve import initial_nodes
 
 
 def shoot(problem: Problem) -> Shooting:

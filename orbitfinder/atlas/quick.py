@@ -1,6 +1,6 @@
 """Cheap first: damped Newton (Levenberg-Marquardt) on loosely integrated multiple shooting, in NumPy.
 
-The variational integrator is the only graph, built once and used for every start with other
+The step of the fixed-step march is the only graph, built once and used for every start with other
 numbers; nothing is transcribed, so a hopeless start costs a few integrations. Rows and unknowns are
 those of `periodic.shooting`: defects, boundary, phase, energy in nodes, period and unfolding.
 Source of the damping: K. Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168; D. Marquardt,
@@ -13,11 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfinder.atlas.march import March, derivatives, rates, refined_ends, rounded, states_along
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.flow import Flow, transition
-from orbitfinder.periodic.polish import least_steps, segment, tail_of
 from orbitfinder.periodic.problem import Problem
 from orbitfinder.periodic.shooting import boundary_shift, phase_directions
+
+FINER = 3
+"""The polish begins with steps shorter than the cheap stage's by this factor."""
+SQUARED_ABOVE = 1e-6
+"""Damping above which the normal equations are accurate enough."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +54,11 @@ class Path:
 
 @dataclass(frozen=True)
 class System:
-    """The fixed part of one start's equations: problem, flow, scales, phase reference, boundary."""
+    """The fixed part of one start's equations: problem, march and its step (s), scales, phase reference, boundary."""
 
     problem: Problem
-    flow: Flow
+    march: March
+    step: float
     columns: np.ndarray
     rows: np.ndarray
     reference: np.ndarray
@@ -62,9 +67,10 @@ class System:
     periods: tuple[float, float]
 
 
-def segments_needed(flow: Flow, state: np.ndarray, horizon: float, settings: QuickSettings) -> int:
+def segments_needed(march: March, step: float, state: np.ndarray, horizon: float, settings: QuickSettings) -> int:
     """As many segments as keep each state-transition matrix small."""
-    matrix = transition(flow, state, horizon)[1]
+    none = np.zeros(march.unfolded)
+    matrix = derivatives(march, state[None], horizon, rounded(horizon / step), none)[1][0, :, : state.size]
     n = state.size // 2
     clock = np.concatenate([np.ones(n), np.full(n, horizon / np.pi)])
     growth = float(np.linalg.norm(matrix * clock[:, None] / clock[None, :], 2))
@@ -72,15 +78,16 @@ def segments_needed(flow: Flow, state: np.ndarray, horizon: float, settings: Qui
     return min(max(needed, settings.fewest_segments), settings.most_segments)
 
 
-def shot(flow: Flow, state: np.ndarray, horizon: float, count: int) -> np.ndarray:
-    """Nodes (count x 2n) of the motion from a state."""
-    nodes = [np.asarray(state, float)]
-    for _ in range(count - 1):
-        nodes.append(transition(flow, nodes[-1], horizon / count)[0])
-    return np.asarray(nodes)
+def shot(march: March, step: float, state: np.ndarray, horizon: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (count x 2n) of the motion from a state, and its end (2n)."""
+    steps = rounded(horizon / count / step)
+    states = states_along(march, np.asarray(state, float), horizon, steps * count, np.zeros(march.unfolded))
+    return states[:-1:steps], states[-1]
 
 
-def system(problem: Problem, flow: Flow, nodes: np.ndarray, periods: tuple[float, float]) -> System:
+def system(
+    problem: Problem, motion: tuple[March, float], nodes: np.ndarray, periods: tuple[float, float]
+) -> System:
     """Scales and references of one start, taken from its guess."""
     n, count = problem.model.degrees_of_freedom, len(nodes)
     rate = max(float(np.sqrt(np.mean(nodes[:, n:] ** 2))), 2 * np.pi / problem.guess.period)
@@ -90,22 +97,17 @@ def system(problem: Problem, flow: Flow, nodes: np.ndarray, periods: tuple[float
     span = max(abs(problem.pin[0].value - lowest), 0.1 * abs(problem.pin[0].value), 1e-3)
     boundary = {"brake": np.full(2 * n, rate), "brake+reflection": node[::-1]}.get(problem.symmetry, node)
     return System(
-        problem, flow,
-        columns=np.concatenate([np.tile(node, count), [problem.guess.period], np.ones(len(flow.unfolded))]),
+        problem, *motion,
+        columns=np.concatenate([np.tile(node, count), [problem.guess.period], np.ones(motion[0].unfolded)]),
         rows=np.concatenate([np.tile(node, count - 1), boundary, np.full(len(phases), rate), [span]]),
         reference=nodes[0].copy(), phases=phases, shift=boundary_shift(problem, nodes), periods=periods,
     )  # fmt: skip
 
 
-def energy_row(problem: Problem, state: np.ndarray) -> tuple[float, np.ndarray]:
-    """Energy minus its pin, and the gradient (2n) by central differences."""
-    n, step = state.size // 2, 1e-5
-    nudges = step * np.eye(2 * n)
-    states = np.vstack([state, state + nudges, state - nudges]).T
-    model = problem.model
-    values = np.tile(model.parameter_values[:, None], (1, states.shape[1]))
-    total = (model.kinetic(states[:n], states[n:], values) + model.potential(states[:n], values)).full().ravel()
-    return float(total[0] - problem.pin[0].value), (total[1 : 2 * n + 1] - total[2 * n + 1 :]) / (2 * step)
+def energy_row(one: System, state: np.ndarray) -> tuple[float, np.ndarray]:
+    """Energy minus its pin, and the gradient (2n)."""
+    total, gradient = one.march.energy(state)
+    return float(total) - one.problem.pin[0].value, gradient.full().ravel()
 
 
 def boundary(problem: Problem, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +133,7 @@ def rows(one: System, path: Path, ends: np.ndarray) -> np.ndarray:
     """Unscaled residual for given end states (N x 2n)."""
     first, last = boundary(one.problem, ends.shape[1] // 2)
     closing = first @ path.nodes[0] + last @ ends[-1] - displacement(one.problem, one.shift)
-    energy, _ = energy_row(one.problem, path.nodes[0])
+    energy, _ = energy_row(one, path.nodes[0])
     return np.concatenate(
         [(ends[:-1] - path.nodes[1:]).ravel(), closing, one.phases @ (path.nodes[0] - one.reference), [energy]]
     )
@@ -141,35 +143,23 @@ def linearised(one: System, path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Scaled residual and Jacobian of a path by the variational equations."""
     count, size = path.nodes.shape
     span = one.problem.boundary.fraction / count
-    ends, jacobian = np.zeros_like(path.nodes), np.zeros((one.rows.size, one.columns.size))
+    duration = path.period * span
+    ends, slopes = derivatives(one.march, path.nodes, duration, rounded(duration / one.step), path.unfolding)
+    speed = rates(one.march, ends, path.unfolding) * span
+    columns = np.concatenate([slopes[:, :, :size], speed[:, :, None], slopes[:, :, size:]], axis=2)
     first, last = boundary(one.problem, size // 2)
-    for k, node in enumerate(path.nodes):
-        end, sensitivity = _propagated(one.flow, node, path.period * span, path.unfolding)
-        rate = one.flow.field(0.0, end, path.unfolding, []).full().ravel()
-        final = k == count - 1
-        weight = last if final else np.eye(size)
+    columns[-1] = last @ columns[-1]
+    jacobian = np.zeros((one.rows.size, one.columns.size))
+    for k in range(count):
         block = slice(k * size, (k + 1) * size)
-        jacobian[block, block] += weight @ sensitivity[:, :size]
-        jacobian[block, count * size] = weight @ rate * span
-        jacobian[block, count * size + 1 :] = weight @ sensitivity[:, size:]
-        if not final:
+        jacobian[block, block] = columns[k, :, :size]
+        if k < count - 1:
             jacobian[block, (k + 1) * size : (k + 2) * size] = -np.eye(size)
-        ends[k] = end
+    jacobian[: count * size, count * size :] = columns[:, :, size:].reshape(count * size, -1)
     jacobian[(count - 1) * size : count * size, :size] += first
     jacobian[count * size : -1, :size] = one.phases
-    jacobian[-1, :size] = energy_row(one.problem, path.nodes[0])[1]
+    jacobian[-1, :size] = energy_row(one, path.nodes[0])[1]
     return rows(one, path, ends) / one.rows, jacobian * one.columns / one.rows[:, None]
-
-
-def _propagated(flow: Flow, node: np.ndarray, duration: float, unfolding: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        end, sensitivity = flow.derivatives.call([0.0, node, duration, unfolding, []])
-    except RuntimeError as error:
-        raise IntegrationError("the integrator gave up", time=0.0, state=node) from error
-    numbers, slopes = end.full().ravel(), sensitivity.full()
-    if not (np.all(np.isfinite(numbers)) and np.all(np.isfinite(slopes))):
-        raise IntegrationError("the state is not finite", time=0.0, state=node)
-    return numbers, slopes
 
 
 def moved(one: System, path: Path, step: np.ndarray) -> Path:
@@ -208,10 +198,15 @@ def solve(one: System, start: Path, settings: QuickSettings) -> tuple[Path, np.n
 
 def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float, longest: float) -> np.ndarray:
     """The Levenberg-Marquardt step, no longer than `longest` in any component."""
-    size = jacobian.shape[1]
-    matrix = jacobian if damping == 0.0 else np.vstack([jacobian, np.sqrt(damping) * np.eye(size)])
-    right = -residual if damping == 0.0 else np.concatenate([-residual, np.zeros(size)])
-    step = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
+    try:
+        if damping > SQUARED_ABOVE:
+            matrix = jacobian.T @ jacobian
+            matrix[np.diag_indices_from(matrix)] += damping
+            step = -np.linalg.solve(matrix, jacobian.T @ residual)
+        else:
+            step = np.linalg.lstsq(jacobian, -residual, rcond=1e-13)[0]
+    except np.linalg.LinAlgError as error:
+        raise ConvergenceError("singular equations") from error
     return np.asarray(step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300)))
 
 
@@ -236,10 +231,7 @@ def polished(one: System, path: Path, jacobian: np.ndarray, settings: QuickSetti
 
 def accurate(one: System, path: Path) -> np.ndarray:
     """Scaled residual with segments integrated to round-off."""
-    count, span = len(path.nodes), path.period * one.problem.boundary.fraction / len(path.nodes)
-    least = least_steps(round(count / one.problem.boundary.fraction))
-    tail = tail_of(one.flow, path.unfolding)
-    ends = [segment(one.flow, node, (0.0, span), tail, least)[-1] for node in path.nodes]
-    return rows(one, path, np.asarray(ends)) / one.rows
-
-
+    duration = path.period * one.problem.boundary.fraction / len(path.nodes)
+    least = rounded(FINER * duration / one.step)
+    ends = refined_ends(one.march, path.nodes, duration, least, path.unfolding)
+    return rows(one, path, ends) / one.rows

@@ -1,22 +1,30 @@
-"""From a start to an Orbit or to the reason why not: cheap solve, polish, minimal period, measure."""
+"""From a start to a certified Orbit or to the reason why not: cheap solve, polish, minimal period, certificate."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from orbitfinder.atlas.quick import Path, QuickSettings, polished, segments_needed, shot, solve, system
-from orbitfinder.atlas.starts import Bench, Start, make_start
+from orbitfinder.atlas.march import rounded, states_along
+from orbitfinder.atlas.quick import FINER, Path, QuickSettings, polished, segments_needed, shot, solve, system
+from orbitfinder.atlas.signature import Signature, resampled
+from orbitfinder.atlas.starts import Bench, Start, make_start, strategy_of
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.flow import Flow
-from orbitfinder.periodic.certify import closest_return
+from orbitfinder.periodic.certify import certify, closest_return
 from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.measure import measure
+from orbitfinder.periodic.measure import action, full_period, measure
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
 
+Numbers = tuple[float, float, float]
+LARGEST_COVER = 30
+LARGEST_UNFOLDING = 1e-8
+SAMPLES = 256
+"""Steps over a period at least, for the loop, its action and its minimal period."""
 COVER = 1e-5
 """A return at T/k nearer than this, relative to the motion's extent, means that the loop was run k times."""
 PERIOD_MARGIN = 1.15
@@ -27,38 +35,99 @@ SMALLEST = 1e-3
 
 @dataclass(frozen=True)
 class Attempt:
-    """How one start ended: an orbit (without certificate), or the reason for none."""
+    """How one start ended: with an orbit; with a signature alone, when it seemed to be known; or with a reason.
+
+    `seconds` is processor time.
+    """
 
     index: int
     strategy: str
+    signature: Signature | None = None
     orbit: Orbit | None = None
     reason: str = ""
+    seconds: float = 0.0
 
 
-def attempt(one: Bench, seed: int, index: int, strategy: str, settings: QuickSettings | None = None) -> Attempt:
-    """One start from its number to its orbit."""
-    settings = settings or QuickSettings()
-    try:
+@dataclass(frozen=True)
+class Loop:
+    """A converged loop before it is measured: nodes over the horizon, one whole period of states, its action."""
+
+    problem: Problem
+    path: Path
+    times: np.ndarray
+    states: np.ndarray
+    action: float
+
+    @property
+    def numbers(self) -> Numbers:
+        """Energy, period and |action|, which images of a loop share."""
+        return self.problem.pin[0].value, self.path.period, abs(self.action)
+
+
+def attempt(
+    one: Bench,
+    seed: int,
+    index: int,
+    known: Callable[[Numbers], bool] | None = None,
+    settings: QuickSettings | None = None,
+) -> Attempt:
+    """One start from its number to its orbit and certificate.
+
+    Where `known` says that an orbit with these numbers (energy, period, |action|) is there already, only
+    the signature is made: whoever asked is to judge whether it is that orbit.
+    """
+    settings, name = settings or QuickSettings(), strategy_of(one, index)
+    with reasons(index, name) as ended:
         start = make_start(one, seed, index)
-        orbit = minimal(one, converged(one, start, settings), settings)
-        return Attempt(index, strategy, replace(orbit, provenance=origin(seed, start)))
+        ended.append(finished(one, seed, start, known, settings))
+    return ended[-1]
+
+
+@contextlib.contextmanager
+def reasons(index: int, name: str) -> Iterator[list[Attempt]]:
+    """A list of attempts; what is raised in the block on purpose becomes the last of them."""
+    ended: list[Attempt] = []
+    try:
+        yield ended
     except ConvergenceError as error:
-        return Attempt(index, strategy, reason=str(error))
-    except IntegrationError as error:
-        return Attempt(index, strategy, reason=f"integration: {error.reason}"[:60])
+        ended.append(Attempt(index, name, reason=str(error)))
+    except IntegrationError:
+        ended.append(Attempt(index, name, reason="integration failed"))
 
 
-def converged(one: Bench, start: Start, settings: QuickSettings) -> Orbit:
-    """The orbit that a start leads to, over the period found."""
+def finished(
+    one: Bench, seed: int, start: Start, known: Callable[[Numbers], bool] | None, settings: QuickSettings
+) -> Attempt:
+    """The attempt that a start becomes; raises what `reasons` catches."""
+    loop = minimal(one, converged(one, start, settings), settings)
+    signature = loop_signature(one, loop)
+    if known is not None and known(loop.numbers):
+        return Attempt(start.index, start.strategy, signature)
+    orbit = replace(measured(one, loop), provenance=origin(seed, start), name=f"orbit-{seed}-{start.index}")
+    certificate = certify(orbit, one.model)
+    if not certificate.passed:
+        return Attempt(start.index, start.strategy, reason=f"not certified: {', '.join(certificate.failures)}")
+    return Attempt(start.index, start.strategy, signature, replace(orbit, certificate=certificate))
+
+
+def loop_signature(one: Bench, loop: Loop) -> Signature:
+    """The signature of a loop that is not measured yet."""
+    energy, period, action = loop.numbers
+    angles = tuple(one.model.angles) or (False,) * one.model.degrees_of_freedom
+    return Signature(energy, period, action, resampled(loop.times, loop.states), angles)
+
+
+def converged(one: Bench, start: Start, settings: QuickSettings) -> Loop:
+    """The loop that a start leads to, over the period found."""
     guess = Guess(start.state, start.period)
     problem = Problem(one.model, guess, pin=pin(energy=one.target.energy), symmetry=start.symmetry)
-    flow = one.loose[start.symmetry]
+    march = one.marches[start.symmetry]
     horizon = problem.boundary.fraction * start.period
-    count = segments_needed(flow, start.state, horizon, settings)
-    nodes = shot(flow, start.state, horizon, count)
+    count = segments_needed(march, one.step, start.state, horizon, settings)
+    nodes, end = shot(march, one.step, start.state, horizon, count)
     if start.symmetry == "none":
-        problem = replace(problem, winding=turns(one, nodes, shot(flow, nodes[-1], 2 * horizon / count, 2)[1]))
-    return solved(one, problem, Path(nodes, start.period, np.zeros(len(flow.unfolded))), settings)
+        problem = replace(problem, winding=turns(one, nodes, end))
+    return solved(one, problem, Path(nodes, start.period, np.zeros(march.unfolded)), settings)
 
 
 def turns(one: Bench, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ...]:
@@ -68,19 +137,37 @@ def turns(one: Bench, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ...]:
     return tuple(int(k) for k in np.where(np.asarray(one.model.angles or (False,) * n), whole, 0))
 
 
-def solved(one: Bench, problem: Problem, path: Path, settings: QuickSettings) -> Orbit:
-    """The polished and measured orbit of a path that is near one."""
-    loose, tight = one.loose[problem.symmetry], one.tight[problem.symmetry]
+def solved(one: Bench, problem: Problem, path: Path, settings: QuickSettings) -> Loop:
+    """The polished loop of a path that is near one."""
     low, high = one.target.periods
-    equations = system(problem, loose, path.nodes, (low / PERIOD_MARGIN, high * PERIOD_MARGIN))
+    motion = one.marches[problem.symmetry], one.step
+    equations = system(problem, motion, path.nodes, (low / PERIOD_MARGIN, high * PERIOD_MARGIN))
     found, jacobian = solve(equations, path, settings)
-    if np.abs(found.unfolding).max(initial=0.0) > 1e-4:
-        raise ConvergenceError("unfolding does not vanish")
     found = polished(equations, found, jacobian, settings)
-    orbit = measure(problem, tight, centred(one, problem, found.nodes), found.period, found.unfolding)
-    if np.ptp(orbit.samples, axis=0).max() < SMALLEST:
+    if np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
+        raise ConvergenceError("unfolding does not vanish")
+    found = replace(found, nodes=centred(one, problem, found.nodes))
+    times, states = whole_period(one, problem, found)
+    if np.ptp(states, axis=0).max() < SMALLEST:
         raise ConvergenceError("equilibrium")
-    return orbit
+    return Loop(problem, found, times, states, action(one.model, times, states))
+
+
+def whole_period(one: Bench, problem: Problem, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Equal times over one period and states there, from the nodes of a part of it."""
+    nodes = full_period(problem, one.flows[problem.symmetry], path.nodes, path.period)
+    duration, march = path.period / len(nodes), one.marches["none"]
+    steps = rounded(max(FINER * duration / one.step, SAMPLES / len(nodes)))
+    pieces = [states_along(march, node, duration, steps, np.zeros(march.unfolded))[:-1] for node in nodes]
+    shift = np.concatenate([2 * np.pi * problem.turns, np.zeros(problem.model.degrees_of_freedom)])
+    states = np.vstack([*pieces, nodes[:1] + shift])
+    return np.linspace(0.0, path.period, len(states)), states
+
+
+def measured(one: Bench, loop: Loop) -> Orbit:
+    """The Orbit of a loop: multipliers, closure, symmetry."""
+    return measure(loop.problem, one.flows[loop.problem.symmetry], loop.path.nodes, loop.path.period,
+                   loop.path.unfolding)  # fmt: skip
 
 
 def centred(one: Bench, problem: Problem, nodes: np.ndarray) -> np.ndarray:
@@ -92,30 +179,31 @@ def centred(one: Bench, problem: Problem, nodes: np.ndarray) -> np.ndarray:
     return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(n)])
 
 
-def minimal(one: Bench, orbit: Orbit, settings: QuickSettings) -> Orbit:
-    """The same orbit over its minimal period; `ConvergenceError` when that is not in the range wanted."""
-    angles = np.asarray(one.model.angles or (False,) * one.model.degrees_of_freedom)
-    covers = [k for k in range(2, 31) if not np.any(np.asarray(orbit.winding) % k)]
-    covers = [k for k in covers if closest_return(orbit.times, orbit.samples, angles, [k])[0] < COVER]
-    if covers:
-        orbit = uncovered(one, orbit, max(covers), settings)
+def minimal(one: Bench, loop: Loop, settings: QuickSettings) -> Loop:
+    """The same loop over its minimal period; `ConvergenceError` when that is not in the range wanted."""
     low, high = one.target.periods
-    if not low <= orbit.period <= high:
+    if not low <= loop.path.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
-    return orbit
+    angles = np.asarray(one.model.angles or (False,) * one.model.degrees_of_freedom)
+    covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
+    covers = [k for k in covers if closest_return(loop.times, loop.states, angles, [k])[0] < COVER]
+    if covers:
+        loop = uncovered(one, loop, max(covers), settings)
+    if not low <= loop.path.period <= high:
+        raise ConvergenceError("period outside the range")
+    return loop
 
 
-def uncovered(one: Bench, orbit: Orbit, cover: int, settings: QuickSettings) -> Orbit:
-    """The orbit solved again over a `cover`-th of its period."""
-    period = orbit.period / cover
+def uncovered(one: Bench, loop: Loop, cover: int, settings: QuickSettings) -> Loop:
+    """The loop solved again over a `cover`-th of its period."""
+    period, state = loop.path.period / cover, loop.states[0]
     if period < one.target.periods[0]:
         raise ConvergenceError("period outside the range")
-    winding = tuple(k // cover for k in orbit.winding)
-    guess = Guess(orbit.state, period)
-    problem = Problem(one.model, guess, pin=pin(energy=one.target.energy), winding=winding)
-    flow: Flow = one.loose["none"]
-    nodes = shot(flow, orbit.state, period, segments_needed(flow, orbit.state, period, settings))
-    return solved(one, problem, Path(nodes, period, np.zeros(len(flow.unfolded))), settings)
+    winding = tuple(int(k) // cover for k in loop.problem.turns)
+    problem = Problem(one.model, Guess(state, period), pin=pin(energy=one.target.energy), winding=winding)
+    march = one.marches["none"]
+    nodes, _ = shot(march, one.step, state, period, segments_needed(march, one.step, state, period, settings))
+    return solved(one, problem, Path(nodes, period, np.zeros(march.unfolded)), settings)
 
 
 def origin(seed: int, start: Start) -> dict[str, Any]:

@@ -25,7 +25,7 @@ AGREEMENT = 1e-7
 DISTANCE = 1e-3
 """Loops of one orbit lie over each other to this, relative to the motion's extent."""
 BIN = 1e-6
-"""Width of the bins of log(period) and log(action) that the atlas is indexed by; wider than `AGREEMENT`."""
+"""Width of the bins of asinh(period) and asinh(action) that the atlas is indexed by; wider than `AGREEMENT`."""
 
 
 @dataclass(frozen=True)
@@ -33,26 +33,30 @@ class Signature:
     """What an orbit is recognised by: energy (J), minimal period (s), |action| (J s) and its loop.
 
     `loop` holds `LOOP_SAMPLES` states (k x 2n) at equal times over the period, without the closing
-    one; `angles` says which coordinates count modulo 2 pi; `multipliers` are sorted, largest first.
+    one; `angles` says which coordinates count modulo 2 pi.
     """
 
     energy: float
     period: float
     action: float
-    symmetry: str
-    multipliers: np.ndarray
     loop: np.ndarray
     angles: tuple[bool, ...]
 
     @property
     def bins(self) -> tuple[int, int]:
-        """Quantised logarithms of period and action: the key of the look-up, with its neighbours."""
+        """Quantised period and action: the key of the look-up, with its neighbours."""
         return quantised(self.period), quantised(self.action)
 
 
 def quantised(value: float) -> int:
-    """The bin of a positive number."""
-    return int(np.floor(np.log(max(value, 1e-300)) / BIN))
+    """The bin of a number; d asinh(x) = dx / sqrt(1 + x^2), so that `agree` is never wider than one bin."""
+    return int(np.floor(np.arcsinh(value) / BIN))
+
+
+def neighbours(one: Signature) -> tuple[list[int], list[int]]:
+    """The bins of period and of action in which an orbit that agrees with this one can be."""
+    period, action = one.bins
+    return [period - 1, period, period + 1], [action - 1, action, action + 1]
 
 
 def signature_of(orbit: Orbit, model: Model) -> Signature:
@@ -60,19 +64,21 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
     times, samples = orbit.times, orbit.samples
     if len(samples) < 2:
         times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
-    n = model.degrees_of_freedom
-    order = np.lexsort((orbit.floquet_multipliers.imag, -np.abs(orbit.floquet_multipliers)))
-    moments = np.arange(LOOP_SAMPLES) * orbit.period / LOOP_SAMPLES
-    spline = CubicHermiteSpline(times, samples[:, :n], samples[:, n:])
     return Signature(
         energy=orbit.energy,
         period=orbit.period,
         action=abs(orbit.action),
-        symmetry=orbit.symmetry,
-        multipliers=orbit.floquet_multipliers[order],
-        loop=np.hstack([spline(moments), spline(moments, 1)]),
-        angles=tuple(model.angles) or (False,) * n,
+        loop=resampled(times, samples),
+        angles=tuple(model.angles) or (False,) * model.degrees_of_freedom,
     )
+
+
+def resampled(times: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """`LOOP_SAMPLES` states at equal times of a period whose states at other equal times are given, its end too."""
+    n, period = states.shape[1] // 2, float(times[-1])
+    moments = np.arange(LOOP_SAMPLES) * period / LOOP_SAMPLES
+    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
+    return np.hstack([spline(moments), spline(moments, 1)])
 
 
 def same_orbit(first: Signature, second: Signature) -> bool:

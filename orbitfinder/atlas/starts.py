@@ -8,23 +8,34 @@ Close returns as starting points: D. P. Lathrop, E. J. Kostelich, Physical Revie
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.flow import Flow, IntegratorSettings, build_flow, sample
+from orbitfinder.atlas.march import March, build_march, ends, rounded, states_along
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.flow import Flow, build_flow
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.periodic.conditions import SYMMETRIES, unfolded_invariants
 from orbitfinder.periodic.guesses import normal_modes
+from orbitfinder.periodic.symmetry import check_symmetry
 
+METHOD = 1
+"""Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
 SAMPLES_PER_PERIOD = 400
 """Samples of the simulation over the longest period."""
 CHOICES = 4
 """The period is drawn from this many of the nearest returns."""
 RECURRENCE_SPAN = 3.0
 """A recurrence start simulates this many of the longest periods."""
+RECURRENCE_BEGINNINGS = 40
+"""Returns are looked for from this many moments in each longest period."""
 ATTEMPTS = 200
+SPANS = 16
+"""The step is calibrated on this fraction of the longest period."""
+CALIBRATION_STATES = 24
+STEP_ERROR = 1e-7
+MOST_HALVINGS = 12
 
 
 @dataclass(frozen=True)
@@ -37,14 +48,20 @@ class Target:
 
 @dataclass(frozen=True)
 class Bench:
-    """Everything about a model that starts share: flows by symmetry, equilibrium, normal modes."""
+    """Everything about a model that starts share.
+
+    Marches and flows by the symmetry imposed (only those that the model has), the step (s) of the
+    cheap stage, the equilibrium and the normal modes about it, the strategies that take turns.
+    """
 
     model: Model
     target: Target
-    loose: Mapping[str, Flow]
-    tight: Mapping[str, Flow]
+    marches: Mapping[str, March]
+    flows: Mapping[str, Flow]
+    step: float
     equilibrium: np.ndarray
     shapes: np.ndarray
+    strategies: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -58,7 +75,7 @@ class Start:
     period: float
 
 
-def bench(model: Model, target: Target, tolerance: float = 1e-8) -> Bench:
+def bench(model: Model, target: Target) -> Bench:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     check(model, target)
     place = equilibrium(model)
@@ -67,14 +84,57 @@ def bench(model: Model, target: Target, tolerance: float = 1e-8) -> Bench:
         raise InputError(
             f"energy: {target.energy:.9g} J is not above {lowest:.9g} J, the system at rest; give a larger energy"
         )
-    loose, tight = (
-        {
-            name: build_flow(model, (), unfolded_invariants(model, symmetry), settings)
-            for name, symmetry in SYMMETRIES.items()
-        }
-        for settings in (IntegratorSettings(tolerance, tolerance, 5000), IntegratorSettings())
+    known = symmetries(model)
+    unfolded = {name: unfolded_invariants(model, SYMMETRIES[name]) for name in known}
+    built = {kinds: build_march(model, kinds) for kinds in dict.fromkeys(unfolded.values())}
+    one = Bench(
+        model, target,
+        marches={name: built[kinds] for name, kinds in unfolded.items()},
+        flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
+        step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
+        strategies=tuple(name for name, (symmetry, _) in STRATEGIES.items() if symmetry in known),
+    )  # fmt: skip
+    return replace(one, step=calibrated(one))
+
+
+def symmetries(model: Model) -> tuple[str, ...]:
+    """The symmetries that the model's equations have, `none` among them."""
+    found = []
+    for name in SYMMETRIES:
+        try:
+            check_symmetry(model, np.zeros(2 * model.degrees_of_freedom), name)
+            found.append(name)
+        except InputError:
+            continue
+    return tuple(found)
+
+
+def calibrated(one: Bench) -> float:
+    """The step (s) with which the median motion on the energy shell is right to `STEP_ERROR` per span."""
+    random, march = np.random.default_rng(0), one.marches["none"]
+    states = np.array([_random_state(one, random) for _ in range(CALIBRATION_STATES)])
+    span, steps, none = one.target.periods[1] / SPANS, 4, np.zeros(march.unfolded)
+
+    def marched(count: int) -> np.ndarray:
+        found = []
+        for state in states:
+            try:
+                found.append(ends(march, state[None], span, count, none)[0])
+            except IntegrationError:
+                found.append(np.full(state.size, np.inf))
+        return np.asarray(found)
+
+    coarse = marched(steps)
+    for _ in range(MOST_HALVINGS):
+        fine = marched(2 * steps)
+        with np.errstate(invalid="ignore"):
+            error = np.abs(fine - coarse).max(axis=1) / np.maximum(1.0, np.abs(fine).max(axis=1))
+        if float(np.median(np.nan_to_num(error, nan=np.inf))) < STEP_ERROR:
+            return span / steps
+        steps, coarse = 2 * steps, fine
+    raise InputError(
+        f"search.period: motions of {span:.3g} s at this energy need more than {steps} steps; ask for shorter periods"
     )
-    return Bench(model, target, loose, tight, place, normal_modes(model, place)[1])
 
 
 def check(model: Model, target: Target) -> None:
@@ -111,7 +171,7 @@ def equilibrium(model: Model) -> np.ndarray:
 
 def make_start(one: Bench, seed: int, index: int) -> Start:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
-    name = strategy_of(index)
+    name = strategy_of(one, index)
     symmetry, propose = STRATEGIES[name]
     random = np.random.default_rng([seed, index])
     state = propose(one, random)
@@ -122,9 +182,9 @@ def make_start(one: Bench, seed: int, index: int) -> Start:
     return Start(index, name, symmetry, state, period)
 
 
-def strategy_of(index: int) -> str:
+def strategy_of(one: Bench, index: int) -> str:
     """Strategies take turns."""
-    return tuple(STRATEGIES)[index % len(STRATEGIES)]
+    return one.strategies[index % len(one.strategies)]
 
 
 def random_position(one: Bench, random: np.random.Generator, most: float = 1.0) -> np.ndarray:
@@ -226,8 +286,10 @@ def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
 
 def simulated(one: Bench, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a loose simulation."""
-    count = int(np.ceil(SAMPLES_PER_PERIOD * duration / one.target.periods[1])) + 1
-    return np.linspace(0.0, duration, count), sample(one.loose["none"], state, duration, count)
+    samples = SAMPLES_PER_PERIOD * duration / one.target.periods[1]
+    count = rounded(max(samples, duration / one.step))
+    march = one.marches["none"]
+    return np.linspace(0.0, duration, count + 1), states_along(march, state, duration, count, np.zeros(march.unfolded))
 
 
 def _return_time(one: Bench, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
@@ -249,8 +311,9 @@ def _recurrence(one: Bench, state: np.ndarray, random: np.random.Generator) -> t
     low, high = one.target.periods
     times, states = simulated(one, state, RECURRENCE_SPAN * high)
     step, found = float(times[1]), []
-    for begin in range(0, int((RECURRENCE_SPAN - 1) * SAMPLES_PER_PERIOD), 10):
-        gaps = boundary_gap(one, "none", states[begin : begin + SAMPLES_PER_PERIOD])
+    window = int(np.ceil(high / step))
+    for begin in range(0, len(times) - window, max(1, window // RECURRENCE_BEGINNINGS)):
+        gaps = boundary_gap(one, "none", states[begin : begin + window])
         first = int(np.ceil(low / step))
         inner = gaps[first:-1]
         minima = np.flatnonzero((inner <= gaps[first - 1 : -2]) & (inner <= gaps[first + 1 :])) + first

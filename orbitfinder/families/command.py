@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.continuation import Walk, first_point, follow
+from orbitfinder.families.continuation import follow
 from orbitfinder.families.points import Batch, End, Family, FamilyPoint, FamilySettings, place_of
 from orbitfinder.families.propagate import FORMULATIONS, build_propagator, closure_check
 from orbitfinder.families.start import Start, begin, unknown_parameters
@@ -27,6 +27,7 @@ from orbitfinder.families.store import (
     start_journal,
 )
 from orbitfinder.families.system import Curve, boundary_matrices
+from orbitfinder.families.walk import Walk, first_point
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.orbit import Orbit, load_orbit
 from orbitfinder.periodic.problem import Problem
@@ -162,6 +163,8 @@ def _finish(
         done, end = journal.steps(sign), journal.end(sign)
         if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
             continue
+        if any(one.end is not None and one.end.kind == "returned" for one in batches):
+            break  # a closed family has one direction
         for batch in follow(Walk(curve, settings, sign, origin, check, stop, exact), done):
             append(folder, batch)
             batches.append(batch)

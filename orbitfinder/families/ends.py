@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from orbitfinder.families.points import End, FamilyPoint, FamilySettings
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.points import End, FamilySettings
 from orbitfinder.families.propagate import rates
 from orbitfinder.families.start import full_samples
-from orbitfinder.families.system import Curve, Place, Solution, at_place
+from orbitfinder.families.system import Aim, Curve, Place, Solution, at_place, blended, correct, distance
 from orbitfinder.periodic.symmetry import recognise
 
 SLOW = 0.1
@@ -20,6 +23,10 @@ MOST_COVERS = 6
 """A family may join another one of up to this many times shorter a period."""
 JOINED = 1e-3
 """How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
+SAME = 1e-7
+"""Orbits nearer than this in the family's metric are one orbit."""
+FEWEST_STEPS = 5
+"""A closed family has at least so many steps."""
 HOMOCLINIC_STEP = 1e-2
 """Steps of a nearly homoclinic family are not made shorter than this."""
 
@@ -31,8 +38,6 @@ def end_after(
     shortest_period: float,
     failure: str,
     before: Solution | None = None,
-    origin: FamilyPoint | None = None,
-    point: FamilyPoint | None = None,
 ) -> End | None:
     """The reason to stop after a step (or after a failed one), or None."""
     share, state = slowness(curve, found)
@@ -47,10 +52,6 @@ def end_after(
         return End("equilibrium", reason)
     if grown > settings.longest_period and share > SLOW_SHARE:
         return _homoclinic(curve, found, state, grown, "")
-    started = origin is not None and point is not None and before is not None
-    if started and returned(curve, before, found, origin, point):  # type: ignore[arg-type]
-        assert point is not None
-        return End("returned", f"back at its start after an arclength of {abs(point.arclength):.6g}")
     return None
 
 
@@ -107,17 +108,33 @@ def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
     return bool(np.sum(weights * one * other) < 0 and size < 3 * moved)
 
 
-def returned(curve: Curve, before: Solution, found: Solution, origin: FamilyPoint, point: FamilyPoint) -> bool:
-    """Whether the last step passed the start again, going the same way along the curve."""
-    if point.index < 4:
-        return False
-    start = np.concatenate([origin.state, [origin.period], list(origin.free.values())])
-    a, b = before.place.head, found.place.head
-    step = b - a
-    share = float(np.sum(curve.weights * (start - a) * step) / np.sum(curve.weights * step**2))
-    length = float(np.sqrt(curve.weights @ step**2))
-    aside = float(np.sqrt(curve.weights @ (start - a - share * step) ** 2))
-    return bool(-0.05 < share <= 1.05 and aside < 0.1 * length)
+def returned(
+    curve: Curve, before: Solution, found: Solution, heads: Sequence[np.ndarray], arclength: float
+) -> End | None:
+    """The end of a closed family: the last step passed an earlier one again, going the same way.
+
+    `heads` are the steps up to `before`. What looks near is confirmed by an orbit on the family in the
+    plane through the earlier one: it must be the same orbit.
+    """
+    a, step = before.place.head, found.place.head - before.place.head
+    if len(heads) < FEWEST_STEPS:
+        return None
+    past = np.asarray(heads[: 1 - FEWEST_STEPS])
+    ahead = np.diff(np.asarray(heads[: 2 - FEWEST_STEPS]), axis=0)
+    normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
+    shares = (past - a) @ normal / square
+    aside = np.sqrt(np.maximum(((past - a) ** 2) @ curve.weights - shares**2 * square, 0.0))
+    near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ normal > 0)
+    for k in np.flatnonzero(near):
+        guess = blended(before.place, found.place, float(shares[k]))
+        try:
+            again = correct(curve, guess, Aim(float(normal @ past[k]), normal), before.place, slope=before.jacobian)
+        except (ConvergenceError, IntegrationError):
+            continue
+        if distance(curve, again.place.head, past[k]) < SAME:
+            where = "its start" if k == 0 else f"its step {k}"
+            return End("returned", f"a closed family: back at {where} after an arclength of {abs(arclength):.6g}")
+    return None
 
 
 def merged(curve: Curve, place: Place) -> End | None:

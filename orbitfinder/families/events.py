@@ -9,7 +9,7 @@ the half map's index passes 0. Located with Brent's method on the arclength, eac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import gcd
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.families.points import Event, FamilySettings, parameter_value
-from orbitfinder.families.stability import Spectrum, matched, spectrum
+from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.system import Aim, Curve, Place, Solution, advanced, bend, correct, head_of, tangent
 
 LOCATION = 2e-11
@@ -29,13 +29,14 @@ REAL = 1e-7
 
 @dataclass(frozen=True)
 class Probe:
-    """A corrected orbit between two points: distance from the first, tangent (over w), indices."""
+    """A corrected orbit between two points: distance from the first, tangent (over w), indices, their turns."""
 
     distance: float
     found: Solution
     whole: np.ndarray
     about: Spectrum
     indices: np.ndarray
+    turns: np.ndarray
     slopes: dict[str, float]
 
 
@@ -47,6 +48,7 @@ class Interval:
     first: Probe
     last: Probe
     curvature: np.ndarray
+    twist: np.ndarray
 
     @property
     def length(self) -> float:
@@ -54,8 +56,14 @@ class Interval:
         return self.last.distance
 
     def guess(self, distance: float) -> Place:
-        """The parabola through both ends."""
-        return advanced(self.first.found.place, self.first.whole, distance, self.curvature)
+        """The cubic through both ends with both tangents."""
+        bent = self.curvature + (distance - self.length) * self.twist
+        return advanced(self.first.found.place, self.first.whole, distance, bent)
+
+    def slope(self, distance: float) -> np.ndarray | None:
+        """The Jacobian between those of the ends."""
+        share, (a, b) = distance / self.length, (self.first.found.jacobian, self.last.found.jacobian)
+        return np.asarray((1 - share) * a + share * b) if a.shape == b.shape else None
 
     def indices(self, distance: float) -> np.ndarray:
         """Indices between those of the ends."""
@@ -70,7 +78,8 @@ def _slope(name: str) -> Measure:
     return lambda probe: probe.slopes[name]
 
 
-def _passage(j: int, level: float) -> Measure:
+def passage(j: int, level: float) -> Measure:
+    """The real part of one index above a level."""
     return lambda probe: float(probe.indices[j].real - level)
 
 
@@ -103,7 +112,8 @@ def make_probe(curve: Curve, distance: float, found: Solution, whole: np.ndarray
     """Everything that the tests read, at one corrected place."""
     about = spectrum(curve, found)
     slopes = parameter_slopes(curve, found.place, head_of(whole, found.place))
-    return Probe(distance, found, whole, about, matched(expected, about.indices), slopes)
+    order = matching(expected, about.indices)
+    return Probe(distance, found, whole, about, about.indices[order], about.turns[order], slopes)
 
 
 def probe_at(interval: Interval, distance: float) -> Probe:
@@ -111,17 +121,27 @@ def probe_at(interval: Interval, distance: float) -> Probe:
     first, curve = interval.first, interval.curve
     normal = curve.weights * head_of(first.whole, first.found.place)
     aim = Aim(float(normal @ first.found.place.head) + distance, normal)
-    found = correct(curve, interval.guess(distance), aim, first.found.place, reach=max(0.5 * interval.length, 1e-6))
+    reach = max(0.5 * interval.length, 1e-6)
+    found = correct(curve, interval.guess(distance), aim, first.found.place, reach, interval.slope(distance))
     whole = tangent(curve, found, head_of(first.whole, first.found.place))
     return make_probe(curve, distance, found, whole, interval.indices(distance))
 
 
 def make_interval(curve: Curve, first: Probe, last: Probe) -> Interval:
-    """The interval between two probes on one mesh."""
-    return Interval(curve, first, last, bend(curve, first.found.place, first.whole, last.found.place))
+    """The interval between two probes on one mesh.
+
+    With w(d) = w0 + d t + d^2 c + d^2 (d - D) e, w(D) fixes c and the last tangent, taken per unit of d, fixes e.
+    """
+    curvature = bend(curve, first.found.place, first.whole, last.found.place)
+    twist, length = np.zeros_like(curvature), last.distance
+    along = float((curve.weights * head_of(first.whole, first.found.place)) @ head_of(last.whole, last.found.place))
+    if last.whole.shape == first.whole.shape and along > 0.5:
+        twist = (last.whole / along - first.whole - 2 * length * curvature) / length**2
+    return Interval(curve, first, last, curvature, twist)
 
 
-def _is_real(value: complex) -> bool:
+def is_real(value: complex) -> bool:
+    """Whether an index counts as real."""
     return abs(value.imag) <= REAL * max(1.0, abs(value))
 
 
@@ -140,6 +160,14 @@ def _index_levels(root: int, most: int) -> Iterator[tuple[float, str, int, compl
                 yield 2 * float(np.cos(angle)), "resonance", q, complex(np.exp(1j * angle))
 
 
+def level_tests(root: int, most: int, j: int) -> list[tuple[Test, float]]:
+    """Every bifurcation that one index may pass, with its level."""
+    return [
+        (Test(kind, f"q = {order}" if kind == "resonance" else "", passage(j, level), order, multiplier), level)
+        for level, kind, order, multiplier in _index_levels(root, most)
+    ]
+
+
 def tests_for(interval: Interval, settings: FamilySettings) -> Iterator[Test]:
     """Every test that changes sign across the interval."""
     a, b = interval.first, interval.last
@@ -150,36 +178,44 @@ def tests_for(interval: Interval, settings: FamilySettings) -> Iterator[Test]:
         if a.slopes[name] * b.slopes[name] < 0:
             yield Test("fold", name, _slope(name))
     for j, (before, after) in enumerate(zip(a.indices, b.indices, strict=True)):
-        if not (_is_real(before) and _is_real(after)):
+        if not (is_real(before) and is_real(after)):
             continue
-        for level, kind, order, multiplier in _index_levels(a.about.root, settings.resonances):
+        for test, level in level_tests(a.about.root, settings.resonances, j):
             if (before.real - level) * (after.real - level) < 0:
-                detail = f"q = {order}" if kind == "resonance" else ""
-                yield Test(kind, detail, _passage(j, level), order, multiplier)
+                yield test
     for i in range(a.indices.size):
         for j in range(i + 1, a.indices.size):
             before, after = ((p.indices[i] - p.indices[j]) ** 2 for p in (a, b))
-            if _is_real(before) and _is_real(after) and before.real * after.real < 0:
+            if is_real(before) and is_real(after) and before.real * after.real < 0:
                 yield Test("collision", "", _discriminant(i, j))
 
 
-def located(interval: Interval, test: Test) -> Probe:
-    """The orbit at which a test vanishes."""
+def located(interval: Interval, test: Test, low: float = 0.0, high: float | None = None) -> Probe:
+    """The orbit at which a test vanishes, between two distances (default: anywhere in the interval)."""
     seen = {0.0: interval.first, interval.length: interval.last}
+    high = interval.length if high is None else high
+    if low == high:
+        return probe_at(interval, low)
 
     def value(distance: float) -> float:
         if distance not in seen:
             seen[distance] = probe_at(interval, distance)
         return test.measure(seen[distance])
 
-    where = float(brentq(value, 0.0, interval.length, xtol=LOCATION, rtol=1e-14, maxiter=60))
+    where = float(brentq(value, low, high, xtol=LOCATION, rtol=1e-14, maxiter=60))
     value(where)
     return seen[where]
 
 
-def find_events(interval: Interval, settings: FamilySettings, arclength: float) -> list[tuple[float, Event]]:
-    """Events of an interval with their distance into it, in order along the family."""
+Bracket = tuple[Test, float, float]
+
+
+def find_events(
+    interval: Interval, settings: FamilySettings, arclength: float, more: Sequence[Bracket] = ()
+) -> list[tuple[float, Event]]:
+    """Events of an interval with their distance into it, in order along the family; `more` are known brackets."""
     found = [(located(interval, test), test) for test in tests_for(interval, settings)]
+    found += [(located(interval, *one), one[0]) for one in more]
     found.sort(key=lambda pair: pair[0].distance)
     turns = [probe.distance for probe, test in found if test.kind == "fold" and test.detail == "energy"]
     found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]

@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from orbitfinder.families.propagate import rates, step_errors
+from orbitfinder.families.propagate import rates, step_errors, variation_errors
 from orbitfinder.families.system import Aim, Curve, Place, Solution, correct
 
-STEP_ERROR = 3e-14
+STEP_ERROR = 2e-13
 """Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is some 100 times smaller."""
-COARSE = 200.0
+COARSE = 20.0
 """A mesh is kept until some step's estimate is this many times as large."""
+VARIATION_ERROR = 1e-10
+"""Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
+SPARE = 5.0
+"""A mesh is looked at again when the motion alone would do with this many times fewer steps."""
 GROWTH = 30.0
 """Segments are added until each one's state-transition matrix is below this."""
 MOST_SEGMENTS = 60
@@ -23,8 +27,9 @@ def needs_mesh(curve: Curve, found: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
     errors = step_errors(curve.propagator, found.march.states, found.place.mesh, found.place.tail)
     growths = _growths(curve, found)
-    wanted = _steps_wanted(errors)
-    return bool(errors.max() > COARSE * STEP_ERROR or growths.max() > 4 * GROWTH or wanted < 0.5 * errors.size)
+    if errors.max() > COARSE * STEP_ERROR or growths.max() > 4 * GROWTH:
+        return True
+    return bool(_density(errors).sum() * SPARE < errors.size and wanted_steps(curve, found).sum() < 0.5 * errors.size)
 
 
 def _growths(curve: Curve, found: Solution) -> np.ndarray:
@@ -35,19 +40,26 @@ def _growths(curve: Curve, found: Solution) -> np.ndarray:
     ])  # fmt: skip
 
 
-def _steps_wanted(errors: np.ndarray) -> float:
-    return float(np.sum((errors / STEP_ERROR) ** 0.125))
+def _density(errors: np.ndarray, allowed: float = STEP_ERROR) -> np.ndarray:
+    """(error / allowed)^(1/8), the number of steps that each present step should become."""
+    return np.asarray((errors / allowed) ** 0.125)
+
+
+def wanted_steps(curve: Curve, found: Solution) -> np.ndarray:
+    """The same (M) for the motion and its variations together."""
+    place, states, p = found.place, found.march.states, curve.propagator
+    motion = _density(step_errors(p, states, place.mesh, place.tail))
+    varied = variation_errors(p, states, place.mesh, place.tail, curve.weights)
+    return np.maximum(motion, _density(varied, VARIATION_ERROR))
 
 
 def remeshed(curve: Curve, found: Solution) -> Place:
     """The place on a mesh that spreads the error estimate evenly, with as many segments as the growth asks for.
 
-    The estimate goes with the eighth power of the step, so (error / allowed)^(1/8) is the number of
-    steps that each present step should become. Nodes are interpolated and must be corrected again.
+    Nodes are interpolated and must be corrected again.
     """
     place, states = found.place, found.march.states
-    errors = step_errors(curve.propagator, states, place.mesh, place.tail)
-    density = np.maximum((errors / STEP_ERROR) ** 0.125, 0.15)
+    density = np.maximum(wanted_steps(curve, found), 0.15)
     growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
     count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
     each = int(np.ceil(1.1 * density.sum() / count)) + 2

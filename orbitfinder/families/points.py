@@ -34,6 +34,8 @@ class FamilySettings:
     shortest_step: float = 1e-7
     sharpest_turn: float = 0.3
     """rad between successive tangents; a sharper turn repeats the step at half its length"""
+    narrowest: float = 0.02
+    """avoided crossings of two families are followed by steps no shorter than this, and else stepped over and named"""
     longest_period: float = 12.0
     """in units of the shortest period met: beyond it a slow orbit counts as homoclinic"""
     resonances: int = 6

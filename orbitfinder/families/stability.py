@@ -21,12 +21,14 @@ class Spectrum:
     `root` is 2 where the orbit is its own mirror image after half a period, else 1: the multipliers
     are then squares of those of the half map x(0) -> -x(T/2), whose `indices` nu + 1/nu (complex, one
     a reciprocal pair) are what bifurcations are read from. `krein` is +1 or -1 for each multiplier on
-    the unit circle off the real axis, 0 for the others.
+    the unit circle off the real axis, 0 for the others. `turns` says for each index which of its two
+    root multipliers has Krein sign +1: +1 the upper, -1 the lower, 0 where it is not on the circle.
     """
 
     floquet: Floquet
     root: int
     indices: np.ndarray
+    turns: np.ndarray
     krein: tuple[int, ...]
     reduced: np.ndarray
     basis: np.ndarray
@@ -43,8 +45,15 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
     indices = analyse(reduced, conservative).indices
-    krein = _krein(curve, place.nodes[0], place.free, basis, whole, floquet.multipliers) if conservative else ()
-    return Spectrum(floquet, root, indices, krein, reduced, basis)
+    krein: tuple[int, ...] = ()
+    turns = np.zeros(indices.size, int)
+    if conservative:
+        form = _form(curve, place.nodes[0], place.free, basis)
+        krein = _krein(form, whole, floquet.multipliers)
+        upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
+        on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
+        turns = np.where(on_circle, _krein(form, reduced, upper), 0)
+    return Spectrum(floquet, root, indices, turns, krein, reduced, basis)
 
 
 def _resolved(floquet: Floquet) -> Floquet:
@@ -116,16 +125,18 @@ def _basis(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.asarray(rows[int(np.sum(singular > 1e-10 * singular[0])) :].T)
 
 
-def _krein(
-    curve: Curve, x: np.ndarray, free: np.ndarray, basis: np.ndarray, whole: np.ndarray, wanted: np.ndarray
-) -> tuple[int, ...]:
-    """Sign of i u^* J u for each eigenvector u in canonical coordinates, 0 off the unit circle.
+def _form(curve: Curve, x: np.ndarray, free: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """The symplectic form J, in canonical coordinates, on the space that a basis spans."""
+    lift = curve.propagator.momenta(x, free).full() @ basis
+    return np.asarray(lift.T @ _symplectic_unit(len(lift) // 2) @ lift)
+
+
+def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:
+    """Sign of i u^* J u for each eigenvector u of a map, 0 off the unit circle.
 
     Source: V. A. Yakubovich, V. M. Starzhinskii, Linear Differential Equations with Periodic
     Coefficients (1975), chapter III.
     """
-    lift = curve.propagator.momenta(x, free).full() @ basis
-    form = lift.T @ _symplectic_unit(len(lift) // 2) @ lift
     values, vectors = np.linalg.eig(whole)
     signs = []
     for mu in wanted:
@@ -136,16 +147,21 @@ def _krein(
     return tuple(signs)
 
 
-def matched(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
-    """`found` in the order of `previous` (complex arrays), so that curves along the family do not swap.
+def matching(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
+    """The order in which `found` continues `previous` (complex arrays), so that curves along a family do not swap.
 
     The assignment of least total distance from where each curve is heading (`slope`, its last change).
     """
     if previous.shape != found.shape:
-        return found
+        return np.arange(found.size)
     expected = previous if slope is None else previous + slope
     gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
-    return np.asarray(found[linear_sum_assignment(gaps)[1]])
+    return np.asarray(linear_sum_assignment(gaps)[1])
+
+
+def matched(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
+    """`found` in the order of `previous`; see `matching`."""
+    return np.asarray(found[matching(previous, found, slope)])
 
 
 def _squeezed(indices: np.ndarray) -> np.ndarray:

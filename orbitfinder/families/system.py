@@ -13,10 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.propagate import March, Propagator, boundary_matrices, march
+from orbitfinder.families.propagate import March, Propagator, boundary_matrices, glide, march
 
-NEWTON_READY = 1e-12
+NEWTON_READY = 1e-11
 """Residual from which one more Newton step, not evaluated again, reaches round-off."""
+APPROACHED = 1e-12
+"""Residual at which the approach with an old Jacobian hands over to Newton's method."""
 NEWTON_FLOOR = 1e-9
 """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
 MOST_NEWTON = 12
@@ -106,10 +108,10 @@ def phase_rows(curve: Curve, reference: Place) -> np.ndarray:
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
 
 
-def _rows(curve: Curve, place: Place, path: March, phases: np.ndarray, reference: Place) -> np.ndarray:
+def _rows(curve: Curve, place: Place, ends: np.ndarray, phases: np.ndarray, reference: Place) -> np.ndarray:
     """All rows but the aim."""
     nodes = place.nodes
-    rows = [(path.ends[:-1] - nodes[1:]).ravel(), curve.first @ nodes[0] + curve.last @ path.ends[-1] - curve.constant]
+    rows = [(ends[:-1] - nodes[1:]).ravel(), curve.first @ nodes[0] + curve.last @ ends[-1] - curve.constant]
     rows.append(phases @ (nodes[0] - reference.nodes[0]))
     if curve.held:
         values = curve.propagator.quantities(nodes[0], place.free)[0].full().ravel()
@@ -179,19 +181,57 @@ def _moved(place: Place, step: np.ndarray) -> Place:
     )
 
 
-def correct(curve: Curve, guess: Place, aim: Aim, reference: Place | None = None, reach: float = 1.0) -> Solution:
+def _approached(
+    curve: Curve, guess: Place, aim: Aim, phases: np.ndarray, reference: Place, slope: np.ndarray
+) -> Place:
+    """The guess improved by marches of the state alone, with the Jacobian `slope` and Broyden's updates of it.
+
+    Source: C. G. Broyden, Math. Comp. 19 (1965) 577-593. Stops where a step no longer helps.
+    """
+    place, best = guess, np.inf
+    matrix = np.vstack([slope, np.zeros((1, slope.shape[1]))])
+    cut, size = guess.nodes.size, curve.propagator.size
+    matrix[cut : cut + len(phases), :size] = phases
+    matrix[-1] = _aim(curve, guess, aim)[1]
+    step, kept = np.zeros(slope.shape[1]), guess
+    for _ in range(MOST_NEWTON):
+        ends = glide(curve.propagator, place.nodes, place.mesh, place.tail)
+        rows = np.append(_rows(curve, place, ends, phases, reference), _aim(curve, place, aim)[0])
+        largest = float(np.abs(rows).max())
+        if not largest < 0.5 * best:
+            return kept
+        kept, best = place, largest
+        if largest < APPROACHED:
+            break
+        if step.any():
+            matrix += np.outer(rows, step) / (step @ step)
+        try:
+            step = np.linalg.solve(matrix, -rows)
+        except np.linalg.LinAlgError:
+            break
+        place = _moved(place, step)
+    return kept
+
+
+def correct(
+    curve: Curve, guess: Place, aim: Aim, reference: Place | None = None, reach: float = 1.0,
+    slope: np.ndarray | None = None,
+) -> Solution:
     """Newton from a guess onto the family where the aim is met.
 
     `reference` carries the phase condition; `reach` bounds how far (in the family's metric) the
-    result may be from the guess. Raises `ConvergenceError` or `IntegrationError`.
+    result may be from the guess; `slope` is the Jacobian of an orbit nearby on the same mesh, with
+    which most of the way is cheap. Raises `ConvergenceError` or `IntegrationError`.
     """
     reference = reference or guess
     phases = phase_rows(curve, reference)
     place, previous = guess, np.inf
+    if slope is not None:
+        place = _approached(curve, guess, aim, phases, reference, slope)
     for iteration in range(MOST_NEWTON):
         path = march(curve.propagator, place.nodes, place.mesh, place.tail)
         missed, last = _aim(curve, place, aim)
-        rows = np.append(_rows(curve, place, path, phases, reference), missed)
+        rows = np.append(_rows(curve, place, path.ends, phases, reference), missed)
         jacobian = _jacobian(curve, place, path, phases)
         largest = float(np.abs(rows).max())
         ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > 0.1 * previous)
@@ -247,6 +287,14 @@ def at_place(curve: Curve, place: Place) -> Solution:
     """A Solution out of a place that is already on the family (one read from a file)."""
     path = march(curve.propagator, place.nodes, place.mesh, place.tail)
     return Solution(place, path, _jacobian(curve, place, path, phase_rows(curve, place)), 0, 0.0)
+
+
+def blended(place: Place, other: Place, share: float) -> Place:
+    """The place a share of the way to another one, or the nearer of them where their meshes differ."""
+    moved = displacement(place, other)
+    if moved is None:
+        return place if share < 0.5 else other
+    return _moved(place, share * moved)
 
 
 def displacement(place: Place, other: Place) -> np.ndarray | None:

@@ -99,15 +99,20 @@ def boundary_rows(symmetry: Symmetry, start: Any, end: Any, shift: np.ndarray) -
 
 def pin_row(model: Model, one: Pin, state: Any, period: Any, parameters: Any) -> Any:
     """The residual of one pin at the start of the orbit."""
+    return quantity(model, one.name, state, period, parameters) - one.value
+
+
+def quantity(model: Model, name: str, state: Any, period: Any, parameters: Any) -> Any:
+    """What pins and bounds name: the period, an invariant, the energy, or a state component at t = 0."""
     n = model.degrees_of_freedom
-    if one.name == "period":
-        return period - one.value
+    if name == "period":
+        return period
     for invariant in model.invariants:
-        if invariant.name == one.name:
-            return invariant.value(state[:n], state[n:], parameters) - one.value
-    if one.name == "energy":
-        return model.kinetic(state[:n], state[n:], parameters) + model.potential(state[:n], parameters) - one.value
-    return state[model.state_index(one.name)] - one.value
+        if invariant.name == name:
+            return invariant.value(state[:n], state[n:], parameters)
+    if name == "energy":
+        return model.kinetic(state[:n], state[n:], parameters) + model.potential(state[:n], parameters)
+    return state[model.state_index(name)]
 
 
 def check_pin(model: Model, one: Pin) -> None:

@@ -12,10 +12,15 @@ from orbitfinder.dae_flow import check_consistent
 from orbitfinder.errors import CountError, InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, Pin, Symmetry, check_pin, unfolded_invariants
+from orbitfinder.periodic.freedom import Constraint, Expression, check_bounds, check_constraint
 from orbitfinder.periodic.symmetry import check_symmetry, time_dependent
+from orbitfinder.suggest import closest
 
 CLOSURE_TOLERANCE = 1e-12
 """Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
+PEAKS = ("max_amplitude", "min_peak_rate")
+"""Objectives about the largest value along the orbit of one coordinate or its rate."""
+OBJECTIVES = ("nearest", "min_instability", *PEAKS)
 LARGEST_TOLERANCE = 1e-6
 """A looser closure than this is not called one, whatever a problem or a file asks for."""
 
@@ -65,6 +70,12 @@ class Problem:
     the instability of the guess); `tolerance` the closure that the certificate asks for; `free`
     physical parameters the solver may change; `expected` {"period": (value, tolerance)} that the
     result must agree with.
+
+    What the count leaves free is chosen by `objective`: "nearest" to the guess, "min_instability",
+    "max_amplitude" or "min_peak_rate" (of `coordinate`, default the one that moves most), or a callable
+    that makes a CasADi expression of `Variables` (a vector r stands for |r|^2 / 2). `bounds` are ranges
+    of the period, invariants, freed parameters and state components at t = 0; `constraints` any other;
+    `phase_condition` an expression to be 0 at t = 0 instead of the hyperplane through the guess.
     """
 
     model: Model
@@ -79,6 +90,11 @@ class Problem:
     name: str = "orbit"
     title: str = ""
     source: str = ""
+    objective: str | Expression = "nearest"
+    coordinate: str | None = None
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    constraints: tuple[Constraint, ...] = ()
+    phase_condition: Expression | None = None
 
     def __post_init__(self) -> None:
         _check(self)
@@ -110,6 +126,7 @@ class Problem:
             "phase conditions": int(symmetry.time_phase and not self.model.forced) + others * symmetry.other_phases,
             "forcing period": int(self.model.forced),
             "pins": len(self.pin),
+            "constraints": sum(one.rows for one in self.constraints if one.equation),
         }
         unknowns = {
             "node states": size * intervals,
@@ -129,12 +146,27 @@ class Problem:
                 f"pin: over-determined, {count}: {len(self.pin)} pins where the family has room for "
                 f"{room}{isolated}; remove {-count.freedom} or free as many physical parameters"
             )
-        if self.pin and not self.free and count.freedom > 0:
+        if self.objective != "nearest":
+            return self._check_choice(count)
+        if self.pin and not self.free and not self.constraints and count.freedom > 0:
             names = ", ".join(one.name for one in self.model.invariants)
             raise CountError(
                 f"pin: under-determined, {count}: orbits of this system come in "
                 f"{count.freedom + len(self.pin)}-parameter families (invariants: {names}); add "
                 f"{count.freedom} pins, or give none for the nearest orbit"
+            )
+        return count
+
+    @property
+    def choice(self) -> bool:
+        """True when the least unstable of isolated orbits is asked for, which no solver from one guess can tell."""
+        return self.objective == "min_instability" and self.count().freedom == 0 and "period" in self.bounds
+
+    def _check_choice(self, count: Count) -> Count:
+        if count.freedom == 0 and not self.choice:
+            raise CountError(
+                f"objective: nothing is left to choose, {count}; remove a pin, free a physical parameter, or for "
+                "min_instability give the range of periods in bounds to choose among separate orbits"
             )
         return count
 
@@ -166,6 +198,10 @@ def _check(problem: Problem) -> None:
         model.parameter_index(name)
     for one in problem.pin:
         check_pin(model, one)
+    check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
+    for condition in problem.constraints:
+        check_constraint(condition)
+    _check_objective(problem)
     if not model.conservative and "energy" in {one.name for one in problem.pin}:
         raise InputError(
             "pin: energy is not conserved by this system; leave the pin out, or free a parameter and pin the "
@@ -176,6 +212,30 @@ def _check(problem: Problem) -> None:
     if model.native is not None:
         check_consistent(replace(model.native, parameter_values=model.parameter_values), state)
     check_symmetry(model, state, problem.symmetry, problem.forcing_cycles)
+
+
+def _check_objective(problem: Problem) -> None:
+    named, symmetry = problem.objective, problem.boundary
+    if isinstance(named, str) and named not in OBJECTIVES:
+        raise InputError(
+            f"objective: unknown {named!r}{closest(named, OBJECTIVES)}; use one of {', '.join(OBJECTIVES)}, or in "
+            "Python a callable"
+        )
+    if problem.coordinate is not None:
+        n = problem.model.degrees_of_freedom
+        if named not in PEAKS:
+            raise InputError(f"coordinate: goes with the objectives {' and '.join(PEAKS)}; leave it out")
+        if problem.coordinate not in problem.model.state_names[:n]:
+            known = ", ".join(problem.model.state_names[:n])
+            raise InputError(f"coordinate: unknown {problem.coordinate!r}; this system has {known}")
+    phased = symmetry.time_phase and not problem.model.forced
+    if not phased and (named == "min_peak_rate" or problem.phase_condition is not None):
+        raise InputError(
+            f"objective: needs the freedom to choose t = 0, which symmetry = {problem.symmetry!r}"
+            f"{' and the forcing do' if problem.model.forced else ' does'} not leave; use symmetry none or reflection"
+        )
+    if problem.model.forced and named == "max_amplitude":
+        raise InputError("objective: max_amplitude needs the freedom to choose t = 0, which a forcing does not leave")
 
 
 def _check_forcing(problem: Problem) -> None:

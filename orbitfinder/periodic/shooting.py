@@ -13,7 +13,9 @@ import numpy as np
 
 from orbitfinder.flow import Flow, build_flow, end_state
 from orbitfinder.periodic.conditions import boundary_rows, pin_row, unfolded_invariants
+from orbitfinder.periodic.freedom import Variables
 from orbitfinder.periodic.problem import Problem
+from orbitfinder.periodic.second_variation import transition_function
 
 PERIOD_RANGE = 5.0
 """The period may change by this factor either way; keeps it away from 0, where every state closes."""
@@ -58,11 +60,12 @@ class Layout:
 
 @dataclass(frozen=True)
 class Shooting:
-    """The nonlinear program: min f(w) subject to g(w) = 0 and bounds.
+    """The nonlinear program: min f(w) subject to g(w) = 0, low <= h(w) <= high and bounds.
 
     `ends(w)` are the segments' end states (2n x N), `rows(w, ends)` is g, `constraints(w)` is
-    rows(w, ends(w)) and `jacobian(w)` its derivative by the variational equations;
-    `objective` is 1/2 sum weight (w - guess)^2, whose Hessian is diagonal.
+    rows(w, ends(w)) and `jacobian(w)` its derivative by the variational equations; `inequalities` is h.
+    `objective` is 1/2 sum weight (w - guess)^2, whose Hessian is diagonal, or the problem's own;
+    `residuals` is r where that is |r|^2 / 2, else empty.
     """
 
     problem: Problem
@@ -77,14 +80,23 @@ class Shooting:
     rows: ca.Function
     constraints: ca.MX
     jacobian: ca.Function
+    inequalities: ca.MX
+    low: np.ndarray
+    high: np.ndarray
+    residuals: ca.MX
+
+    @property
+    def square(self) -> bool:
+        """True when the equations leave nothing to choose."""
+        return self.problem.count(self.layout.segments).freedom == 0
 
 
 def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) -> Shooting:
     """The multiple-shooting program of a Problem started from node states (N x 2n).
 
     2n N rows of continuity and boundary, one phase condition per continuous symmetry and one row
-    per pin, in {2n N node states, T, s per invariant, freed parameters}: square and regular at an
-    orbit (Muñoz-Almaraz et al., Physica D 181 (2003) 1-38).
+    per pin or equation, in {2n N node states, T, s per invariant, freed parameters}: square and regular
+    at an orbit (Muñoz-Almaraz et al., Physica D 181 (2003) 1-38).
     """
     problem.check_count()
     unfolded = unfolded_invariants(problem.model, problem.boundary)
@@ -96,18 +108,61 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     parts = [ca.MX.sym("node", size) for _ in range(layout.segments)]
     tail = [ca.MX.sym("period"), ca.MX.sym("unfolding", layout.unfolding), ca.MX.sym("free", layout.free)]
     w = ca.vertcat(*parts, *tail)
-    ends = _ends(problem, flow, parts, tail)
     given = ca.MX.sym("ends", size, layout.segments)
     shift = boundary_shift(problem, nodes, _quarter_end(problem, nodes, flow))
-    rows = ca.Function("rows", [w, given], [_rows(problem, (nodes[0], shift), parts, tail, given)])
+    known = _variables(problem, flow, parts, tail, given)
+    rows = ca.Function("rows", [w, given], [_rows(problem, (nodes[0], shift), known)])
+    limits, low, high = _inequalities(problem, known)
+    aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
+    ends = _ends(problem, flow, parts, tail)
     constraints = rows(w, ends)
     lower, upper = _bounds(problem, layout, start)
     weights = _weights(problem, layout, start)
+    value, residuals, inequalities = aims(w, ends)
+    if problem.objective == "nearest":
+        value = 0.5 * ca.dot(ca.DM(weights), (w - start) ** 2)
     return Shooting(
-        problem, flow, layout, start, lower, upper, weights, w,
-        0.5 * ca.dot(ca.DM(weights), (w - start) ** 2), rows, constraints,
-        ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]),
+        problem, flow, layout, np.clip(start, lower, upper), lower, upper, weights, w, value, rows, constraints,
+        ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]), inequalities, low, high, residuals,
     )  # fmt: skip
+
+
+def _variables(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX) -> Variables:
+    """The unknowns by name, for whatever the user asks of them."""
+    period, s, free = tail
+    duration = period * (problem.boundary.fraction / len(parts))
+
+    def transitions() -> list[ca.MX]:
+        function = transition_function(flow)
+        return [function(k * duration, node, duration, s, free) for k, node in enumerate(parts)]
+
+    return Variables(
+        problem.model, problem.boundary, tuple(parts), tuple(ca.horzsplit(ends)), period,
+        {name: free[k] for k, name in enumerate(problem.free)}, problem.model.parameters(problem.free, free),
+        transitions,
+    )  # fmt: skip
+
+
+def _objective(problem: Problem, known: Variables) -> tuple[ca.MX, ca.MX]:
+    """f and, where f = |r|^2 / 2, r. Raises `InputError` when the objective is not an expression of the unknowns."""
+    if not callable(problem.objective):
+        return ca.MX(0), ca.MX(0, 1)
+    found = ca.vec(ca.MX(problem.objective(known)))
+    return (found, ca.MX(0, 1)) if found.numel() == 1 else (0.5 * ca.dot(found, found), found)
+
+
+def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray, np.ndarray]:
+    """h with its limits: constraints with room, and bounds on what is not an unknown itself."""
+    rows, low, high = [ca.MX(0, 1)], [], []
+    for name, (smallest, largest) in problem.bounds.items():
+        if name != "period" and name not in problem.free:
+            rows.append(known[name])
+            low, high = [*low, smallest], [*high, largest]
+    for one in problem.constraints:
+        if not one.equation:
+            rows.append(one.value(known))
+            low, high = [*low, *[one.lower] * one.rows], [*high, *[one.upper] * one.rows]
+    return ca.vertcat(*rows), np.asarray(low, float), np.asarray(high, float)
 
 
 def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -> ca.MX:
@@ -117,21 +172,21 @@ def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -
     return ca.horzcat(*[flow.end(k * duration, node, duration, s, free) for k, node in enumerate(parts)])
 
 
-def _rows(
-    problem: Problem, guess: tuple[np.ndarray, np.ndarray], parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX
-) -> ca.MX:
-    """All rows of g: continuity, boundary, phase conditions, pins; from the guess its state and shift."""
+def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray], known: Variables) -> ca.MX:
+    """All rows of g: continuity, boundary, phase conditions, pins, equations; from the guess its state and shift."""
     state, shift = guess
-    model, symmetry = problem.model, problem.boundary
-    period, _, free = tail
-    parameters = model.parameters(problem.free, free)
-    rows = [ends[:, k] - parts[k + 1] for k in range(len(parts) - 1)]
-    rows.append(boundary_rows(symmetry, parts[0], ends[:, -1], shift))
-    for direction in phase_directions(problem, state):
-        rows.append(ca.dot(ca.DM(direction), parts[0] - ca.DM(state)))
+    model, parts, ends = problem.model, known.nodes, known.ends
+    rows = [end - node for end, node in zip(ends, parts[1:], strict=False)]
+    rows.append(boundary_rows(problem.boundary, parts[0], ends[-1], shift))
+    directions = phase_directions(problem, state)
+    if problem.phase_condition is not None:
+        rows.append(ca.MX(problem.phase_condition(known)))
+        directions = directions[1:]  # the first one belongs to time
+    rows += [ca.dot(ca.DM(direction), parts[0] - ca.DM(state)) for direction in directions]
     if model.forcing_period is not None:
-        rows.append(period - problem.forcing_cycles * model.forcing_period(parameters))
-    rows += [pin_row(model, one, parts[0], period, parameters) for one in problem.pin]
+        rows.append(known.period - problem.forcing_cycles * model.forcing_period(known.parameters))
+    rows += [pin_row(model, one, parts[0], known.period, known.parameters) for one in problem.pin]
+    rows += [one.value(known) - one.lower for one in problem.constraints if one.equation]
     return ca.vertcat(*rows)
 
 
@@ -191,9 +246,11 @@ def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.nda
     unfolding, free = np.full(layout.unfolding, UNFOLDING_RANGE), start[layout.total - layout.free :]
     spread = 0.95 * np.abs(free) + (free == 0)
     period = problem.guess.period
-    lower = np.concatenate([centre - reach, [period / PERIOD_RANGE], -unfolding, free - spread])
-    upper = np.concatenate([centre + reach, [period * PERIOD_RANGE], unfolding, free + 10 * spread])
-    return lower, upper
+    times = problem.bounds.get("period", (period / PERIOD_RANGE, period * PERIOD_RANGE))
+    ends = zip(problem.free, free - spread, free + 10 * spread, strict=True)
+    tail = [times, *((-s, s) for s in unfolding), *(problem.bounds.get(f, (low, high)) for f, low, high in ends)]
+    smallest, largest = np.asarray(tail, float).T
+    return np.concatenate([centre - reach, smallest]), np.concatenate([centre + reach, largest])
 
 
 def _weights(problem: Problem, layout: Layout, start: np.ndarray) -> np.ndarray:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -12,49 +11,21 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.flow import Flow, IntegratorSettings, build_flow, end_state, transition
+from orbitfinder.flow import Flow, build_flow, end_state, transition
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.dae_segments import build_dae_flow
-from orbitfinder.periodic.failure import explain, refuse_equilibrium
 from orbitfinder.periodic.measure import dense, measure
+from orbitfinder.periodic.nlp import Callback as Callback
+from orbitfinder.periodic.nlp import Progress as Progress
+from orbitfinder.periodic.nlp import SolveSettings as SolveSettings
+from orbitfinder.periodic.objectives import chosen
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.polish import polish
 from orbitfinder.periodic.preparation import at_forcing_period, check_invariants, winding_of
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import Shooting, transcribe
-from orbitfinder.quiet import captured
-
-
-@dataclass(frozen=True)
-class SolveSettings:
-    """How to solve; the mathematics is in the Problem."""
-
-    integrator: IntegratorSettings = field(default_factory=IntegratorSettings)
-    ipopt_tolerance: float = 1e-9
-    """IPOPT's own tolerance; the digits beyond it come from the polish"""
-    max_iterations: int = 100
-    fewest_segments: int = 8
-    """per period, where the problem does not say: fewer make the basin of convergence smaller"""
-    growth_per_segment: float = 20.0
-    """segments are added until no state-transition matrix is larger than this"""
-    most_segments: int = 40
-    with_certificate: bool = True
-
-
-@dataclass(frozen=True)
-class Progress:
-    """What a progress callback gets: the stage's name, iteration, largest defect, period, seconds so far."""
-
-    stage: str
-    iteration: int
-    defect: float
-    period: float
-    elapsed: float
-
-
-Callback = Callable[[Progress], None]
 
 
 def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress: Callback | None = None) -> Orbit:
@@ -78,8 +49,7 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     nodes = initial_nodes(problem, flow, settings)
     if problem.winding is None:
         problem = replace(problem, winding=winding_of(problem, flow, nodes))
-    shooting = transcribe(problem, nodes, flow)
-    w = solve_nlp(shooting, settings, _reporter(progress, began))
+    shooting, w = chosen(problem, nodes, flow, settings, _reporter(progress, began))
     refined, w = _minimal(*_polished(shooting, w), settings)
     orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), *refined.layout.tail(w)[:2])
     orbit = replace(orbit, provenance=provenance(problem, settings, began))
@@ -125,87 +95,13 @@ def _reporter(progress: Callback | None, began: float) -> Callback | None:
     return lambda event: progress(replace(event, elapsed=time.perf_counter() - began))
 
 
-class _IterationCallback(ca.Callback):  # type: ignore[misc]
-    """CasADi's iteration hook turned into `Progress` events."""
-
-    def __init__(self, shooting: Shooting, report: Callback) -> None:
-        ca.Callback.__init__(self)
-        self.shooting, self.report, self.iteration = shooting, report, 0
-        self.construct("progress", {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(ca.nlpsol_out(i))
-
-    def get_name_out(self, i: int) -> str:
-        return "stop"
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        sizes = {"x": self.shooting.layout.total, "lam_x": self.shooting.layout.total, "f": 1}
-        rows = {"g": self.shooting.constraints.numel(), "lam_g": self.shooting.constraints.numel()}
-        return ca.Sparsity.dense(sizes.get(ca.nlpsol_out(i), rows.get(ca.nlpsol_out(i), 0)), 1)
-
-    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
-        period = self.shooting.layout.tail(arguments[0].full().ravel())[0]
-        defect = float(ca.norm_inf(arguments[ca.nlpsol_out().index("g")]))
-        self.report(Progress("shooting", self.iteration, defect, period, 0.0))
-        self.iteration += 1
-        return [0]
-
-
-def solve_nlp(shooting: Shooting, settings: SolveSettings, report: Callback | None = None) -> np.ndarray:
-    """The decision vector w that IPOPT finds; `ConvergenceError` or `IntegrationError` otherwise."""
-    options: dict[str, Any] = {
-        "hess_lag": hessian(shooting),
-        "print_time": False,
-        "error_on_fail": False,
-        "ipopt": {
-            "print_level": 0, "sb": "yes", "tol": settings.ipopt_tolerance, "mu_init": 1e-8,
-            "max_iter": settings.max_iterations, "acceptable_iter": 0, "bound_relax_factor": 0.0,
-        },
-    }  # fmt: skip
-    if report is not None:
-        callback = _IterationCallback(shooting, report)
-        options["iteration_callback"] = callback
-    square = shooting.problem.count(shooting.layout.segments).freedom == 0
-    objective = ca.MX(0) if square else shooting.objective
-    program = {"x": shooting.variables, "f": objective, "g": shooting.constraints}
-    with captured() as output:
-        solver = ca.nlpsol("shooting", "ipopt", program, options)
-        result = solver(x0=shooting.start, lbx=shooting.lower, ubx=shooting.upper, lbg=0, ubg=0)
-        stats = solver.stats()
-    w = result["x"].full().ravel()
-    if not stats["success"]:
-        raise explain(shooting, w, stats["return_status"], output.text)
-    refuse_equilibrium(shooting, w)
-    return np.asarray(w)
-
-
-def hessian(shooting: Shooting) -> ca.Function:
-    """Upper triangle of the Hessian handed to IPOPT: lam_f times that of the objective, constraints left out.
-
-    Square problems have objective 0 and take a small multiple of the identity: the step is Newton's
-    whatever it is. Least-squares objectives take their Gauss-Newton Hessian, diag(weights).
-    """
-    w, parameters = ca.MX.sym("w", shooting.layout.total), ca.MX.sym("p", 0)
-    factor, rows = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", shooting.constraints.numel())
-    square = shooting.problem.count(shooting.layout.segments).freedom == 0
-    diagonal = ca.DM.ones(w.numel()) * 1e-8 if square else factor * ca.DM(shooting.weights + 1e-8)
-    return ca.Function("hess_lag", [w, parameters, factor, rows], [ca.triu(ca.diag(ca.MX(diagonal)))])
-
-
 def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     """Newton on the high-order residual; freed parameters are then written into the model.
 
     A problem with an objective is first made square by holding its place in the family.
     """
     problem, layout = shooting.problem, shooting.layout
-    square = problem.count(layout.segments).freedom == 0
+    square = shooting.square
     if square:
         w = polish(shooting, w)
     if square and not problem.free:
@@ -213,11 +109,18 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     period, unfolding, free = layout.tail(w)
     nodes = layout.nodes(w)
     model = with_parameters(problem.model, dict(zip(problem.free, free, strict=True)))
-    settled = replace(problem, model=model, free=(), guess=Guess(nodes[0], period), segments=len(nodes), pin=())
+    settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
         settled = replace(settled, pin=problem.pin[:1] or natural_pin(settled, nodes[0]))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
     return held, polish(held, held.layout.join(nodes, period, np.zeros(0), unfolding))
+
+
+def without_choice(problem: Problem) -> Problem:
+    """The same Problem with nothing left to choose: no freed parameters, objective, bounds, constraints or pins."""
+    return replace(
+        problem, free=(), pin=(), objective="nearest", coordinate=None, bounds={}, constraints=(), phase_condition=None
+    )
 
 
 def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:

@@ -1,0 +1,186 @@
+"""The atlas as an SQLite file: its tables, their versions, and what is said when it cannot be used.
+
+A file knows its format by `PRAGMA application_id` and its version by `PRAGMA user_version`, the number
+of `MIGRATIONS` it has been through. Write-ahead logging lets others read while a search writes.
+Source: SQLite documentation, "Pragma statements", "Write-ahead logging", "Result and error codes".
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from orbitfinder.errors import InputError
+
+APPLICATION = 0x6F726266
+"""The letters `orbf`."""
+PATIENCE = 60.0
+"""Seconds that a writer waits for another one's transaction."""
+BASE = """
+CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE orbits (
+    id INTEGER PRIMARY KEY,
+    period_bin INTEGER NOT NULL, action_bin INTEGER NOT NULL,
+    energy REAL NOT NULL, period REAL NOT NULL, action REAL NOT NULL,
+    symmetry TEXT NOT NULL, stability TEXT NOT NULL,
+    instability REAL NOT NULL,
+    closure REAL NOT NULL,
+    document BLOB NOT NULL
+);
+CREATE INDEX orbits_by_signature ON orbits (period_bin, action_bin);
+CREATE TABLE searches (
+    id INTEGER PRIMARY KEY,
+    energy REAL NOT NULL, shortest REAL NOT NULL, longest REAL NOT NULL,
+    seed INTEGER NOT NULL, method TEXT NOT NULL,
+    sources INTEGER NOT NULL,
+    UNIQUE (energy, shortest, longest, seed, method)
+);
+CREATE TABLE starts (
+    search INTEGER NOT NULL REFERENCES searches (id),
+    number INTEGER NOT NULL,
+    strategy TEXT NOT NULL,
+    outcome TEXT NOT NULL CHECK (outcome IN ('new', 'duplicate', 'failed')),
+    reason TEXT NOT NULL,
+    orbit INTEGER REFERENCES orbits (id),
+    seconds REAL NOT NULL,
+    PRIMARY KEY (search, number)
+) WITHOUT ROWID;
+"""
+LISTING = """
+CREATE INDEX orbits_by_energy ON orbits (energy, period);
+CREATE INDEX starts_by_orbit ON starts (orbit);
+"""
+MIGRATIONS: tuple[str, ...] = (BASE, LISTING)
+"""Scripts that raise the version by one each; a published one is never edited, only followed by another."""
+VERSION = len(MIGRATIONS)
+
+
+def connect(path: Path, write: bool) -> sqlite3.Connection:
+    """A connection to an atlas of this version; a new file is made, an older one migrated, only to write.
+
+    Raises `InputError` for files that are missing, not an atlas, newer than this program or unusable.
+    """
+    with explained(path):
+        if not write:
+            return _checked(path, _reading(path))
+        if path.is_dir():
+            raise InputError(f"{path}: a folder, not an atlas; name a file in it")
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: the folder {str(path.parent)!r} does not exist; make it first")
+        if path.exists() and not path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
+            raise InputError(f"{path}: read-only; make it writable, or work on a copy")
+        connection = sqlite3.connect(path, timeout=PATIENCE, isolation_level=None)
+        try:
+            return _prepared(path, connection)
+        except BaseException:
+            connection.close()
+            raise
+
+
+def _reading(path: Path) -> sqlite3.Connection:
+    """A read-only connection; of a file in a folder that cannot be written as a file that nobody changes."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such atlas; check the path, or make one with orbitfinder search")
+    address = path.resolve().as_uri()
+    connection = sqlite3.connect(f"{address}?mode=ro", timeout=PATIENCE, isolation_level=None, uri=True)
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        return connection
+    except sqlite3.OperationalError as error:
+        connection.close()
+        waiting = path.with_name(path.name + "-wal")
+        if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_CANTOPEN or waiting.exists():
+            raise
+    return sqlite3.connect(f"{address}?mode=ro&immutable=1", isolation_level=None, uri=True)
+
+
+def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
+    """The connection, if its file is an atlas of this version."""
+    try:
+        found = _version(path, connection)
+        if found == 0:
+            raise InputError(f"{path}: empty, not an atlas yet; make one with orbitfinder search")
+        if found < VERSION:
+            raise InputError(
+                f"{path}: version: an atlas of version {found}, this orbitfinder reads {VERSION}; "
+                "update it by any search into it (orbitfinder search FILE --starts 0 --atlas ...)"
+            )
+        return connection
+    except BaseException:
+        connection.close()
+        raise
+
+
+def _version(path: Path, connection: sqlite3.Connection) -> int:
+    """The version of an atlas, 0 for an empty file. Raises `InputError` for everything else."""
+    mark = connection.execute("PRAGMA application_id").fetchone()[0]
+    found = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if mark != APPLICATION:
+        if connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] or mark or found:
+            raise InputError(f"{path}: a database of another program, not an atlas; give another file")
+        return 0
+    if found > VERSION:
+        raise InputError(
+            f"{path}: version: an atlas of version {found}, this orbitfinder knows up to {VERSION}; "
+            "update orbitfinder, nothing was changed"
+        )
+    return found
+
+
+def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
+    """The connection with the file brought to this version, one transaction a version."""
+    _version(path, connection)
+    connection.execute("PRAGMA journal_mode = WAL")
+    # a transaction survives the death of the process; after a power cut the last ones may be missing, none is
+    # half there, and a resumed search computes the same again
+    connection.execute("PRAGMA synchronous = NORMAL")
+    connection.execute("PRAGMA foreign_keys = ON")
+    while _version(path, connection) < VERSION:
+        with transaction(connection):
+            found = _version(path, connection)  # another writer may have been faster
+            if found < VERSION:
+                for statement in MIGRATIONS[found].split(";"):
+                    connection.execute(statement)
+                connection.execute(f"PRAGMA application_id = {APPLICATION}")
+                connection.execute(f"PRAGMA user_version = {found + 1}")
+    return connection
+
+
+@contextlib.contextmanager
+def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    """All of the block or nothing, alone among the writers from the beginning."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        connection.execute("COMMIT")
+    except BaseException:
+        if connection.in_transaction:  # a full disk has rolled back already
+            connection.execute("ROLLBACK")
+        raise
+
+
+REASONS = {
+    sqlite3.SQLITE_FULL: "the disk is full; free some space and give the same command again, which goes on from here",
+    sqlite3.SQLITE_READONLY: "read-only; make it writable, or work on a copy",
+    sqlite3.SQLITE_PERM: "no permission; check who owns it",
+    sqlite3.SQLITE_CANTOPEN: "cannot be opened; check the path, the folder and their permissions",
+    sqlite3.SQLITE_NOTADB: "not an SQLite file; give an atlas",
+    sqlite3.SQLITE_CORRUPT: "damaged; restore a copy (sqlite3 FILE .recover saves what is left)",
+    sqlite3.SQLITE_BUSY: f"another program kept it locked for {PATIENCE:g} s; try again when that has ended",
+    sqlite3.SQLITE_IOERR: "the disk does not answer (input/output error); check its space and its health",
+}
+"""What SQLite's primary result codes mean for the owner of the file."""
+
+
+@contextlib.contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """SQLite's errors inside the block become an `InputError` that names the file and the remedy."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        reason = REASONS.get(code, f"cannot be used ({error}); check that it is an atlas")
+        raise InputError(f"{path}: {reason}") from error

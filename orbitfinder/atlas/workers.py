@@ -1,0 +1,212 @@
+"""Who does the starts: this process, or spawned ones that talk over pipes and may die one at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Protocol
+
+from orbitfinder import interrupt
+from orbitfinder.atlas.refine import Attempt, Numbers
+from orbitfinder.atlas.starts import Bench
+from orbitfinder.atlas.task import Known, Order, Task, perform, prepared
+from orbitfinder.errors import OrbitfinderError
+
+MOST_TRIES = 2
+"""A start whose worker died is tried once more; then it has cost itself and nothing else."""
+DIED = "worker died"
+MOST_FALSE_STARTS = 3
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables that keep the linear algebra of a worker on one processor."""
+LAST_WORDS = 5.0
+"""Seconds that workers get to end by themselves."""
+
+
+class Workers(Protocol):
+    """Takes orders as long as `room` is positive, gives back attempts in the order in which they come."""
+
+    @property
+    def room(self) -> int:
+        """How many more orders it takes now."""
+
+    def submit(self, order: Order) -> None:
+        """Begin a start."""
+
+    def results(self, timeout: float) -> list[tuple[Order, Attempt]]:
+        """What has ended, after at most `timeout` seconds."""
+
+    def learn(self, numbers: Numbers) -> None:
+        """Tell the workers of a new orbit."""
+
+    def close(self) -> None:
+        """Stop the workers."""
+
+
+class Inline:
+    """Starts in this process, one by one."""
+
+    def __init__(self, one: Bench, task: Task) -> None:
+        self._bench, self._seed, self._known = one, task.seed, Known()
+        self._waiting: list[Order] = []
+
+    @property
+    def room(self) -> int:
+        """One start at a time."""
+        return 1 - len(self._waiting)
+
+    def submit(self, order: Order) -> None:
+        """Remember the start until somebody asks for results."""
+        self._waiting.append(order)
+
+    def results(self, timeout: float) -> list[tuple[Order, Attempt]]:
+        """Do the start."""
+        if not self._waiting:
+            return []
+        order = self._waiting.pop()
+        return [(order, perform(self._bench, self._seed, order, self._known))]
+
+    def learn(self, numbers: Numbers) -> None:
+        """Know one more orbit."""
+        self._known.learn([numbers])
+
+    def close(self) -> None:
+        """Nothing to stop."""
+
+
+@dataclass
+class Worker:
+    """A spawned process, the pipe to it, what it is doing and how much of the news it has heard."""
+
+    process: BaseProcess
+    pipe: Connection
+    order: Order | None = None
+    heard: int = 0
+    ready: bool = False
+
+
+class Local:
+    """Spawned processes on this machine."""
+
+    def __init__(self, task: Task, count: int) -> None:
+        self._task, self._news, self._false_starts = task, list[Numbers](), 0
+        self._again: list[Order] = []
+        self._workers: list[Worker] = []
+        for _ in range(count):
+            self._workers.append(self._hired())
+
+    @property
+    def room(self) -> int:
+        """Idle workers."""
+        return sum(one.order is None for one in self._workers) - len(self._again)
+
+    def submit(self, order: Order) -> None:
+        """Give a start to an idle worker, with the news that it has not heard."""
+        worker = next(one for one in self._workers if one.order is None)
+        worker.order = order
+        with contextlib.suppress(OSError):  # it died: `results` finds out
+            worker.pipe.send((order, self._news[worker.heard :]))
+        worker.heard = len(self._news)
+
+    def results(self, timeout: float) -> list[tuple[Order, Attempt]]:
+        """Attempts that have come in; dead workers are replaced, their starts repeated once."""
+        found: list[tuple[Order, Attempt]] = []
+        ready = wait([one.pipe for one in self._workers], timeout)
+        for k, worker in enumerate(self._workers):
+            if worker.pipe in ready:
+                found += self._heard_from(k, worker)
+        while self._again and any(one.order is None for one in self._workers):
+            self.submit(self._again.pop(0))
+        return found
+
+    def learn(self, numbers: Numbers) -> None:
+        """Every worker hears of it with its next start."""
+        self._news.append(numbers)
+
+    def close(self) -> None:
+        """Ask, then terminate."""
+        for worker in self._workers:
+            with contextlib.suppress(OSError):
+                worker.pipe.close()
+        for worker in self._workers:
+            if worker.order is not None:
+                worker.process.terminate()
+        for worker in self._workers:
+            worker.process.join(LAST_WORDS)
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+
+    def _heard_from(self, k: int, worker: Worker) -> list[tuple[Order, Attempt]]:
+        try:
+            message = worker.pipe.recv()
+        except (EOFError, OSError):
+            return self._replaced(k, worker)
+        if message is None:
+            worker.ready, self._false_starts = True, 0
+            return []
+        order, worker.order = worker.order, None
+        assert order is not None
+        return [(order, message)]
+
+    def _replaced(self, k: int, worker: Worker) -> list[tuple[Order, Attempt]]:
+        """A new process for a dead one, and its start once more or given up."""
+        worker.pipe.close()
+        worker.process.join(LAST_WORDS)
+        self._false_starts += not worker.ready
+        if self._false_starts > MOST_FALSE_STARTS:
+            raise OrbitfinderError(
+                "search: worker processes die before they begin; a script must call search below "
+                "if __name__ == '__main__', and --workers 0 searches without other processes"
+            )
+        self._workers[k] = self._hired()
+        order = worker.order
+        if order is None:
+            return []
+        if not worker.ready or order.tries < MOST_TRIES:
+            self._again.append(replace(order, tries=order.tries + worker.ready))
+            return []
+        return [(order, Attempt(order.number, "", reason=DIED))]
+
+    def _hired(self) -> Worker:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        # a daemon dies with this process in every orderly end; a killed parent is noticed by the closed pipe
+        process = context.Process(target=serve, args=(theirs, self._task.text(), self._task.seed), daemon=True)
+        with interrupt.held_back(), one_thread():
+            process.start()
+        theirs.close()
+        return Worker(process, ours)
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Processes started in the block keep their linear algebra on one processor each."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def serve(pipe: Connection, text: str, seed: int) -> None:
+    """The life of a worker: until the pipe is closed, one start after the other."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
+    one, known = prepared(text), Known()
+    with contextlib.suppress(EOFError, OSError):
+        pipe.send(None)
+        while True:
+            order, news = pipe.recv()
+            known.learn(news)
+            pipe.send(perform(one, seed, order, known))

@@ -1,0 +1,57 @@
+"""The command `export`: orbits for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from orbitfinder.errors import InputError
+
+FILES = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@click.option("--to", required=True, type=click.Choice(["csv", "auto", "julia", "c"]), help="What to write.")
+@click.option("-o", "--out", default=None, type=FILES, help="Folder for the files; default: beside each ORBIT.json.")
+def export(files: tuple[Path, ...], to: str, out: Path | None) -> None:
+    """Write each ORBIT.json for another program.
+
+    csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
+    (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
+
+    \b
+    Examples:
+      orbitfinder export orbits/triple-1/orbit.json --to csv
+      orbitfinder export orbits/triple-1/orbit.json --to auto -o auto
+    """
+    from orbitfinder.exports.write import export_orbit
+    from orbitfinder.periodic.orbit import load_orbit
+    from orbitfinder.runner import check_consistent, check_writable
+
+    seen: dict[str, Path] = {}
+    orbits = [(file, load_orbit(file)) for file in files]
+    for file, orbit in orbits:
+        _check_name(orbit.name, file)
+        check_consistent(orbit)
+        if out is not None and seen.setdefault(orbit.name, file) != file:
+            both = f"{seen[orbit.name]} and {file} are both named {orbit.name!r}"
+            raise InputError(f"--out: {both}; export one at a time")
+    for file, orbit in orbits:
+        folder = file.parent if out is None else out
+        check_writable(folder)
+        for written in export_orbit(orbit, to, folder):
+            click.echo(str(written))
+
+
+def _check_name(name: str, file: Path) -> None:
+    """`InputError` for a name in an orbit.json that could lead out of the folder."""
+    from pydantic_core import PydanticCustomError
+
+    from orbitfinder.schema import check_name
+
+    try:
+        check_name(name)
+    except PydanticCustomError as error:
+        raise InputError(f"{file}: name: {error.message()}, got {name!r}; rename it in the file") from error

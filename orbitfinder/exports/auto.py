@@ -1,0 +1,177 @@
+"""Files that AUTO-07p loads: equations, constants and the orbit as starting data.
+
+A conservative system gets AUTO's usual remedy, the fictitious damping s v with s = PAR(1) free and
+PAR(11) the period: s stays at round-off and the family is followed (Muñoz-Almaraz, Freire, Galán,
+Doedel, Vanderbauwhede, "Continuation of periodic orbits in conservative and Hamiltonian systems").
+A forcing of period P becomes autonomous through an oscillator (c, s) -> (cos, sin)(2 pi t / P) whose
+unit circle attracts: c' = c - w s - c (c^2 + s^2), s' = s + w c - s (c^2 + s^2), t = atan2(s, c) / w.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.exports.source import Source, dense_states
+from orbitfinder.exports.straightline import FORTRAN, fortran_number, straight_line
+
+UNFOLDING, ENERGY, PERIOD, FIRST = 1, 2, 11, 15
+"""Places in PAR: the unfolding, the energy (for output), the period (AUTO's rule), physical parameters."""
+ROWS = 2001
+"""Rows of the .dat file; AUTO interpolates linearly between them before its first correction."""
+
+FUNC = """subroutine FUNC(NDIM, U, ICP, PAR, IJAC, F, DFDU, DFDP)
+  implicit none
+  integer, intent(in) :: NDIM, ICP(*), IJAC
+  double precision, intent(in) :: U(NDIM), PAR(*)
+  double precision, intent(out) :: F(NDIM)
+  double precision, intent(inout) :: DFDU(NDIM, NDIM), DFDP(NDIM, *)
+  double precision :: w({work}), t(1), s(1), forcing(1), rate
+{body}
+end subroutine FUNC
+"""
+STPNT = """subroutine STPNT(NDIM, U, PAR, T)
+  implicit none
+  integer, intent(in) :: NDIM
+  double precision, intent(inout) :: U(NDIM), PAR(*)
+  double precision, intent(in) :: T
+{body}
+end subroutine STPNT
+"""
+PVLS = """subroutine PVLS(NDIM, U, PAR)
+  implicit none
+  integer, intent(in) :: NDIM
+  double precision, intent(in) :: U(NDIM)
+  double precision, intent(inout) :: PAR(*)
+  double precision, external :: GETP
+  double precision :: w({work}), x({size}), e(1)
+  integer :: i
+  do i = 1, {size}
+    x(i) = GETP('BV0', i, U)
+  end do
+{body}
+  PAR({energy}) = e(1)
+end subroutine PVLS
+"""
+REST = """subroutine BCND
+end subroutine BCND
+
+subroutine ICND
+end subroutine ICND
+
+subroutine FOPT
+end subroutine FOPT
+"""
+CONSTANTS = """NDIM = {dimension}, IPS = 2, IRS = 0, ILP = {folds}
+ICP = [{free}]
+NTST = {intervals}, NCOL = 4, IAD = 3, ISP = 2, ISW = 1, IPLT = 0, NBC = 0, NINT = 0
+NMX = 20, NPR = 20, MXBF = 0, IID = 2, ITMX = 8, ITNW = 7, NWTN = 3, JAC = 0
+EPSL = 1e-9, EPSU = 1e-9, EPSS = 1e-7
+DS = 0.01, DSMIN = 1e-06, DSMAX = 0.1, IADS = 1
+NPAR = {parameters}, THL = {{}}, THU = {{}}
+unames = {{{states}}}
+parnames = {{{names}}}
+dat = '{word}'
+"""
+
+
+def auto_files(source: Source) -> dict[str, str]:
+    """The three files of an AUTO run, by name. Raises `InputError` for what AUTO's IPS = 2 cannot state."""
+    invariants = [one.name for one in source.model.invariants]
+    if len(invariants) > 1:
+        raise InputError(
+            f"--to auto: this system has {len(invariants)} first integrals ({', '.join(invariants)}) and the files "
+            "unfold one; tie the system down (a weak spring), or use --to julia or --to c"
+        )
+    word = source.identifier
+    return {f"{word}.f90": equations(source), f"c.{word}": constants(source), f"{word}.dat": starting_data(source)}
+
+
+def equations(source: Source) -> str:
+    """The equations file: FUNC, STPNT with the parameters of the orbit, PVLS with the energy."""
+    comments = "".join(f"! {line}\n" for line in [*source.heading, *_legend(source)])
+    return "\n".join([comments, _func(source), _stpnt(source), _pvls(source), REST])
+
+
+def _legend(source: Source) -> list[str]:
+    lines = [f"PAR({UNFOLDING}): the unfolding s, a fictitious damping that is 0 on orbits; PAR({PERIOD}): period"]
+    return [*lines, f"PAR({ENERGY}): energy (output); physical parameters from PAR({FIRST}) on"]
+
+
+def _parameters_in_par(lines: list[str]) -> str:
+    """The lines indented, with p(k) read from PAR, where AUTO may vary it."""
+    moved = [re.sub(r"\bp\((\d+)\)", lambda found: f"PAR({FIRST - 1 + int(found.group(1))})", one) for one in lines]
+    return "\n".join(f"  {line}" for line in moved)
+
+
+def _func(source: Source) -> str:
+    model, n = source.model, source.model.degrees_of_freedom
+    lines, work = straight_line(source.rate, FORTRAN, ["t", "U", "s", "p"], ["F"])
+    before, after = ["t(1) = 0.0d0", f"s(1) = PAR({UNFOLDING})"], []
+    if model.forced:
+        clock, extent = straight_line(model.forcing_period, FORTRAN, ["p"], ["forcing"])
+        work = max(work, extent)
+        before += [*clock, f"rate = {fortran_number(2 * np.pi)} / forcing(1)"]
+        before += [f"t(1) = atan2(U({2 * n + 2}), U({2 * n + 1})) / rate"]
+        after += _oscillator(2 * n + 1, 2 * n + 2)
+    if not model.invariants:  # s must act on something to be a parameter
+        after += [f"F({n + i}) = F({n + i}) + s(1) * U({n + i})" for i in range(1, n + 1)]
+    return FUNC.format(work=work, body=_parameters_in_par([*before, *lines, *after]))
+
+
+def _oscillator(c: int, s: int) -> list[str]:
+    circle = f"(1.0d0 - U({c}) * U({c}) - U({s}) * U({s}))"
+    return [f"F({c}) = U({c}) * {circle} - rate * U({s})", f"F({s}) = U({s}) * {circle} + rate * U({c})"]
+
+
+def _stpnt(source: Source) -> str:
+    values = {UNFOLDING: 0.0, ENERGY: source.orbit.energy, PERIOD: source.orbit.period}
+    values |= {FIRST + k: float(value) for k, value in enumerate(source.model.parameter_values)}
+    lines = [f"PAR({place}) = {fortran_number(value)}" for place, value in values.items()]
+    lines += [f"U({i + 1}) = {fortran_number(value)}" for i, value in enumerate(_with_clock(source)[1][0])]
+    return STPNT.format(body="\n".join(f"  {line}" for line in lines))
+
+
+def _pvls(source: Source) -> str:
+    lines, work = straight_line(source.energy, FORTRAN, ["x", "p"], ["e"])
+    size = 2 * source.model.degrees_of_freedom
+    return PVLS.format(work=work, size=size, energy=ENERGY, body=_parameters_in_par(lines))
+
+
+def constants(source: Source) -> str:
+    """The constants file: 20 steps along the family, or in the first parameter of a system without one."""
+    model = source.model
+    varied = UNFOLDING if model.invariants or not model.parameter_names else FIRST
+    names = {UNFOLDING: "unfolding", ENERGY: "energy", PERIOD: "period"}
+    taken = set(names.values())
+    names |= {FIRST + k: f"{name}_" if name in taken else name for k, name in enumerate(model.parameter_names)}
+    clock = ["clock_cos", "clock_sin"] if model.forced else []
+    states = [*model.state_names, *clock]
+    return CONSTANTS.format(
+        dimension=len(states),
+        folds=int(varied != UNFOLDING),  # the unfolding is 0 all along a family, no fold in it means anything
+        free=f"{varied}, {PERIOD}, {ENERGY}",
+        intervals=50 if source.orbit.certificate is None or source.orbit.certificate.scale < 100 else 100,
+        parameters=max(36, FIRST + len(model.parameter_names)),
+        states=", ".join(f"{k + 1}: '{name}'" for k, name in enumerate(states)),
+        names=", ".join(f"{k}: '{name}'" for k, name in sorted(names.items())),
+        word=source.identifier,
+    )
+
+
+def _with_clock(source: Source) -> tuple[np.ndarray, np.ndarray]:
+    """Dense times and states, those of the added oscillator included."""
+    times, states = dense_states(source, ROWS)
+    if source.model.forcing_period is not None:
+        turn = 2 * np.pi * times / float(source.model.forcing_period(source.model.parameter_values))
+        states = np.column_stack([states, np.cos(turn), np.sin(turn)])
+    return times, states
+
+
+def starting_data(source: Source) -> str:
+    """The .dat file: a line of t and the states for each of `ROWS` equal times over one period."""
+    times, states = _with_clock(source)
+    rows = np.column_stack([times, states])
+    return "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in rows)

@@ -1,0 +1,1 @@
+"""A static site that opens from disk: gallery, orbit, family and atlas pages made from result files."""

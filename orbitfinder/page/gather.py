@@ -1,0 +1,159 @@
+"""From paths to what they hold: orbits, families and atlases, checked, in a reproducible order."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.store import FORMAT as FAMILY
+from orbitfinder.periodic.orbit import FORMAT as ORBIT
+from orbitfinder.periodic.orbit import check_document, orbit_from_document
+
+DATABASES = (".sqlite", ".sqlite3", ".db")
+NAMES = ("orbit.json", "family.json")
+
+
+@dataclass(frozen=True)
+class OrbitFile:
+    """A checked orbit document, its file's text compactly, and its dense samples where they are kept."""
+
+    document: Mapping[str, Any]
+    text: str
+    dense: tuple[np.ndarray, np.ndarray] | None = None
+
+
+@dataclass
+class Gathered:
+    """Everything that the paths hold."""
+
+    orbits: list[OrbitFile] = field(default_factory=list)
+    families: list[Mapping[str, Any]] = field(default_factory=list)
+    atlases: list[tuple[str, list[OrbitFile]]] = field(default_factory=list)
+
+
+def gather(paths: Sequence[Path]) -> Gathered:
+    """Read orbit.json, family.json, atlas exports and atlas databases, or folders of them.
+
+    Of a folder every orbit.json, family.json and *.sqlite below it is taken, in alphabetical order.
+    Raises `InputError`.
+    """
+    found, seen = Gathered(), set()
+    for path in paths:
+        files = _below(path) if path.is_dir() else [path]
+        for file in files:
+            if (place := file.resolve()) not in seen:
+                seen.add(place)
+                _take(file, found)
+    return found
+
+
+def _below(folder: Path) -> list[Path]:
+    files = sorted(file for file in folder.rglob("*") if file.name in NAMES or file.suffix in DATABASES)
+    if not files:
+        raise InputError(
+            f"{folder}: no orbit.json, family.json or atlas (*.sqlite) in this folder; run `orbitfinder run`, "
+            "`continue` or `search` first, or name the files"
+        )
+    return files
+
+
+def _take(file: Path, found: Gathered) -> None:
+    if file.suffix in DATABASES:
+        found.atlases.append((file.stem, _from_database(file)))
+        return
+    document = _read(file)
+    if isinstance(document, list):
+        found.atlases.append((file.stem, _documents(document, file)))
+    elif isinstance(document, dict) and document.get("format") == FAMILY:
+        found.families.append(_family(document, file))
+    elif isinstance(document, dict) and document.get("format") == ORBIT:
+        orbit = _orbit(document, str(file))
+        found.orbits.append(OrbitFile(orbit.document, orbit.text, _dense(file, len(document["state"]))))
+    else:
+        given = document.get("format") if isinstance(document, dict) else type(document).__name__
+        raise InputError(
+            f"{file}: format: {given!r} is not an orbit, a family or an atlas export; give orbit.json, "
+            "family.json, the JSON of `orbitfinder atlas export`, or an atlas database"
+        )
+
+
+def _read(file: Path) -> Any:
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{file}: no such file; check the path") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read ({error}); check the path and its permissions") from error
+    except RecursionError as error:
+        raise InputError(f"{file}: nested too deeply to be a result file; run the problem again") from error
+    except ValueError as error:
+        raise InputError(f"{file}: truncated or corrupt JSON ({error}); run the problem again") from error
+
+
+def _orbit(document: Any, where: str) -> OrbitFile:
+    """One orbit document, checked by building an Orbit from it."""
+    checked = check_document(document, where)
+    try:
+        orbit = orbit_from_document(checked, np.zeros(0), np.zeros((0, len(checked["state"]))))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    if orbit.state.ndim != 1 or orbit.state.size < 2 or orbit.state.size % 2:
+        raise InputError(f"{where}: state: {orbit.state.size} numbers; coordinates and then as many velocities")
+    numbers = [orbit.period, orbit.energy, *orbit.state]
+    if not np.all(np.isfinite(numbers)) or orbit.period <= 0:
+        raise InputError(f"{where}: period, energy or state is not finite or not positive; run the problem again")
+    return OrbitFile(checked, json.dumps(checked, separators=(",", ":"), allow_nan=False))
+
+
+def _documents(entries: Iterable[Any], file: Path) -> list[OrbitFile]:
+    return [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
+
+
+def _dense(file: Path, size: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times and states of orbit.npz beside an orbit.json, when they are there and fit."""
+    beside = file.with_suffix(".npz")
+    try:
+        with beside.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+            times, samples = np.asarray(data["times"], float), np.asarray(data["samples"], float)
+    except FileNotFoundError:
+        return None
+    except Exception as error:  # zipfile.BadZipFile and others have no common base
+        raise InputError(f"{beside}: damaged ({error}); delete it or run the problem again") from error
+    fits = samples.shape == (times.size, size) and times.size > 1 and bool(np.all(np.diff(times) > 0))
+    return (times, samples) if fits and bool(np.all(np.isfinite(samples))) else None
+
+
+WANTED = {"name": str, "system": dict, "parameter": str, "points": list, "events": list, "ends": list}
+NUMBERS = ("period", "energy", "action", "closure", "value")
+
+
+def _family(document: dict[str, Any], file: Path) -> dict[str, Any]:
+    """A family document whose points have what the pages show."""
+    for name, kind in WANTED.items():
+        if not isinstance(document.get(name), kind):
+            raise InputError(f"{file}: {name}: missing or of the wrong kind; continue the family again")
+    if not document["points"]:
+        raise InputError(f"{file}: points: empty; continue the family again")
+    for k, point in enumerate(document["points"]):
+        try:
+            values = [float(point[name]) for name in NUMBERS] + [float(x) for x in point["state"]]
+            known = isinstance(point["stability"], str) and len(point["state"]) == len(document["points"][0]["state"])
+            pairs = [complex(re, im) for re, im in point["floquet_multipliers"]]
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{file}: points[{k}]: malformed ({error}); continue the family again") from error
+        if not known or not np.all(np.isfinite(values)) or values[0] <= 0 or not np.all(np.isfinite(pairs)):
+            raise InputError(f"{file}: points[{k}]: a number is missing or not finite; continue the family again")
+    return document
+
+
+def _from_database(file: Path) -> list[OrbitFile]:
+    """The orbits of an atlas database through its `Atlas` class."""
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; check the path")
+    raise InputError(f"{file}: export it first: orbitfinder atlas export {file} --to json")

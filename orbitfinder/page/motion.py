@@ -1,0 +1,224 @@
+"""The motion of an orbit for the eye: states at equal times over one period, and positions of its points.
+
+Positions are quantised to 16 bits and interpolated by the page; their number follows from the error of
+that interpolation (half a per cent of the picture, about one pixel of a gallery card).
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from orbitfinder.errors import IntegrationError, OrbitfinderError
+from orbitfinder.flow import vector_field
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.runge_kutta import refined_march
+
+COUNTS = (48, 72, 96, 144, 216, 324, 480)
+"""Samples a period that are tried in turn."""
+INTERPOLATION = 0.005
+"""Largest error of the page's interpolation, relative to the extent of the picture."""
+GAP = 1e-2
+"""Largest jump between pieces of a motion that is still shown, relative to its extent."""
+LEVELS = 32767
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One period: `states` (k+1 x 2n) at `times` (s), with the names and kinds of the n coordinates.
+
+    `points` (m x 2 x j, x down and y right, m) are at m equal times, the end left out; `drawn` says
+    what they are: "mechanism", or "plane" where the system declares no points.
+    """
+
+    period: float
+    times: np.ndarray
+    states: np.ndarray
+    names: tuple[str, ...]
+    angles: tuple[bool, ...]
+    points: np.ndarray
+    drawn: str
+
+    def at(self, count: int, endpoint: bool = False) -> np.ndarray:
+        """States at `count` equal times over the period."""
+        return resampled(self.times, self.states, self.period, count, endpoint)
+
+
+def resampled(times: np.ndarray, states: np.ndarray, period: float, count: int, endpoint: bool = False) -> np.ndarray:
+    """States at `count` equal times, coordinates by their cubic Hermite spline, velocities by its derivative."""
+    n = states.shape[1] // 2
+    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
+    moments = np.linspace(0.0, period, count, endpoint=endpoint)
+    return np.hstack([spline(moments), spline(moments, 1)])
+
+
+class Films:
+    """Motions of orbits; models and their equations are built once per system and parameters."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[Model, Any] | None] = {}
+
+    def model(self, system: Mapping[str, Any], free: Mapping[str, float] | None = None) -> tuple[Model, Any] | None:
+        """The Model of a description and its field f(t, x, s, p), or None where no file describes it."""
+        key = repr((sorted(system.items()), sorted((free or {}).items())))
+        if key not in self._known:
+            try:
+                built = build_model(system)
+                built = with_parameters(built, free) if free else built
+                self._known[key] = (built, vector_field(built, (), ()))
+            except OrbitfinderError:
+                self._known[key] = None
+        return self._known[key]
+
+    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Motion | None:
+        """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
+        found, period = self.model(document["system"]), float(document["period"])
+        if found is None:
+            return None if dense is None else _without_model(document, *dense)
+        model, field = found
+        nodes = np.asarray(document.get("nodes") or [document["state"]], float)
+        if nodes.ndim != 2 or nodes.shape[1] != len(model.state_names):
+            return None
+        path = _pieces(field, nodes, period) or dense
+        if path is None or not _closes(path[1]):
+            return None
+        return _motion(model, *path, period)
+
+    def member(self, system: Mapping[str, Any], entry: Mapping[str, Any]) -> Motion | None:
+        """The motion of a point or event of a family from its state, completed by the family's symmetry."""
+        found, period = self.model(system, entry.get("free") or None), float(entry["period"])
+        if found is None:
+            return None
+        model, field = found
+        symmetry = str(entry.get("symmetry", "none"))
+        share = {"none": 1.0, "brake+reflection": 0.25}.get(symmetry, 0.5)
+        try:
+            states = refined_march(field, np.asarray(entry["state"], float), share * period, 24, np.zeros(0))
+        except IntegrationError:
+            return None
+        states = completed(states, symmetry)
+        if not _closes(states):
+            return None
+        return _motion(model, np.linspace(0.0, period, len(states)), states, period)
+
+
+def _pieces(field: Any, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times and states over the period, each segment from its own node, so that instability does not show."""
+    count, span = len(nodes), period / len(nodes)
+    times, states = [np.zeros(1)], [nodes[:1]]
+    for k, node in enumerate(nodes):
+        try:
+            path = refined_march(field, node, span, max(2, 96 // count), np.zeros(0), k * span)
+        except IntegrationError:
+            return None
+        times.append(k * span + np.linspace(0.0, span, len(path))[1:])
+        states.append(path[1:])
+        if k + 1 < count:
+            states[-1][-1] = nodes[k + 1]
+    return np.concatenate(times), np.vstack(states)
+
+
+def completed(states: np.ndarray, symmetry: str) -> np.ndarray:
+    """States over a whole period from those over the part that a symmetry leaves free (see `families`).
+
+    brake: q(T-t) = q(t); reflection: q(t+T/2) = q(0) + q(T/2) - q(t); reversal: q(T-t) = 2 q(T/2) - q(t);
+    brake+reflection: q(T/2-t) = 2 q(T/4) - q(t), then brake. Velocities are their derivatives.
+    """
+    n = states.shape[1] // 2
+    q, v = states[:, :n], states[:, n:]
+    if symmetry == "brake":
+        return np.vstack([states, np.hstack([q, -v])[-2::-1]])
+    if symmetry == "reflection":
+        return np.vstack([states, np.hstack([q[0] + q[-1] - q, -v])[1:]])
+    if symmetry == "reversal":
+        return np.vstack([states, np.hstack([2 * q[-1] - q, v])[-2::-1]])
+    if symmetry == "brake+reflection":
+        half = np.vstack([states, np.hstack([2 * q[-1] - q, v])[-2::-1]])
+        return completed(half, "brake")
+    return states
+
+
+def _closes(states: np.ndarray) -> bool:
+    """True when the velocities return; the coordinates may have turned by whole turns."""
+    n = states.shape[1] // 2
+    extent = float(np.ptp(states[:, n:], axis=0).max())
+    return bool(np.abs(states[-1, n:] - states[0, n:]).max() <= GAP * max(extent, 1e-12))
+
+
+def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
+    n = model.degrees_of_freedom
+    angles = model.angles or (True,) * n
+
+    def seen(count: int) -> np.ndarray:
+        chosen = resampled(times, states, period, count)
+        return positions(model, chosen) if model.points is not None else _plane(chosen)
+
+    drawn = "mechanism" if model.points is not None else "plane"
+    return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn)
+
+
+def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.ndarray) -> Motion:
+    n = states.shape[1] // 2
+    names = tuple(f"q{i + 1}" for i in range(n)) + tuple(f"q{i + 1}dot" for i in range(n))
+    period = float(document["period"])
+    points = _fewest(lambda count: _plane(resampled(times, states, period, count)))
+    return Motion(period, times, states, names, (False,) * n, points, "plane")
+
+
+def _plane(states: np.ndarray) -> np.ndarray:
+    """One point in a plane for systems without a picture: the first two coordinates, or one and its rate."""
+    n = states.shape[1] // 2
+    second = states[:, 1] if n > 1 else states[:, n]
+    return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
+
+
+def _fewest(seen: Any) -> np.ndarray:
+    """Positions at the fewest equal times whose interpolation is good enough, at most the largest of COUNTS."""
+    for count in COUNTS:
+        fine = seen(2 * count)
+        coarse, between = fine[::2], fine[1::2]
+        # Catmull-Rom half way between samples, as in assets/core.js
+        guessed = (9 * (coarse + np.roll(coarse, -1, 0)) - np.roll(coarse, 1, 0) - np.roll(coarse, -2, 0)) / 16
+        extent = max(float(np.ptp(coarse, axis=(0, 2)).max()), 1e-12)
+        if np.abs(guessed - between).max() <= INTERPOLATION * extent:
+            return np.asarray(coarse)
+    return np.asarray(coarse)
+
+
+def packed(motion: Motion) -> dict[str, Any]:
+    """Positions for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
+
+    Channel c is x of point c for c < j, and y of point c - j after that; a value is centre + half * int / 32767.
+    """
+    count, _, many = motion.points.shape
+    channels = motion.points.reshape(count, 2 * many).T
+    low, high = motion.points.min(axis=(0, 2)), motion.points.max(axis=(0, 2))
+    centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-12)
+    moving = [c for c in range(2 * many) if np.ptp(channels[c]) > 1e-9 * half]
+    middle = np.repeat(centre, many)
+    numbers = np.rint((channels - middle[:, None]) / half * LEVELS)
+    still = {str(c): float(round(channels[c, 0], 9)) for c in range(2 * many) if c not in moving}
+    return {
+        "count": count,
+        "points": many,
+        "period": motion.period,
+        "centre": [float(x) for x in centre],
+        "half": half,
+        "moving": moving,
+        "still": still,
+        "data": base64.b64encode(numbers[moving].astype("<i2").tobytes()).decode(),
+        "drawn": motion.drawn,
+    }
+
+
+def histories(motion: Motion) -> dict[str, Any]:
+    """States at equal times, end included, as little-endian float32 in base64, component by component."""
+    count = max(240, len(motion.points)) + 1
+    states = motion.at(count, endpoint=True)
+    return {"count": count, "data": base64.b64encode(states.T.astype("<f4").tobytes()).decode()}

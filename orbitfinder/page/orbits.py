@@ -1,0 +1,227 @@
+"""The page and the gallery card of one orbit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.page.gather import OrbitFile
+from orbitfinder.page.motion import Motion, histories, packed
+from orbitfinder.page.recipe import commands, problem_name, problem_text
+from orbitfinder.page.text import Html, escaped, fill, joined, number
+from orbitfinder.page.words import coordinate, mechanism
+
+MOST_PORTRAITS = 9
+"""Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
+SYMMETRIES = {"none": "no symmetry"}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One orbit of the site: its file, its motion, the name of its page and how its parts are called."""
+
+    file: OrbitFile
+    motion: Motion | None
+    slug: str
+    series: str = ""
+    """name of the atlas it came from, empty for an orbit.json"""
+
+    @property
+    def document(self) -> Mapping[str, Any]:
+        """The orbit document."""
+        return self.file.document
+
+    @property
+    def title(self) -> str:
+        """The title, or the name where there is none."""
+        return str(self.document.get("title") or self.document["name"])
+
+    @property
+    def mechanism(self) -> str:
+        """The kind of mechanism in words."""
+        return mechanism(self.document["system"])
+
+    @property
+    def certified(self) -> bool | None:
+        """The recorded verdict; None when the document carries no certificate."""
+        recorded = self.document.get("certificate")
+        checks = recorded.get("checks") if isinstance(recorded, Mapping) else None
+        return bool(recorded["passed"]) if checks and isinstance(recorded, Mapping) else None
+
+    @property
+    def largest(self) -> float:
+        """Largest modulus of the Floquet multipliers, 1 where there are none."""
+        pairs = self.document["floquet_multipliers"]
+        return float(max((abs(complex(*pair)) for pair in pairs), default=1.0))
+
+
+def symmetry_words(name: str) -> str:
+    """A symmetry for reading."""
+    return SYMMETRIES.get(name, name.replace("+", " and "))
+
+
+def verdict(certified: bool | None) -> Html:
+    """A badge that says whether the orbit carries a passed certificate."""
+    if certified is None:
+        return Html('<span class="badge">no certificate</span>')
+    word, style = ("certified", "good") if certified else ("not certified", "bad")
+    return Html(f'<span class="badge {style}">{word}</span>')
+
+
+def stability_badge(stability: str) -> Html:
+    """A badge for the stability; a sign beside the word, so that colour is not needed to tell them apart."""
+    style = {"unstable": "bad", "stable": "good", "elliptic": "good"}.get(stability, "plain")
+    sign = "\N{BLACK DIAMOND}" if stability == "unstable" else "\N{BLACK CIRCLE}"
+    return Html(f'<span class="badge {style}"><span aria-hidden="true">{sign}</span> {escaped(stability)}</span>')
+
+
+def card(entry: Entry) -> Html:
+    """The orbit's card in the gallery; what it is sorted and filtered by stands in its data attributes."""
+    document = entry.document
+    return fill(
+        "card",
+        slug=entry.slug, title=entry.title, mechanism=entry.mechanism, series=entry.series,
+        energy=repr(float(document["energy"])), period=repr(float(document["period"])),
+        energy_text=number(document["energy"]), period_text=number(document["period"]),
+        stability=document["stability"], symmetry=document["symmetry"], largest=repr(entry.largest),
+        badge=stability_badge(document["stability"]), symmetry_text=symmetry_words(document["symmetry"]),
+    )  # fmt: skip
+
+
+def orbit_main(entry: Entry) -> Html:
+    """What stands inside <main> of an orbit page."""
+    document, problem = entry.document, problem_text(entry.document)
+    return fill(
+        "orbit",
+        title=entry.title, mechanism=entry.mechanism, source=_source(document),
+        verdict=verdict(entry.certified), stability=stability_badge(document["stability"]),
+        symmetry=symmetry_words(document["symmetry"]), facts=_facts(entry),
+        player=player(f"Moving picture of {entry.title}"),
+        missing=Html("") if entry.motion else _missing(), note=_chosen_note(entry.motion),
+        multipliers=_multiplier_rows(document["floquet_multipliers"]), pair_defect=_pair_note(document),
+        certificate=_certificate(document), name=problem_name(document),
+        problem=problem or "This system was built in Python; no problem file describes it.",
+        commands=commands(document) if problem else f"orbitfinder verify {problem_name(document)}.json\n",
+    )  # fmt: skip
+
+
+def player(label: str) -> Html:
+    """A canvas with play, speed, trace and time."""
+    return fill("player", label=label)
+
+
+def _source(document: Mapping[str, Any]) -> Html:
+    source = document.get("source")
+    return Html(f'<p class="source">Source: {escaped(source)}</p>') if source else Html("")
+
+
+def _missing() -> Html:
+    return Html(
+        '<p class="notice">This orbit cannot be drawn: its system cannot be rebuilt from the file, or its nodes do not '
+        "join up. The numbers below are those of the file.</p>"
+    )
+
+
+def _facts(entry: Entry) -> Html:
+    document = entry.document
+    rows = [
+        ("Period", f"{float(document['period'])!r} s"),
+        ("Frequency", f"{number(1.0 / document['period'], 8)} 1/s"),
+        ("Energy", f"{number(document['energy'], 12)} J"),
+        ("Action", f"{number(document['action'], 10)} J s"),
+        ("Closure", number(document["closure"], 2)),
+        ("Largest multiplier", number(entry.largest, 6)),
+    ]
+    if any(document.get("winding") or ()):
+        rows.append(("Winding", ", ".join(str(k) for k in document["winding"])))
+    return fact_list(rows)
+
+
+def fact_list(rows: list[tuple[str, str]]) -> Html:
+    """Names and values for a <dl>."""
+    return joined(Html(f"<div><dt>{escaped(name)}</dt><dd>{escaped(value)}</dd></div>") for name, value in rows)
+
+
+def shown(motion: Motion) -> list[int]:
+    """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
+    n = len(motion.names) // 2
+    candidates = list(range(n))
+    if n > 6 and any(motion.angles) and not all(motion.angles):
+        candidates = [k for k in candidates if motion.angles[k]]
+    picks = np.linspace(0, len(candidates) - 1, min(len(candidates), MOST_PORTRAITS)).round().astype(int)
+    return [candidates[k] for k in np.unique(picks)]
+
+
+def _chosen_note(motion: Motion | None) -> str:
+    if motion is None:
+        return ""
+    n, some = len(motion.names) // 2, len(shown(motion))
+    return "" if n == some else f"{some} of {n} coordinates are plotted; the CSV holds all."
+
+
+def _multiplier_rows(pairs: list[list[float]]) -> Html:
+    rows = []
+    for re, im in sorted(pairs, key=lambda pair: (-abs(complex(*pair)), pair[1])):
+        size, angle = abs(complex(re, im)), float(np.degrees(np.angle(complex(re, im))))
+        cells = (number(re, 8), number(im, 8), number(size, 8), number(angle, 5))
+        rows.append(Html("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"))
+    if not rows:
+        return Html('<tr><td colspan="4">none besides the trivial ones</td></tr>')
+    return joined(rows)
+
+
+def _pair_note(document: Mapping[str, Any]) -> str:
+    defect = document.get("pair_defect")
+    if not isinstance(defect, (int, float)) or not document["floquet_multipliers"]:
+        return ""
+    return f"Defect of the reciprocal pairs, their error bar: {number(float(defect), 2)}."
+
+
+def _certificate(document: Mapping[str, Any]) -> Html:
+    recorded = document.get("certificate") or {}
+    if not recorded.get("checks"):
+        return Html('<tr><td colspan="5">This file carries no certificate; run orbitfinder verify.</td></tr>')
+    return joined(_check(check) for check in recorded["checks"])
+
+
+def _check(check: Mapping[str, Any]) -> Html:
+    value = check.get("value")
+    cells = [
+        str(check.get("name", "")).replace("_", " "), number(None if value is None else float(value), 3),
+        number(float(check.get("tolerance", 0.0)), 3), "passed" if check.get("passed") else "FAILED",
+        check.get("note", ""),
+    ]  # fmt: skip
+    style = "good" if check.get("passed") else "bad"
+    inner = "".join(f"<td>{escaped(cell)}</td>" for cell in cells[1:3])
+    return Html(
+        f'<tr><th scope="row">{escaped(cells[0])}</th>{inner}'
+        f'<td><span class="badge {style}">{cells[3]}</span></td><td>{escaped(cells[4])}</td></tr>'
+    )
+
+
+def orbit_data(entry: Entry) -> dict[str, Any]:
+    """What the orbit page's script works with."""
+    document, motion = entry.document, entry.motion
+    data: dict[str, Any] = {
+        "name": problem_name(document),
+        "title": entry.title,
+        "period": float(document["period"]),
+        "multipliers": document["floquet_multipliers"],
+        "json": entry.file.text,
+        "problem": problem_text(document),
+        "motion": None,
+    }
+    if motion is not None:
+        n = len(motion.names) // 2
+        data |= {
+            "motion": packed(motion),
+            "histories": histories(motion),
+            "names": list(motion.names),
+            "labels": [coordinate(name) for name in motion.names[:n]],
+            "units": ["rad" if angle else "m" for angle in motion.angles],
+            "shown": shown(motion),
+        }
+    return data

@@ -1,0 +1,226 @@
+"""The whole site: pages, data and assets, written beside the target and then put in its place."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.errors import InputError
+from orbitfinder.page.explorers import (
+    MOST_ITEMS,
+    atlas_data,
+    atlas_main,
+    evenly,
+    family_data,
+    family_main,
+    options,
+)
+from orbitfinder.page.gather import Gathered, OrbitFile
+from orbitfinder.page.motion import Films, packed
+from orbitfinder.page.orbits import Entry, card, orbit_data, orbit_main
+from orbitfinder.page.text import ASSETS, Html, fill, joined, number, script_data, size, slug_maker
+from orbitfinder.page.words import mechanism, plural
+from orbitfinder.version import __version__
+
+MARK = "orbitfinder-page.json"
+"""A file of this name says that a folder was written here and may be replaced."""
+WEIGHT = "@@WEIGHT@@"
+PLOTTING = "plotly-basic.min.js"
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a site is called, and how many orbits of each atlas get a card and a page of their own."""
+
+    title: str = "Periodic orbits"
+    atlas_pages: int = 60
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What was written."""
+
+    orbits: int
+    families: int
+    atlases: int
+    size: int
+
+
+@dataclass(frozen=True)
+class Page:
+    """One HTML file: where it is and which other files it loads."""
+
+    path: str
+    html: str
+    loads: tuple[str, ...]
+
+
+class Site:
+    """The files of a site by their path, collected before anything is written."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.files: dict[str, bytes] = {}
+        self.pages: list[Page] = []
+        for asset in sorted(files(__package__).joinpath(ASSETS).iterdir(), key=lambda one: one.name):
+            if asset.is_file():
+                self.files[f"assets/{asset.name}"] = asset.read_bytes()
+
+    def add(self, path: str, title: str, main: Html, data: tuple[str, Any], scripts: Sequence[str], about: str) -> None:
+        """One page with its data file."""
+        key, payload = data
+        beside = re.sub(r"\.html$", ".js", path)
+        data_file = f"data/{beside}"
+        self.files[data_file] = script_data(key, payload).encode("ascii")
+        root = "../" * path.count("/")
+        sources = [f"assets/{name}" for name in ("core.js", *scripts)]
+        loads = [*sources[:1], data_file, *sources[1:]]
+        tags = joined(Html(f'<script defer src="{root}{source}"></script>') for source in loads)
+        whole = fill(
+            "base", title=title, site=self.settings.title, about=about, root=root, scripts=tags, main=main,
+            version=__version__, weight=Html(WEIGHT), here=Html("") if path != "index.html" else Html(' aria-current="page"'),
+        )  # fmt: skip
+        self.pages.append(Page(path, whole, ("assets/page.css", "assets/theme.js", *loads)))
+
+    def finish(self) -> int:
+        """Turn the pages into files, each with what it and the whole site weigh; returns the latter in bytes."""
+        self.files[MARK] = (json.dumps({"format": "orbitfinder/page", "version": 1}) + "\n").encode()
+        fixed = sum(map(len, self.files.values())) + sum(len(page.html.encode("utf-8", "replace")) for page in self.pages)
+        whole = size(fixed)
+        for page in self.pages:
+            own = len(page.html.encode("utf-8", "replace")) + sum(len(self.files[name]) for name in page.loads)
+            text = f"This page loads {size(own)}; the whole site is {whole}."
+            self.files[page.path] = page.html.replace(WEIGHT, text).encode("utf-8", "replace")
+        return sum(map(len, self.files.values()))
+
+
+def build_site(found: Gathered, settings: Settings | None = None, say: Progress | None = None) -> tuple[Site, Summary]:
+    """All pages of everything gathered, in memory."""
+    settings, tell = settings or Settings(), say or (lambda _: None)
+    site, films, slug = Site(settings), Films(), slug_maker()
+    entries = []
+    for file in found.orbits:
+        entries.append(Entry(file, films.orbit(file.document, file.dense), slug(file.document["name"])))
+    tell(f"{plural(len(entries), 'orbit')} drawn")
+    links: list[Html] = []
+    motions: dict[str, Any] = {}
+    families = slug_maker()
+    for family in found.families:
+        links.append(_add_family(site, family, families(str(family["name"])), films, motions))
+        tell(f"family {family['name']}: {plural(len(family['points']), 'point')}")
+    atlases = slug_maker()
+    for name, documents in found.atlases:
+        link, shown = _add_atlas(site, (name, atlases(name)), documents, films, slug)
+        links.append(link)
+        entries += shown
+        tell(f"atlas {name}: {plural(len(documents), 'orbit')}")
+    for entry in entries:
+        _add_orbit(site, entry)
+    _add_gallery(site, entries, links, motions)
+    return site, Summary(len(entries), len(found.families), len(found.atlases), site.finish())
+
+
+def _add_orbit(site: Site, entry: Entry) -> None:
+    about = f"A periodic orbit of the {entry.mechanism}: period {number(entry.document['period'], 10)} s."
+    scripts = (PLOTTING, "plots.js", "orbit.js")
+    site.add(f"orbits/{entry.slug}.html", entry.title, orbit_main(entry), ("orbit", orbit_data(entry)), scripts, about)
+
+
+def _add_family(site: Site, family: Mapping[str, Any], slug: str, films: Films, motions: dict[str, Any]) -> Html:
+    data = family_data(family, films)
+    back = f"orbitfinder continue FILE --parameter {family['parameter']}"
+    main = family_main(family, data["items"], back)
+    about = f"A family of periodic orbits of the {mechanism(family['system'])}."
+    scripts = (PLOTTING, "plots.js", "explorer.js")
+    site.add(f"families/{slug}.html", f"Family {family['name']}", main, ("explorer", data), scripts, about)
+    moving = [item["motion"] for item in data["items"] if item["motion"]]
+    key = f"family/{slug}"
+    if moving:
+        motions[key] = moving[len(moving) * 2 // 3]
+    energies = data["columns"]["energy"]
+    note = f"{plural(len(energies), 'orbit')}, {number(min(energies), 4)} to {number(max(energies), 4)} J"
+    words = mechanism(family["system"])
+    return fill("link", kind="Family", href=f"families/{slug}.html", title=family["name"], note=note, motion=key, words=words)
+
+
+def _add_atlas(
+    site: Site, name: tuple[str, str], documents: Sequence[OrbitFile], films: Films, slug: Callable[[str], str]
+) -> tuple[Html, list[Entry]]:
+    """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
+    ordered = sorted(documents, key=lambda one: (one.document["energy"], one.document["period"]))
+    chosen = [ordered[k] for k in evenly(len(ordered), MOST_ITEMS)]
+    entries = [Entry(one, films.orbit(one.document), slug(one.document["name"]), name[0]) for one in chosen]
+    own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
+    data = atlas_data(name[0], entries, {one.slug for one in own})
+    main = atlas_main(name[0], entries, len(documents))
+    scripts = (PLOTTING, "plots.js", "explorer.js")
+    about = f"An atlas of {plural(len(documents), 'periodic orbit')}, energy against period."
+    path = f"atlases/{name[1]}.html"
+    site.add(path, f"Atlas {name[0]}", main, ("explorer", data), scripts, about)
+    words = ", ".join(sorted({one.mechanism for one in entries}))
+    note = f"{plural(len(documents), 'orbit')}, energy against period"
+    return fill("link", kind="Atlas", href=path, title=name[0], note=note, motion="", words=words), own
+
+
+def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], motions: dict[str, Any]) -> None:
+    motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
+    counts = [plural(len(entries), "periodic orbit")] if entries else []
+    certified = sum(entry.certified is True for entry in entries)
+    more = fill("links", links=joined(links)) if links else Html("")
+    main = fill(
+        "gallery",
+        title=site.settings.title,
+        summary=f"{', '.join(counts) or 'No single orbits'}" + (f", {certified} of them certified." if entries else "."),
+        links=more,
+        count=str(len(entries)),
+        cards=joined(card(entry) for entry in entries),
+        mechanisms=options(entry.mechanism for entry in entries),
+        stabilities=options(entry.document["stability"] for entry in entries),
+        symmetries=options(entry.document["symmetry"] for entry in entries),
+    )
+    about = f"A gallery of {plural(len(entries), 'periodic orbit')} of mechanical systems, each moving in real time."
+    site.add("index.html", site.settings.title, main, ("gallery", motions), ("gallery.js",), about)
+
+
+def check_target(out: Path) -> None:
+    """`InputError` when the target holds anything that was not written here."""
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise InputError(f"--out: {out} exists and is not a folder; name a new folder")
+    if out.is_dir() and any(out.iterdir()) and not (out / MARK).is_file():
+        raise InputError(
+            f"--out: {out} is not empty and holds no former page ({MARK} is missing), so it is left alone; "
+            "name a new or an empty folder"
+        )
+
+
+def write_site(site: Site, out: Path) -> None:
+    """Write everything into a temporary folder beside the target, then put it in the target's place."""
+    check_target(out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
+    except OSError as error:
+        raise InputError(f"--out: cannot write beside {out} ({error}); choose another folder") from error
+    try:
+        fresh = temporary / "new"
+        for path, data in sorted(site.files.items()):
+            target = fresh / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(data)
+        if out.exists():
+            out.rename(temporary / "old")
+        fresh.rename(out)
+    except OSError as error:
+        if (temporary / "old").exists() and not out.exists():
+            (temporary / "old").rename(out)
+        raise InputError(f"--out: cannot write {out} ({error}); free some space or choose another folder") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)

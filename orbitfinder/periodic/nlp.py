@@ -1,0 +1,145 @@
+"""The nonlinear program of a Shooting, solved by IPOPT."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.flow import IntegratorSettings
+from orbitfinder.periodic.failure import explain, refuse_equilibrium
+from orbitfinder.periodic.shooting import Shooting
+from orbitfinder.quiet import captured
+
+
+@dataclass(frozen=True)
+class SolveSettings:
+    """How to solve; the mathematics is in the Problem."""
+
+    integrator: IntegratorSettings = field(default_factory=IntegratorSettings)
+    ipopt_tolerance: float = 1e-9
+    """IPOPT's own tolerance; the digits beyond it come from the polish"""
+    max_iterations: int = 100
+    objective_iterations: int = 500
+    """the same where an objective or inequalities are followed with an approximate Hessian"""
+    fewest_segments: int = 8
+    """per period, where the problem does not say: fewer make the basin of convergence smaller"""
+    growth_per_segment: float = 20.0
+    """segments are added until no state-transition matrix is larger than this"""
+    most_segments: int = 40
+    with_certificate: bool = True
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a progress callback gets: the stage's name, iteration, largest defect, period, seconds so far."""
+
+    stage: str
+    iteration: int
+    defect: float
+    period: float
+    elapsed: float
+
+
+Callback = Callable[[Progress], None]
+
+
+class _IterationCallback(ca.Callback):  # type: ignore[misc]
+    """CasADi's iteration hook turned into `Progress` events."""
+
+    def __init__(self, shooting: Shooting, report: Callback) -> None:
+        ca.Callback.__init__(self)
+        self.shooting, self.report, self.iteration = shooting, report, 0
+        self.construct("progress", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        return "stop"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        sizes = {"x": self.shooting.layout.total, "lam_x": self.shooting.layout.total, "f": 1}
+        count = self.shooting.constraints.numel() + self.shooting.inequalities.numel()
+        rows = {"g": count, "lam_g": count}
+        return ca.Sparsity.dense(sizes.get(ca.nlpsol_out(i), rows.get(ca.nlpsol_out(i), 0)), 1)
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
+        period = self.shooting.layout.tail(arguments[0].full().ravel())[0]
+        equations = self.shooting.constraints.numel()
+        defect = float(ca.norm_inf(arguments[ca.nlpsol_out().index("g")][:equations]))
+        self.report(Progress("shooting", self.iteration, defect, period, 0.0))
+        self.iteration += 1
+        return [0]
+
+
+def solve_nlp(
+    shooting: Shooting, settings: SolveSettings, report: Callback | None = None, start: np.ndarray | None = None
+) -> np.ndarray:
+    """The decision vector w that IPOPT finds from `start`; `ConvergenceError` or `IntegrationError` otherwise."""
+    options = _options(shooting, settings)
+    if report is not None:
+        callback = _IterationCallback(shooting, report)
+        options["iteration_callback"] = callback
+    objective = ca.MX(0) if shooting.square else shooting.objective
+    rows = ca.vertcat(shooting.constraints, shooting.inequalities)
+    program = {"x": shooting.variables, "f": objective, "g": rows}
+    zeros = np.zeros(shooting.constraints.numel())
+    limits = {"lbg": np.concatenate([zeros, shooting.low]), "ubg": np.concatenate([zeros, shooting.high])}
+    with captured() as output:
+        solver = ca.nlpsol("shooting", "ipopt", program, options)
+        result = solver(x0=shooting.start if start is None else start, lbx=shooting.lower, ubx=shooting.upper, **limits)
+        stats = solver.stats()
+    w = result["x"].full().ravel()
+    if not stats["success"]:
+        raise explain(shooting, w, stats["return_status"], output.text)
+    refuse_equilibrium(shooting, w)
+    return np.asarray(w)
+
+
+def _options(shooting: Shooting, settings: SolveSettings) -> dict[str, Any]:
+    """IPOPT's options; the Hessian is explicit where its structure is known and L-BFGS elsewhere, never exact."""
+    ipopt = {
+        "print_level": 0, "sb": "yes", "tol": settings.ipopt_tolerance, "mu_init": 1e-8,
+        "max_iter": settings.max_iterations, "acceptable_iter": 0, "bound_relax_factor": 0.0,
+    }  # fmt: skip
+    options: dict[str, Any] = {"print_time": False, "error_on_fail": False, "ipopt": ipopt}
+    if not shooting.square and (shooting.inequalities.numel() or shooting.problem.objective != "nearest"):
+        ipopt |= {"mu_init": 1e-2, "max_iter": settings.objective_iterations}
+    if shooting.square or shooting.problem.objective == "nearest" or shooting.residuals.numel():
+        options["hess_lag"] = hessian(shooting)
+    else:
+        ipopt |= {"hessian_approximation": "limited-memory", "limited_memory_max_history": 30}
+    return options
+
+
+def hessian(shooting: Shooting) -> ca.Function:
+    """Upper triangle of the Hessian handed to IPOPT: lam_f times that of the objective, constraints left out.
+
+    Square problems have objective 0 and take a small multiple of the identity: the step is Newton's
+    whatever it is. Least-squares objectives take their Gauss-Newton Hessian, diag(weights) for the
+    distance to the guess and (dr/dw)^T dr/dw for residuals r.
+    """
+    w, parameters = shooting.variables, ca.MX.sym("p", 0)
+    count = shooting.constraints.numel() + shooting.inequalities.numel()
+    factor, rows = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count)
+    size = shooting.layout.total
+    if shooting.square:
+        matrix = ca.MX(ca.diag(ca.DM.ones(size) * 1e-8))
+    elif shooting.residuals.numel():
+        slope = ca.densify(ca.jacobian(shooting.residuals, w))
+        matrix = factor * (slope.T @ slope + 1e-8 * ca.DM.eye(size))
+    else:
+        matrix = ca.diag(factor * ca.DM(shooting.weights + 1e-8))
+    given = ca.MX.sym("w", size)
+    inner = ca.Function("matrix", [w, factor], [matrix])
+    return ca.Function("hess_lag", [given, parameters, factor, rows], [ca.triu(inner(given, factor))])

@@ -1,0 +1,137 @@
+"""The named objectives: what they minimise, and where along the orbit t = 0 has to be for that.
+
+The largest value along an orbit is not a smooth function of its nodes. With t = 0 at a peak of the
+coordinate (or of its rate) it is: the phase condition becomes v_i(0) = 0 (or a_i(0) = 0), and the
+peak is x_i(0). Which of several peaks is the largest is looked up afterwards, and the search goes on
+from there when it was another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, CountError, InputError
+from orbitfinder.flow import Flow, build_flow
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.periodic.freedom import Variables
+from orbitfinder.periodic.instability import instability
+from orbitfinder.periodic.measure import dense, full_period
+from orbitfinder.periodic.nlp import Callback, SolveSettings, solve_nlp
+from orbitfinder.periodic.problem import PEAKS, Guess, Problem
+from orbitfinder.periodic.shooting import Shooting, transcribe
+
+ROUNDS = 6
+"""Peaks that are tried before two of them are said to compete."""
+PEAK_TOLERANCE = 1e-6
+"""A peak is another's equal when it is higher by less than this, relative."""
+
+
+def chosen(
+    problem: Problem, nodes: np.ndarray, flow: Flow, settings: SolveSettings, report: Callback | None = None
+) -> tuple[Shooting, np.ndarray]:
+    """The solved nonlinear program of a Problem; its objective, where it has a name, made explicit first.
+
+    Any objective but the distance is followed from the nearest orbit within the bounds, because an
+    approximate Hessian far from all orbits leads astray.
+    """
+    if problem.choice:
+        raise CountError(
+            "objective: with nothing free the orbits stand alone, and the least unstable of them is a choice among "
+            "many searches; use orbitfinder.least_unstable(problem) or a problem file"
+        )
+    if problem.objective == "min_instability":
+        if problem.model.native is not None:
+            raise InputError("objective: min_instability needs minimal coordinates; see minimal_linkage")
+        problem = replace(problem, objective=instability(problem.model))
+    first = transcribe(replace(problem, objective="nearest", coordinate=None), nodes, flow)
+    w = solve_nlp(first, settings, report)
+    if problem.objective == "nearest":
+        return first, w
+    if problem.objective in PEAKS:
+        return _peak(problem, (first, w), settings, report)
+    shooting = transcribe(problem, nodes, flow)
+    return shooting, solve_nlp(shooting, settings, report, w)
+
+
+def _peak(
+    problem: Problem, near: tuple[Shooting, np.ndarray], settings: SolveSettings, report: Callback | None
+) -> tuple[Shooting, np.ndarray]:
+    """max_amplitude or min_peak_rate, solved again from the true peak until it is at t = 0."""
+    flow, count, free = near[0].flow, near[0].layout.segments, near[0].layout.tail(near[1])[2]
+    times, states = _orbit(*near)
+    place = _component(problem, states)
+    heights: list[float] = []
+    for _ in range(ROUNDS):
+        ready = _at_peak(problem, place, times, states)
+        shooting = transcribe(ready, _nodes(ready, count), flow)
+        start = shooting.layout.join(_nodes(ready, count), ready.guess.period, free)
+        w = solve_nlp(shooting, settings, report, start)
+        free = shooting.layout.tail(w)[2]
+        times, states = _orbit(shooting, w)
+        heights.append(float(np.abs(states[:, place]).max()))
+        if heights[-1] <= (1 + PEAK_TOLERANCE) * abs(states[0, place]):
+            return shooting, w
+    name = problem.model.state_names[place]
+    if not problem.boundary.time_phase:
+        raise ConvergenceError(
+            f"no orbit found: {name} is largest away from rest ({heights[-1]:.6g} against {abs(states[0, place]):.6g} "
+            "there), and t = 0 of a brake orbit is at rest; use symmetry none"
+        )
+    raise ConvergenceError(
+        f"no orbit found: several peaks of {name} compete ({heights[-2]:.6g} and {heights[-1]:.6g} in turn), so its "
+        "largest value has no smooth optimum here; choose another coordinate"
+    )
+
+
+def _component(problem: Problem, states: np.ndarray) -> int:
+    """Position in the state of the coordinate, or of its rate, that the objective is about."""
+    n = problem.model.degrees_of_freedom
+    rates = n * (problem.objective == "min_peak_rate")
+    if problem.coordinate is not None:
+        return rates + problem.model.state_index(problem.coordinate)
+    return rates + int(np.abs(states[:, rates : rates + n]).max(axis=0).argmax())
+
+
+def _at_peak(problem: Problem, place: int, times: np.ndarray, states: np.ndarray) -> Problem:
+    """The Problem with t = 0 of its guess at the peak of a state component, and the objective about that."""
+    n = problem.model.degrees_of_freedom
+    top = int(np.abs(states[:-1, place]).argmax())
+    resting = not problem.boundary.time_phase
+    if resting:  # t = 0 stays at rest, at the end of the swing where the coordinate is larger
+        top = 0 if abs(states[0, place]) >= abs(states[len(states) // 2, place]) else len(states) // 2
+    moved = np.vstack([states[top:], states[1 : top + 1] + states[-1] - states[0]])
+    clock = np.concatenate([times[top:] - times[top], times[1 : top + 1] + times[-1] - times[top]])
+    return replace(
+        problem, guess=Guess(moved[0], float(times[-1]), clock, moved), coordinate=None,
+        objective=_aim(place, n, float(np.sign(moved[0, place]))), phase_condition=None if resting else _flat(place, n),
+    )  # fmt: skip
+
+
+def _aim(place: int, n: int, sign: float) -> Callable[[Variables], object]:
+    """Minus the size of a coordinate at t = 0, or the size of a rate."""
+    return lambda variables: (-sign if place < n else sign) * variables.start[place]
+
+
+def _flat(place: int, n: int) -> Callable[[Variables], object]:
+    """The time derivative of a state component at t = 0."""
+    return lambda variables: variables.start[place + n] if place < n else variables.acceleration[place - n]
+
+
+def _nodes(problem: Problem, count: int) -> np.ndarray:
+    """Node states (count x 2n) from the guess's trajectory."""
+    guess = problem.guess
+    assert guess.times is not None and guess.states is not None
+    moments = np.arange(count) * problem.boundary.fraction * guess.period / count
+    return np.stack([np.interp(moments, guess.times, column) for column in guess.states.T], axis=1)
+
+
+def _orbit(shooting: Shooting, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states over the whole period of a solved program."""
+    problem, layout = shooting.problem, shooting.layout
+    period, _, free = layout.tail(w)
+    model = with_parameters(problem.model, dict(zip(problem.free, free, strict=True)))
+    flow = build_flow(model, (), shooting.flow.unfolded)
+    return dense(flow, full_period(replace(problem, model=model), flow, layout.nodes(w), period), period)

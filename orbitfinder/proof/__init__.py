@@ -1,0 +1,1 @@
+"""Rigorous existence proofs: validated Taylor integration and an interval Newton theorem in ball arithmetic."""

@@ -1,0 +1,124 @@
+"""Arb balls: how floats, decimals, boxes and matrices become ball numbers, and back.
+
+A ball [m +- r] stands for every real number in it. Arb (python-flint) rounds every operation
+outwards: F. Johansson, "Arb: efficient arbitrary-precision midpoint-radius interval arithmetic",
+IEEE Transactions on Computers 66 (2017) 1281-1292.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+
+try:
+    import flint
+    from flint import arb, arb_mat, fmpq
+except ImportError as error:  # pragma: no cover - depends on what is installed
+    raise InputError(
+        "proofs need python-flint (ball arithmetic), which is not installed; "
+        "install orbitfinder with its extra 'proof': pip install 'orbitfinder[proof]'"
+    ) from error
+
+Vector = list[Any]
+"""ball numbers, one per component"""
+
+
+@contextlib.contextmanager
+def precision(bits: int) -> Iterator[None]:
+    """Arb's working precision in bits, restored afterwards."""
+    before = flint.ctx.prec
+    flint.ctx.prec = bits
+    try:
+        yield
+    finally:
+        flint.ctx.prec = before
+
+
+def decimal(number: float) -> Any:
+    """The ball of what a float is written as: 9.8 is 49/5, not the double nearest to it."""
+    if not np.isfinite(number):
+        raise InputError(f"a proof needs finite numbers, got {number}; compute the orbit again")
+    text = f"{float(number)!r}e0" if "e" not in repr(float(number)) else repr(float(number))
+    mantissa, exponent = text.split("e")
+    whole, _, places = mantissa.partition(".")
+    shift = int(exponent) - len(places)
+    digits = int(whole + places)
+    return arb(fmpq(digits * 10 ** max(shift, 0), 10 ** max(-shift, 0)))
+
+
+def between(low: Any, high: Any) -> Any:
+    """The ball that contains [low, high]."""
+    return arb(low).union(arb(high))
+
+
+def up_to(h: Any) -> Any:
+    """The ball that contains [0, h] (or [h, 0])."""
+    return arb(0).union(h)
+
+
+def widened(x: Any, radius: Any) -> Any:
+    """A ball with its radius enlarged (by at least `radius`)."""
+    return x + arb(0, radius)
+
+
+def midpoints(vector: Iterable[Any]) -> Vector:
+    """Exact centres of balls."""
+    return [x.mid() for x in vector]
+
+
+def magnitude(vector: Iterable[Any]) -> float:
+    """A float at least as large as every |x| (NaN balls give infinity)."""
+    return max((_above(abs(x).upper()) for x in vector), default=0.0)
+
+
+def radius(vector: Iterable[Any]) -> float:
+    """A float at least as large as every radius."""
+    return max((_above(arb(x.rad()).upper()) for x in vector), default=0.0)
+
+
+def _above(x: Any) -> float:
+    """A float not below a ball."""
+    if not x.is_finite():
+        return float("inf")
+    return float(np.nextafter(float(x.upper()), np.inf))
+
+
+def inside(outer: Sequence[Any], inner: Sequence[Any]) -> bool:
+    """True when every inner ball lies in the interior of its outer one."""
+    return all(y.is_finite() and x.contains_interior(y) for x, y in zip(outer, inner, strict=True))
+
+
+def column(vector: Sequence[Any]) -> Any:
+    """A column matrix of balls."""
+    return arb_mat(len(vector), 1, list(vector))
+
+
+def entries(matrix: Any) -> Vector:
+    """The entries of a matrix, row by row."""
+    return list(matrix.entries())
+
+
+def exact(matrix: np.ndarray) -> Any:
+    """A matrix of balls that are exactly these floats."""
+    rows, columns = matrix.shape
+    return arb_mat(rows, columns, [float(x) for x in matrix.ravel()])
+
+
+def floats(matrix: Any) -> np.ndarray:
+    """Centres of a matrix of balls, rounded to floats."""
+    return np.array([float(x.mid()) for x in matrix.entries()]).reshape(matrix.nrows(), matrix.ncols())
+
+
+def identity(size: int) -> Any:
+    """The unit matrix."""
+    return exact(np.eye(size))
+
+
+def radii(matrix: Any) -> np.ndarray:
+    """Upper bounds of the radii of a matrix of balls."""
+    return np.array([_above(arb(x.rad()).upper()) for x in matrix.entries()]).reshape(matrix.nrows(), matrix.ncols())

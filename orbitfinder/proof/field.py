@@ -1,0 +1,199 @@
+"""The unfolded, rescaled vector field of a Model as programs, and the power series of its flow.
+
+    q' = tau v,    v' = tau (a(q, v) + s u(q, v)),    s' = tau' = 0,    0 <= time <= 1
+
+with tau the duration (s) of a segment and s the unfolding parameter. Both are components of the
+extended state z = (q, v, s, tau) (size 2n + 2), so that one integrator gives the derivatives with
+respect to everything that the theorem varies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import Model
+from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal
+from orbitfinder.proof.program import Program, program
+from orbitfinder.proof.series import BALLS, Recurrence, coefficients, recurrence
+
+
+@dataclass(frozen=True)
+class Programs:
+    """What a proof evaluates, as programs in (q, v, s, p): accelerations, their Jacobian, energy, mass matrix.
+
+    `jacobian` has two results, a + s u (n) and its derivatives (n x 2n+1) by (q, v, s); `energy` has
+    E (1) and its gradient (2n); `mass` is M = d2T/dv2 (n x n).
+    """
+
+    rates: Program
+    jacobian: Program
+    energy: Program
+    mass: Program
+
+
+def programs(model: Model) -> Programs:
+    """The programs of an autonomous conservative Model. `InputError` says what cannot be proved."""
+    check_provable(model)
+    n = model.degrees_of_freedom
+    q, v, s = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("s")
+    p = ca.SX.sym("p", len(model.parameter_values))
+    kinds = [model.acceleration, model.kinetic, model.potential, model.invariants[0].unfolding]
+    if not all(one.is_a("SXFunction") for one in kinds):
+        raise InputError(
+            "system: its equations are solved numerically inside the graph (many coordinates, linkages), "
+            "which ball arithmetic cannot follow; only systems with closed-form accelerations can be proved"
+        )
+    rates = model.acceleration(0.0, q, v, p) + s * model.invariants[0].unfolding(q, v, p)
+    total, kinetic = model.invariants[0].value(q, v, p), model.kinetic(q, v, p)
+    inputs, x = [q, v, s, p], ca.vertcat(q, v)
+    derivatives = ca.jacobian(rates, ca.vertcat(x, s))
+    return Programs(
+        program(ca.Function("accelerations", inputs, [rates])),
+        program(ca.Function("accelerations_and_jacobian", inputs, [rates, derivatives])),
+        program(ca.Function("energy", inputs, [total, ca.gradient(total, x)])),
+        program(ca.Function("mass", inputs, [ca.hessian(kinetic, v)[0]])),
+    )
+
+
+def check_provable(model: Model) -> None:
+    """`InputError` unless the theorem covers the Model: autonomous, and the energy its only integral."""
+    if model.native is not None:
+        raise InputError("system: linkages (systems under constraints) cannot be proved yet; prove a chain")
+    if model.forced or not model.conservative or model.forces is not None:
+        raise InputError("system: forced and dissipative systems cannot be proved yet; the theorem fixes the energy")
+    if len(model.invariants) != 1:
+        names = ", ".join(one.name for one in model.invariants)
+        raise InputError(
+            f"system: it conserves {names}; the theorem unfolds the energy alone, so give the system gravity "
+            "or remove the other symmetry"
+        )
+
+
+@dataclass(frozen=True)
+class Field:
+    """The field with its parameters filled in, at the precision in force when it was made."""
+
+    size: int
+    """n, degrees of freedom"""
+    plain: Recurrence
+    varied: Recurrence
+    energy_program: Program
+    mass_program: Program
+    parameters: Vector
+
+    def states(self, z: Sequence[Any], order: int) -> list[Vector]:
+        """Series of (q, v) (2n lists of order + 1 balls) of the solution through z (2n + 2)."""
+        return _Solution(self, z, order).solve(self.plain)[0]
+
+    def variations(self, z: Sequence[Any], order: int) -> tuple[list[Vector], list[Any]]:
+        """The series of (q, v) and that of dz(t)/dz (order + 1 matrices, 2n+2 square) through z."""
+        solution = _Solution(self, z, order)
+        states, outputs = solution.solve(self.varied)
+        return states, transition_series(self.size, z, states, outputs)
+
+    def rates(self, z: Sequence[Any]) -> Vector:
+        """The field at z: z' (2n + 2)."""
+        states = self.states(z, 1)
+        return [series[1] for series in states] + [arb(0), arb(0)]
+
+    def energy(self, z: Sequence[Any]) -> tuple[Any, Vector]:
+        """Energy (J) and its gradient (2n) at z."""
+        n = self.size
+        value, slope = self.energy_program.run([z[:n], z[n : 2 * n], [z[2 * n]], self.parameters], BALLS)
+        return value[0], [slope.get(i, arb(0)) for i in range(2 * n)]
+
+    def mass(self, z: Sequence[Any]) -> Any:
+        """Mass matrix M(q) (n x n) at z."""
+        n = self.size
+        found = self.mass_program.run([z[:n], z[n : 2 * n], [z[2 * n]], self.parameters], BALLS)[0]
+        return arb_mat(n, n, [found.get(i + n * j, arb(0)) for i in range(n) for j in range(n)])
+
+
+def make_field(model: Model, codes: Programs | None = None) -> Field:
+    """The field of a Model, parameters read as the decimals they are written as."""
+    codes = codes or programs(model)
+    parameters = [decimal(float(value)) for value in model.parameter_values]
+    constants = {3: parameters}
+    return Field(
+        model.degrees_of_freedom,
+        recurrence(codes.rates, constants),
+        recurrence(codes.jacobian, constants),
+        codes.energy,
+        codes.mass,
+        parameters,
+    )
+
+
+class _Solution:
+    """The series of one solution while it grows: q_{k+1} = tau v_k / (k+1), v_{k+1} = tau a_k / (k+1)."""
+
+    def __init__(self, field: Field, z: Sequence[Any], order: int) -> None:
+        n = field.size
+        self.n, self.order, self.unfolding, self.tau = n, order, z[2 * n], z[2 * n + 1]
+        self.states: list[Vector] = [[value] for value in z[: 2 * n]]
+
+    def solve(self, code: Recurrence) -> tuple[list[Vector], list[dict[int, Vector]]]:
+        """Series of the state (orders 0..order) and of the program's outputs (0..order - 1)."""
+        places = code.variables
+
+        def variables(k: int, accelerations: list[Vector]) -> Vector:
+            if k:
+                self.grow(k, accelerations)
+            return [self.coefficient(argument, entry, k) for _, argument, entry in places]
+
+        outputs = coefficients(code, self.order - 1, variables)
+        n = self.n
+        self.grow(self.order, [outputs[0].get(i, [arb(0)] * self.order) for i in range(n)])
+        return self.states, outputs
+
+    def grow(self, k: int, accelerations: list[Vector]) -> None:
+        """Coefficients of order k of the state from those of order k - 1 of the accelerations."""
+        n, factor = self.n, self.tau / k
+        for i in range(n):
+            self.states[i].append(factor * self.states[n + i][k - 1])
+            self.states[n + i].append(factor * accelerations[i][k - 1])
+
+    def coefficient(self, argument: int, entry: int, k: int) -> Any:
+        """Coefficient k of an argument (q, v, s) of the programs."""
+        if argument == 2:
+            return self.unfolding if k == 0 else arb(0)
+        return self.states[entry + self.n * argument][k]
+
+
+def transition_series(n: int, z: Sequence[Any], states: list[Vector], outputs: list[dict[int, Vector]]) -> list[Any]:
+    """Coefficients of dz(t)/dz from the series of the accelerations and of their Jacobian.
+
+    V' = tau (A V) + f e_tau^T with A = d(v, a)/d(q, v, s), V(0) = 1; rows of s and tau stay unit rows.
+    """
+    size, order, tau = 2 * n + 2, len(states[0]) - 1, z[2 * n + 1]
+    zero = [arb(0)] * order
+    slopes = [
+        arb_mat(n, 2 * n + 1, [outputs[1].get(i + n * j, zero)[k] for i in range(n) for j in range(2 * n + 1)])
+        for k in range(order)
+    ]
+    blocks = [arb_mat(2 * n + 1, size, [arb(int(i == j)) for i in range(2 * n + 1) for j in range(size)])]
+    series = [arb_mat(size, size, [arb(int(i == j)) for i in range(size) for j in range(size)])]
+    for k in range(order):
+        lower = sum((slopes[j] * blocks[k - j] for j in range(1, k + 1)), slopes[0] * blocks[k])
+        rows = _next_rows(n, k, tau, lower, blocks[k], [one[k + 1] for one in states])
+        blocks.append(arb_mat(2 * n + 1, size, rows + [arb(0)] * size))
+        series.append(arb_mat(size, size, rows + [arb(0)] * (2 * size)))
+    return series
+
+
+def _next_rows(n: int, k: int, tau: Any, lower: Any, block: Any, step: Vector) -> Vector:
+    """Rows of (q, v) of coefficient k + 1, with d/dtau of tau f = f added in the last column.
+
+    `step` are the coefficients k + 1 of the state, (tau f)_k / (k + 1).
+    """
+    size, factor = 2 * n + 2, tau / (k + 1)
+    upper = block.entries()[n * size : 2 * n * size]
+    rows = [factor * x for x in upper] + [factor * x for x in lower.entries()]
+    for i in range(2 * n):
+        rows[i * size + size - 1] += step[i] / tau
+    return rows

@@ -1,0 +1,145 @@
+"""A CasADi SX graph walked once into a straight-line program that any number type can run.
+
+CasADi evaluates in floating point only; here the same graph is evaluated on balls and on power
+series with ball coefficients. The order of the operations is the graph's, so nothing is derived twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from orbitfinder.errors import InputError
+
+BINARY = {ca.OP_ADD: "add", ca.OP_SUB: "sub", ca.OP_MUL: "mul", ca.OP_DIV: "div",
+          ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow"}  # fmt: skip
+UNARY = {ca.OP_NEG: "neg", ca.OP_SQ: "sq", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_SQRT: "sqrt",
+         ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_TWICE: "twice", ca.OP_INV: "inv", ca.OP_TAN: "tan",
+         ca.OP_ASSIGN: "copy"}  # fmt: skip
+COMMUTATIVE = ("add", "mul")
+
+
+@dataclass(frozen=True)
+class Program:
+    """Operations (name, target, operand, operand or -1) on values numbered in order of creation.
+
+    `constants` are (value, number), `inputs` (value, argument, entry) and `outputs` one dictionary
+    entry -> value for each result (column-major entries; absent ones are structurally zero).
+    """
+
+    size: int
+    constants: tuple[tuple[int, float], ...]
+    inputs: tuple[tuple[int, int, int], ...]
+    operations: tuple[tuple[str, int, int, int], ...]
+    outputs: tuple[dict[int, int], ...]
+
+    def run(self, arguments: Sequence[Sequence[Any]], ring: Ring) -> list[dict[int, Any]]:
+        """The results on any number type; `arguments` are sequences of its numbers."""
+        values: list[Any] = [None] * self.size
+        for target, number in self.constants:
+            values[target] = ring.constant(number)
+        for target, argument, entry in self.inputs:
+            values[target] = arguments[argument][entry]
+        for name, target, a, b in self.operations:
+            operands = (values[a],) if b < 0 else (values[a], values[b])
+            values[target] = ring.functions[name](*operands)
+        return [{entry: values[value] for entry, value in result.items()} for result in self.outputs]
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A number type: how a float becomes one of its numbers, and its operations by name."""
+
+    constant: Callable[[float], Any]
+    functions: dict[str, Callable[..., Any]]
+
+
+def program(function: ca.Function) -> Program:
+    """The program of an SX function. `InputError` names an operation that has no power series here."""
+    if not function.is_a("SXFunction"):
+        raise InputError(
+            f"{function.name()}: only scalar graphs (SX) can be proved; systems solved numerically inside "
+            "the graph (many coordinates, linkages) cannot"
+        )
+    walk = _Walk()
+    for k in range(function.n_instructions()):
+        walk.instruction(function, k)
+    outputs = tuple(
+        {_entry(function, i, nonzero): value for nonzero, value in result.items()}
+        for i, result in ((i, walk.outputs.get(i, {})) for i in range(function.n_out()))
+    )
+    return Program(walk.size, tuple(walk.constants), tuple(walk.inputs), tuple(walk.operations), outputs)
+
+
+def _entry(function: ca.Function, output: int, nonzero: int) -> int:
+    """Column-major position of a structural non-zero of a result."""
+    pattern = function.sparsity_out(output)
+    return int(pattern.find()[nonzero])
+
+
+class _Walk:
+    """The graph so far: CasADi reuses its work registers, a program numbers every value once."""
+
+    def __init__(self) -> None:
+        self.size = 0
+        self.register: dict[int, int] = {}
+        self.known: dict[tuple[Any, ...], int] = {}
+        self.constants: list[tuple[int, float]] = []
+        self.inputs: list[tuple[int, int, int]] = []
+        self.operations: list[tuple[str, int, int, int]] = []
+        self.outputs: dict[int, dict[int, int]] = {}
+
+    def new(self) -> int:
+        """A fresh value."""
+        self.size += 1
+        return self.size - 1
+
+    def instruction(self, function: ca.Function, k: int) -> None:
+        """One instruction of the graph."""
+        kind, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if kind == ca.OP_OUTPUT:
+            self.outputs.setdefault(given[0], {})[given[1]] = self.register[taken[0]]
+        elif kind == ca.OP_INPUT:
+            self.register[given[0]] = target = self.new()
+            self.inputs.append((target, taken[0], taken[1]))
+        elif kind == ca.OP_CONST:
+            self.register[given[0]] = self.constant(function.instruction_constant(k))
+        elif kind in BINARY:
+            self.register[given[0]] = self.apply(BINARY[kind], *(self.register[slot] for slot in taken))
+        elif kind in UNARY:
+            self.register[given[0]] = self.apply(UNARY[kind], self.register[taken[0]])
+        else:
+            names = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
+            raise InputError(
+                f"{function.name()}: the operation {names.get(kind, kind)} has no power series here; "
+                f"proofs know {', '.join(sorted({*BINARY.values(), *UNARY.values()} - {'copy'}))}"
+            )
+
+    def constant(self, number: float) -> int:
+        """The value of a number, one value for equal numbers."""
+        key = ("constant", float(number).hex())
+        if key not in self.known:
+            self.known[key] = self.new()
+            self.constants.append((self.known[key], float(number)))
+        return self.known[key]
+
+    def apply(self, name: str, a: int, b: int = -1) -> int:
+        """The value of an operation; equal operations on equal values are one."""
+        if name == "copy":
+            return a
+        if name == "tan":
+            return self.apply("div", self.apply("sin", a), self.apply("cos", a))
+        if name == "inv":
+            return self.apply("div", self.constant(1.0), a)
+        if name == "twice":
+            return self.apply("mul", self.constant(2.0), a)
+        if name == "mul" and a == b:
+            return self.apply("sq", a)
+        key = (name, *sorted((a, b))) if name in COMMUTATIVE else (name, a, b)
+        if key not in self.known:
+            self.known[key] = self.new()
+            self.operations.append((name, self.known[key], a, b))
+        return self.known[key]

@@ -1,0 +1,282 @@
+"""A program on truncated power series with ball coefficients, one order after the other.
+
+The recurrences are those of automatic differentiation in Taylor mode: products by the Cauchy sum,
+quotients, sines and powers from the differential equations that they satisfy. Source: W. Tucker,
+Validated Numerics (2011), chapter 4; A. Griewank, A. Walther, Evaluating Derivatives (2008), table 13.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from operator import mul
+from typing import Any
+
+from orbitfinder.proof.balls import arb
+from orbitfinder.proof.program import Program, Ring
+
+BALLS = Ring(
+    arb,
+    {
+        "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": mul, "div": lambda a, b: a / b,
+        "neg": lambda a: -a, "sq": lambda a: a * a, "sin": lambda a: a.sin(), "cos": lambda a: a.cos(),
+        "sqrt": lambda a: a.sqrt(), "exp": lambda a: a.exp(), "log": lambda a: a.log(), "pow": lambda a, b: a**b,
+    },
+)  # fmt: skip
+Operation = tuple[str, int, int, int, Any]
+"""kind, target, operand, second operand (or -1), constant (or None)"""
+
+
+@dataclass(frozen=True)
+class Recurrence:
+    """A program with its parameters filled in: what depends on them alone is folded into balls.
+
+    `variables` are (value, argument, entry) of what is left, `fixed` the values that are constant,
+    `operations` act on series. `outputs` as in `Program`.
+    """
+
+    size: int
+    fixed: dict[int, Any]
+    variables: tuple[tuple[int, int, int], ...]
+    operations: tuple[Operation, ...]
+    outputs: tuple[dict[int, int], ...]
+
+
+def recurrence(code: Program, constants: dict[int, Sequence[Any]]) -> Recurrence:
+    """The recurrence of a program, some of whose arguments are constant balls."""
+    fold = _Fold(code, constants)
+    for name, target, a, b in code.operations:
+        fold.operation(name, target, a, b)
+    outputs = tuple({entry: fold.place(value) for entry, value in one.items()} for one in code.outputs)
+    wanted = {value for one in outputs for value in one.values()}
+    kept: list[Operation] = []
+    for operation in reversed(fold.operations):
+        targets = {operation[1], operation[3]} if operation[0] == "sincos" else {operation[1]}
+        if targets & wanted:
+            kept.append(operation)
+            wanted |= {operation[2]} | ({operation[3]} if operation[0] != "sincos" else set())
+    return Recurrence(fold.size, fold.fixed, tuple(fold.variables), tuple(reversed(kept)), outputs)
+
+
+class _Fold:
+    """A program being specialised: constants evaluated, trivial operations removed, sines paired with cosines."""
+
+    def __init__(self, code: Program, constants: dict[int, Sequence[Any]]) -> None:
+        self.size = code.size
+        self.fixed: dict[int, Any] = {value: arb(number) for value, number in code.constants}
+        self.alias: dict[int, int] = {}
+        self.pairs: dict[int, tuple[int, int]] = {}
+        self.operations: list[Operation] = []
+        self.variables: list[tuple[int, int, int]] = []
+        for value, argument, entry in code.inputs:
+            if argument in constants:
+                self.fixed[value] = constants[argument][entry]
+            else:
+                self.variables.append((value, argument, entry))
+
+    def place(self, value: int) -> int:
+        """Where a value is found after simplification."""
+        return self.alias.get(value, value)
+
+    def operation(self, name: str, target: int, a: int, b: int) -> None:
+        """One operation of the program."""
+        a, b = self.place(a), self.place(b) if b >= 0 else b
+        operands = [value for value in (a, b) if value >= 0]
+        if all(value in self.fixed for value in operands):
+            self.fixed[target] = BALLS.functions[name](*(self.fixed[value] for value in operands))
+        elif name in ("sin", "cos"):
+            self._trigonometric(name, target, a)
+        elif b >= 0 and (a in self.fixed or b in self.fixed):
+            self._mixed(name, target, a, b)
+        else:
+            self._emit(name, target, a, b, None)
+
+    def _emit(self, name: str, target: int, a: int, b: int, constant: Any) -> None:
+        self.operations.append((name, target, a, b, constant))
+
+    def _trigonometric(self, name: str, target: int, a: int) -> None:
+        if a not in self.pairs:
+            self.pairs[a] = (self.size, self.size + 1)
+            self.size += 2
+            sine, cosine = self.pairs[a]
+            self._emit("sincos", sine, a, cosine, None)
+        self.alias[target] = self.pairs[a][0 if name == "sin" else 1]
+
+    def _mixed(self, name: str, target: int, a: int, b: int) -> None:
+        """An operation between a constant and a series."""
+        constant, series, first = (self.fixed[a], b, True) if a in self.fixed else (self.fixed[b], a, False)
+        if name == "pow":
+            if first:
+                self._emit("exp", target, self._scaled(series, constant.log()), -1, None)
+            else:
+                self._power(target, series, constant)
+        elif name in ("add", "sub"):
+            if name == "sub" and first:
+                series = self._scaled(series, arb(-1))
+            self._shift(target, series, constant if name == "add" or first else -constant)
+        elif name == "div" and first:
+            self._emit("quotient", target, series, -1, constant)
+        else:
+            self.alias[target] = self._scaled(series, constant if name == "mul" else 1 / constant, target)
+
+    def _shift(self, target: int, series: int, constant: Any) -> None:
+        if constant.is_exact() and constant == 0:
+            self.alias[target] = self.place(series)
+        else:
+            self._emit("shift", target, series, -1, constant)
+
+    def _scaled(self, series: int, factor: Any, target: int | None = None) -> int:
+        """The value of a series times a constant."""
+        if factor.is_exact() and factor == 1:
+            return series
+        if target is None:
+            target, self.size = self.size, self.size + 1
+        if factor.is_exact() and factor == 0:
+            self.fixed[target] = arb(0)
+        elif factor.is_exact() and factor == -1:
+            self._emit("neg", target, series, -1, None)
+        else:
+            self._emit("scale", target, series, -1, factor)
+        return target
+
+    def _power(self, target: int, series: int, exponent: Any) -> None:
+        """Small whole powers as products, which need no u_0 != 0; others by their differential equation."""
+        whole = int(float(exponent.mid())) if exponent.is_exact() and exponent.is_integer() else 0
+        if not 2 <= whole <= 16:
+            self._emit("power", target, series, -1, exponent)
+            return
+        result = series
+        for k in range(whole - 1):
+            place = target if k == whole - 2 else self.size
+            self.size += place == self.size
+            self._emit("mul", place, result, series, None)
+            result = place
+
+
+def coefficients(
+    code: Recurrence, order: int, variables: Callable[[int, list[list[Any]]], Sequence[Any]]
+) -> list[dict[int, list[Any]]]:
+    """Series of the outputs, coefficients 0..order.
+
+    `variables(k, outputs)` gives the coefficients of order k of `code.variables`, from the outputs of
+    order below k that it finds in the first result's series.
+    """
+    values: list[list[Any]] = [[] for _ in range(code.size)]
+    for value, ball in code.fixed.items():
+        values[value] = [ball] + [arb(0)] * order
+    steps = [(KINDS[name], (values[target], values[a], values[b] if b >= 0 else None, constant, {}))
+             for name, target, a, b, constant in code.operations]  # fmt: skip
+    inputs = [values[value] for value, _, _ in code.variables]
+    first = [values[value] for _, value in sorted(code.outputs[0].items())]
+    for k in range(order + 1):
+        for series, number in zip(inputs, variables(k, first), strict=True):
+            series.append(number)
+        for kind, operands in steps:
+            kind(k, *operands)
+    return [{entry: values[value] for entry, value in one.items()} for one in code.outputs]
+
+
+Series = list[Any]
+
+
+def _add(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    w.append(u[k] + v[k])
+
+
+def _sub(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    w.append(u[k] - v[k])
+
+
+def _neg(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    w.append(-u[k])
+
+
+def _scale(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    w.append(c * u[k])
+
+
+def _shift(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    w.append(u[k] + c if k == 0 else u[k])
+
+
+def _mul(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    w.append(sum(map(mul, u, reversed(v))))
+
+
+def _square(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    """w_k = 2 sum_{j < k/2} u_j u_{k-j} (+ u_{k/2}^2 for even k)."""
+    if k == 0:
+        w.append(u[0] * u[0])  # not u_0 ** 2, which Arb makes NaN of a wide ball about 0
+        return
+    half = 2 * sum(map(mul, islice(u, (k + 1) // 2), reversed(u)))
+    w.append(half if k % 2 else half + u[k // 2] * u[k // 2])
+
+
+def _divide(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    """v w = u: w_k = (u_k - sum_{j=1..k} v_j w_{k-j}) / v_0."""
+    w.append((u[k] - sum(map(mul, islice(v, 1, None), reversed(w)))) / v[0])
+
+
+def _quotient(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    """u w = c."""
+    w.append(c / u[0] if k == 0 else -sum(map(mul, islice(u, 1, None), reversed(w))) / u[0])
+
+
+def _sincos(k: int, s: Series, u: Series, c: Series, _: Any, memory: dict[str, Any]) -> None:
+    """s' = c u', c' = -s u': k s_k = sum_{j=1..k} j u_j c_{k-j}."""
+    slope = memory.setdefault("slope", [])
+    if k == 0:
+        sine, cosine = u[0].sin_cos()
+        s.append(sine)
+        c.append(cosine)
+        return
+    slope.append(k * u[k])
+    sine, cosine = sum(map(mul, slope, reversed(c))) / k, -sum(map(mul, slope, reversed(s))) / k
+    s.append(sine)
+    c.append(cosine)
+
+
+def _exp(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    """w' = u' w."""
+    slope = memory.setdefault("slope", [])
+    if k == 0:
+        w.append(u[0].exp())
+        return
+    slope.append(k * u[k])
+    w.append(sum(map(mul, slope, reversed(w))) / k)
+
+
+def _log(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    """u w' = u': k u_0 w_k = k u_k - sum_{j=1..k-1} j w_j u_{k-j}."""
+    slope = memory.setdefault("slope", [])
+    if k == 0:
+        w.append(u[0].log())
+        return
+    found = (k * u[k] - sum(map(mul, slope, reversed(u[1:k])))) / (k * u[0])
+    slope.append(k * found)
+    w.append(found)
+
+
+def _power(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    """u w' = c w u': k u_0 w_k = sum_{j=1..k} (c j - (k - j)) u_j w_{k-j}."""
+    if k == 0:
+        w.append(u[0] ** c)
+        return
+    total = sum((c * j - (k - j)) * u[j] * w[k - j] for j in range(1, k + 1))
+    w.append(total / (k * u[0]))
+
+
+def _sqrt(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+    """w^2 = u: 2 w_0 w_k = u_k - sum_{j=1..k-1} w_j w_{k-j}."""
+    if k == 0:
+        w.append(u[0].sqrt())
+        return
+    w.append((u[k] - sum(map(mul, w[1:], reversed(w[1:])))) / (2 * w[0]))
+
+
+KINDS: dict[str, Callable[..., None]] = {
+    "add": _add, "sub": _sub, "neg": _neg, "scale": _scale, "shift": _shift, "mul": _mul, "sq": _square,
+    "div": _divide, "quotient": _quotient, "sincos": _sincos, "exp": _exp, "log": _log, "power": _power,
+    "sqrt": _sqrt,
+}  # fmt: skip

@@ -1,0 +1,450 @@
+"""Compiled functions: the same numbers, nothing compiled twice, and the interpreter whenever something is wrong."""
+
+import os
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from orbitfinder import compiled as rooms
+from orbitfinder.compiled import available, cache, compiled, compiling, mode, set_mode, statistics, with_derivatives
+from orbitfinder.compiled.compiler import CompilerError, expected_seconds, find_compiler, flags, make_library
+from orbitfinder.compileoption import compile_option
+from orbitfinder.errors import InputError
+from orbitfinder.flow import IntegratorSettings, build_flow
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.runge_kutta import march, marcher
+
+pytestmark = pytest.mark.skipif(not available()[0], reason="no C compiler: " + available()[1])
+
+
+@pytest.fixture(autouse=True)
+def fresh(tmp_path, monkeypatch):
+    """An empty cache, mode auto and no memory of earlier tests."""
+    monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("ORBITFINDER_COMPILE", raising=False)
+    for name, value in (("_known", {}), ("_libraries", {}), ("_chosen", []), ("_statistics", rooms.Statistics())):
+        monkeypatch.setattr(rooms, name, value)
+    return tmp_path / "cache" / "compiled"
+
+
+def example(factor: float = 2.0) -> ca.Function:
+    x = ca.SX.sym("x", 3)
+    return ca.Function("example", [x], [ca.sin(x) * factor + x[0] / x[1], ca.dot(x, x)], ["x"], ["y", "z"])
+
+
+def forget(monkeypatch) -> None:
+    """As if the process had just started."""
+    for name, value in (("_known", {}), ("_libraries", {}), ("_statistics", rooms.Statistics())):
+        monkeypatch.setattr(rooms, name, value)
+
+
+def fake_compiler(folder: Path, monkeypatch, body: str) -> Path:
+    """A $CC that answers --version and then does `body`."""
+    path = folder / "fake-cc"
+    path.write_text(f'#!/bin/sh\nif [ "$1" = --version ]; then echo fake 1.0; exit 0; fi\n{body}\n')
+    path.chmod(0o755)
+    monkeypatch.setenv("CC", str(path))
+    return path
+
+
+def stays_interpreted(function: ca.Function, **how) -> str:
+    """The reason why `compiled` handed back the function itself."""
+    assert compiled(function, **how) is function
+    assert np.isfinite(function([0.1, 0.2, 0.3])[0].full()).all()
+    return statistics().reason
+
+
+# ---- the same numbers ------------------------------------------------------------------------------
+
+
+def test_numbers_are_the_interpreted_ones():
+    """Bit for bit on the equations of motion, since nothing may be contracted or reordered."""
+    field = build_flow(chain(3)).field
+    fast = compiled(field)
+    assert fast is not field and fast.is_a("External")
+    random = np.random.default_rng(1)
+    for state in random.uniform(-2, 2, (20, 6)):
+        np.testing.assert_allclose(fast(0, state, [], []).full(), field(0, state, [], []).full(), rtol=4e-16)
+
+
+def test_a_whole_march_compiles(fresh):
+    """400 eighth-order steps in one C function end where the interpreted ones do."""
+    field = build_flow(chain(2)).field
+    whole = marcher(field, 400)
+    fast = compiled(whole)
+    state, steps = np.array([0.3, -0.2, 0.1, 0.5]), np.full((1, 400), 1.7 / 400)
+    end = fast(np.concatenate([[0.0], state]), steps).full()[1:, -1]
+    assert fast is not whole
+    np.testing.assert_allclose(end, march(field, state, 1.7, 400, np.zeros(0))[-1], rtol=1e-13, atol=1e-14)
+
+
+def test_names_and_sparsity_are_kept():
+    x = ca.SX.sym("x", 3)
+    sparse = ca.Function("sparse", [x], [ca.diag(x), ca.SX(2, 2)], ["x"], ["d", "nothing"])
+    fast = compiled(sparse)
+    assert fast is not sparse
+    assert fast.name_in() == ["x"] and fast.name_out() == ["d", "nothing"]
+    assert fast.sparsity_out(0) == sparse.sparsity_out(0) and fast.nnz_out(1) == 0
+
+
+def test_inside_an_integrator():
+    """CVODES with the compiled right-hand side ends where it does with the interpreted one."""
+    field = build_flow(chain(2)).field
+    x, ends = ca.MX.sym("x", 4), []
+    for one in (field, with_derivatives(field)):
+        problem = {"x": x, "ode": one(0, x, ca.DM(0, 1), ca.DM(0, 1))}
+        solver = ca.integrator("ends", "cvodes", problem, 0, 1.0, IntegratorSettings().options())
+        ends.append(solver(x0=[0.3, -0.2, 0.1, 0.5])["xf"].full())
+    assert statistics().made == 1
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-13)
+
+
+def test_with_derivatives_differentiates_like_the_original():
+    function = example()
+    fast, point = with_derivatives(function), [0.3, 0.7, -0.4]
+    assert fast is not function
+    np.testing.assert_allclose(fast.jacobian()(point, 0, 0)[0].full(), function.jacobian()(point, 0, 0)[0].full())
+    with compiling("off"):
+        assert with_derivatives(function) is function
+
+
+# ---- nothing twice ---------------------------------------------------------------------------------
+
+
+def test_second_run_compiles_nothing(monkeypatch):
+    compiled(example())
+    assert (statistics().made, statistics().loaded) == (1, 0)
+    compiled(example())
+    assert statistics().made == 1  # the same equations, built again
+    forget(monkeypatch)
+    monkeypatch.setattr(rooms, "make_library", None)
+    assert compiled(example()) is not None and (statistics().made, statistics().loaded) == (0, 1)
+
+
+def test_second_process_compiles_nothing(fresh):
+    code = (
+        "import casadi as ca; from orbitfinder.compiled import compiled, statistics; x = ca.SX.sym('x');"
+        "f = compiled(ca.Function('f', [x], [ca.sin(x)])); print(f(0.5), statistics().made, statistics().loaded)"
+    )
+    said = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(2)]
+    assert [one.stdout.split()[1:] for one in said] == [["1", "0"], ["0", "1"]]
+    assert said[0].stdout.split()[0] == said[1].stdout.split()[0] and not said[0].stderr + said[1].stderr
+
+
+def test_two_processes_at_once_compile_once(fresh, tmp_path):
+    """Eight processes start together: one makes the library, the others wait and load it."""
+    code = (
+        "import casadi as ca, sys, time, os; from orbitfinder.compiled import compiled, statistics\n"
+        "x = ca.SX.sym('x', 40)\ny = x\n"
+        "for k in range(60): y = ca.sin(y) + ca.vertcat(y[1:], y[0]) / (2 + k)\n"
+        "f = ca.Function('f', [x], [y])\n"
+        f"while not os.path.exists({str(tmp_path / 'go')!r}): time.sleep(0.005)\n"
+        "f = compiled(f); print(statistics().made, statistics().loaded, f.is_a('External'))"
+    )
+    crowd = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    time.sleep(1.0)
+    (tmp_path / "go").touch()
+    said = sorted(one.communicate(timeout=120)[0].split() for one in crowd)
+    assert said == [["0", "1", "True"]] * 3 + [["1", "0", "True"]]
+    assert len(list(fresh.glob("*.so"))) == 1 and not list(fresh.glob("making-*"))
+
+
+def test_lock_that_is_never_released(fresh, monkeypatch):
+    """Another process that hangs while holding the lock costs patience, not correctness."""
+    fcntl = pytest.importorskip("fcntl")
+    fresh.mkdir(parents=True)
+    monkeypatch.setattr(rooms, "expected_seconds", lambda size: -0.99)  # patience of 0.1 s
+    with monkeypatch.context() as patched:
+        handles = [open(fresh / f"lock-{k:02x}", "w") for k in range(256)]
+        for handle in handles:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        patched.setattr(cache, "PATIENCE", 0.01)
+        assert "another process" in stays_interpreted(example())
+        for handle in handles:
+            handle.close()
+
+
+def test_key_depends_on_everything(monkeypatch, fresh):
+    """Other code, another compiler, other flags: another entry."""
+    compiled(example())
+    compiled(example(3.0))
+    assert len(list(fresh.glob("*.so"))) == 2
+    forget(monkeypatch)
+    monkeypatch.setattr(rooms, "flags", lambda size: ("-O0",))
+    compiled(example())
+    forget(monkeypatch)
+    other = rooms.find_compiler
+    monkeypatch.setattr(rooms, "find_compiler", lambda: type(other())(other().command, "another version"))
+    compiled(example())
+    assert len(list(fresh.glob("*.so"))) == 4
+    assert cache.key_of("ab", "c") != cache.key_of("a", "bc")
+
+
+# ---- when something is wrong -----------------------------------------------------------------------
+
+
+def test_missing_compiler(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler-here")
+    assert "not on the path" in stays_interpreted(example())
+    assert available() == (False, "no C compiler: no-such-compiler-here is not on the path")
+
+
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        ("echo internal error; exit 1", "exit code 1: internal error"),
+        ("exit 0", "wrote nothing"),
+        ('while [ "$1" != -o ]; do shift; done; echo rubbish > "$2"', "cannot be loaded"),
+    ],
+)
+def test_broken_compiler(tmp_path, monkeypatch, fresh, body, reason, capfd):
+    """It fails, it does nothing, it writes rubbish: interpreted, silently, and no entry or litter remains."""
+    fake_compiler(tmp_path, monkeypatch, body)
+    function = example()
+    assert reason in stays_interpreted(function)
+    assert statistics().left == 1 and compiled(function) is function and statistics().left == 1  # not tried again
+    assert not list(fresh.glob("*.so")) and not list(fresh.glob("making-*"))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_compiler_that_cannot_say_its_version(tmp_path, monkeypatch):
+    path = tmp_path / "mute-cc"
+    path.write_text("#!/bin/sh\nexit 3\n")
+    path.chmod(0o755)
+    monkeypatch.setenv("CC", str(path))
+    assert "exit code 3" in stays_interpreted(example())
+
+
+def test_compiler_that_hangs(tmp_path, monkeypatch, fresh):
+    """It is ended with its children after the time-out."""
+    fake_compiler(tmp_path, monkeypatch, f"echo $$ > {tmp_path}/pid; sleep 60 & echo $! > {tmp_path}/child; wait")
+    monkeypatch.setattr("orbitfinder.compiled.compiler.TIMEOUT", 0.5)
+    assert "took longer than 0.5 s" in stays_interpreted(example())
+    for name in ("pid", "child"):
+        process = Path(f"/proc/{(tmp_path / name).read_text().strip()}/stat")
+        assert not process.exists() or process.read_text().split()[2] == "Z"
+    assert not list(fresh.glob("making-*"))
+
+
+def test_compiler_that_compiles_something_else(tmp_path, monkeypatch, fresh):
+    """A library whose numbers differ is thrown away."""
+    wrong = example(2.5)
+    generator = ca.CodeGenerator("code.c")
+    generator.add(wrong)
+    (tmp_path / "wrong.c").write_text(generator.dump())
+    real = find_compiler().command[0]
+    fake_compiler(
+        tmp_path, monkeypatch,
+        f'while [ "$1" != -o ]; do shift; done; {real} -shared -fPIC {tmp_path}/wrong.c -o "$2" -lm',
+    )  # fmt: skip
+    assert "disagrees" in stays_interpreted(example())
+    assert not list(fresh.glob("*.so"))
+
+
+def test_unwritable_cache(tmp_path, monkeypatch):
+    """A file stands where the cache should be."""
+    (tmp_path / "blocked").write_text("")
+    monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path / "blocked"))
+    assert stays_interpreted(example())
+
+
+@pytest.mark.parametrize("damage", ["truncated", "altered", "empty"])
+def test_damaged_entry_is_made_again(monkeypatch, fresh, damage):
+    """Recognised by its digest before it is loaded; loading a truncated library can end the process."""
+    compiled(example())
+    (entry,) = fresh.glob("*.so")
+    whole = entry.read_bytes()
+    entry.unlink()  # another inode: this process has the old one mapped
+    entry.write_bytes({"truncated": whole[: len(whole) // 3], "altered": whole[:-1] + b"?", "empty": b""}[damage])
+    entry.chmod(0o700)
+    forget(monkeypatch)
+    assert compiled(example()).is_a("External")
+    assert (statistics().made, statistics().loaded) == (1, 0)
+    assert [path.read_bytes() for path in fresh.glob("*.so")] == [whole]
+
+
+def test_entry_with_the_right_digest_and_the_wrong_content(monkeypatch, fresh):
+    """A sound file that is no library, or one of another function, is replaced too."""
+    compiled(example())
+    (entry,) = fresh.glob("*.so")
+    key = entry.stem.partition("-")[0]
+    entry.unlink()
+    rubbish = fresh / f"{key}-{cache.digest(b'rubbish')}.so"
+    rubbish.write_bytes(b"rubbish")
+    rubbish.chmod(0o700)
+    forget(monkeypatch)
+    assert compiled(example()).is_a("External") and statistics().made == 1
+    assert not rubbish.exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs POSIX permissions")
+def test_entry_that_others_may_write_is_not_loaded(monkeypatch, fresh):
+    compiled(example())
+    (entry,) = fresh.glob("*.so")
+    entry.chmod(0o777)
+    assert cache.find(fresh, entry.stem.partition("-")[0]) is None
+    assert stat.S_IMODE(fresh.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"), [("integrator", "not supported for CvodesInterface"), ("solver", "its code needs <coin-or")]
+)
+def test_what_casadi_cannot_generate_stays_interpreted(kind, reason):
+    flow = build_flow(chain(1))
+    function = flow.end if kind == "integrator" else ca.Function("solved", [x := ca.MX.sym("x")], [_solver(x)])
+    assert compiled(function) is function
+    assert reason in statistics().reason
+
+
+def _solver(x: ca.MX) -> ca.MX:
+    y = ca.MX.sym("y")
+    options = {"ipopt": {"print_level": 0, "sb": "yes"}, "print_time": False}
+    return ca.nlpsol("inner", "ipopt", {"x": y, "f": (y - 1) ** 2}, options)(x0=x)["x"]
+
+
+# ---- when it pays ----------------------------------------------------------------------------------
+
+
+def test_auto_weighs_the_work(monkeypatch):
+    function = example()
+    assert compiled(function, effort=0.001) is function and statistics().left == 0
+    assert "compiling would take" in stays_interpreted(function, effort=0.051)
+    assert compiled(function, effort=10.0).is_a("External")
+    forget(monkeypatch)
+    assert compiled(example(), effort=0.051).is_a("External")  # it is in the cache now
+
+
+def test_on_compiles_whatever_the_work():
+    with compiling("on"):
+        assert compiled(example(), effort=0.0).is_a("External")
+
+
+def test_too_much_code(monkeypatch):
+    monkeypatch.setattr(rooms, "LONGEST_AUTO", 0.01)
+    function = example()
+    assert "compiling would take" in stays_interpreted(function)
+    monkeypatch.setattr(rooms, "LARGEST", 100)
+    with compiling("on"):
+        assert "MB of C" in stays_interpreted(example(3.0))
+
+
+def test_modes(monkeypatch):
+    assert mode() == "auto"
+    monkeypatch.setenv("ORBITFINDER_COMPILE", "off")
+    function = example()
+    assert mode() == "off" and compiled(function) is function and statistics().left == 0
+    with compiling("auto"):
+        assert mode() == "auto"
+        with compiling("on"):
+            assert mode() == "on"
+    assert mode() == "off"
+    set_mode("on")
+    assert mode() == "on"
+    with pytest.raises(InputError, match="compile: unknown mode 'fast'; use on, off or auto"):
+        set_mode("fast")
+    monkeypatch.setattr(rooms, "_chosen", [])
+    monkeypatch.setenv("ORBITFINDER_COMPILE", "yes")
+    with pytest.raises(InputError, match="ORBITFINDER_COMPILE: unknown mode 'yes'"):
+        mode()
+
+
+def test_flags_and_expectation():
+    assert flags(1000)[0] == "-O2" and flags(10**6)[0] == "-O1"
+    assert not {"-ffast-math", "-Ofast", "-march=native"} & set(flags(1000)) and "-ffp-contract=off" in flags(1000)
+    assert expected_seconds(10**6) > expected_seconds(1000) > 0
+
+
+# ---- the cache -------------------------------------------------------------------------------------
+
+
+def test_eviction_takes_the_least_recently_used(fresh):
+    fresh.mkdir(parents=True)
+    for age, name in enumerate(("newest", "middle", "oldest")):
+        (fresh / f"{name}.so").write_bytes(b"x" * 100)
+        os.utime(fresh / f"{name}.so", (1e9 - age, 1e9 - age))
+    (fresh / "making-dead.so").write_bytes(b"")
+    (fresh / "making-gone").mkdir()
+    (fresh / "making-gone" / "code.c").write_text("")
+    for name in ("making-dead.so", "making-gone"):
+        os.utime(fresh / name, (1e9, 1e9))
+    (fresh / "making-now.so").write_bytes(b"")
+    cache.evict(fresh, limit=200)
+    assert sorted(path.name for path in fresh.iterdir()) == ["making-now.so", "middle.so", "newest.so"]
+    cache.evict(fresh, keep=fresh / "middle.so", limit=0)
+    assert sorted(path.name for path in fresh.glob("*.so")) == ["making-now.so", "middle.so"]
+
+
+def test_evicted_library_goes_on_working(monkeypatch, fresh):
+    monkeypatch.setattr(cache, "LIMIT", 1)
+    one, two = compiled(example()), compiled(example(3.0))
+    assert len(list(fresh.glob("*.so"))) == 1
+    np.testing.assert_array_equal(one([1, 2, 3])[0], example()([1, 2, 3])[0])
+    np.testing.assert_array_equal(two([1, 2, 3])[0], example(3.0)([1, 2, 3])[0])
+
+
+def test_use_is_remembered(monkeypatch, fresh):
+    compiled(example())
+    (entry,) = fresh.glob("*.so")
+    os.utime(entry, (1e9, 1e9))
+    forget(monkeypatch)
+    compiled(example())
+    assert entry.stat().st_mtime > 1e9
+
+
+def test_place_of_the_cache(monkeypatch, tmp_path):
+    monkeypatch.delenv("ORBITFINDER_CACHE")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache.folder() == tmp_path / "orbitfinder" / "compiled"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache.folder() == tmp_path / ".cache" / "orbitfinder" / "compiled"
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert cache.folder() == tmp_path / "Library" / "Caches" / "orbitfinder" / "compiled"
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
+    assert cache.folder() == tmp_path / "local" / "orbitfinder" / "compiled"
+
+
+def test_library_in_a_folder_that_vanishes(tmp_path):
+    with pytest.raises((CompilerError, OSError)):
+        make_library(find_compiler(), "int f;", tmp_path / "nowhere")
+
+
+# ---- the command line ------------------------------------------------------------------------------
+
+
+@click.command()
+@compile_option
+def command() -> None:
+    click.echo(mode())
+
+
+def test_option(monkeypatch):
+    runner = CliRunner()
+    assert runner.invoke(command, []).output == "auto\n"
+    assert runner.invoke(command, ["--compile", "off"]).output == "off\n"
+    assert "ORBITFINDER_COMPILE" not in os.environ
+    monkeypatch.setenv("ORBITFINDER_COMPILE", "off")
+    assert runner.invoke(command, ["--compile", "auto"]).output == "auto\n"
+    assert os.environ["ORBITFINDER_COMPILE"] == "off"
+    refused = runner.invoke(command, ["--compile", "maybe"])
+    assert refused.exit_code == 2 and "'maybe' is not one of" in refused.output
+    monkeypatch.setenv("CC", "no-such-compiler-here")
+    said = runner.invoke(command, ["--compile", "on"])
+    assert said.exit_code == 0 and "running interpreted" in said.output
+
+
+@pytest.mark.parametrize("name", ["run", "continue", "reproduce"])
+def test_commands_have_the_option(name):
+    from orbitfinder.cli import cli
+
+    assert "--compile" in CliRunner().invoke(cli, [name, "--help"]).output
