@@ -13,10 +13,15 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from orbitfinder import display as _display
 from orbitfinder.version import __version__ as __version__
+
+_display.drawn_by("orbitfinder.show.html")
 
 if TYPE_CHECKING:
     from orbitfinder import errors as errors
+    from orbitfinder import systems as systems
+    from orbitfinder.choosing import least_unstable as least_unstable
     from orbitfinder.dae_flow import DaeSettings as DaeSettings
     from orbitfinder.dae_flow import simulate_dae as simulate_dae
     from orbitfinder.flow import IntegratorSettings as IntegratorSettings
@@ -49,6 +54,10 @@ if TYPE_CHECKING:
     from orbitfinder.periodic.dae_orbit import certify_dae as certify_dae
     from orbitfinder.periodic.dae_orbit import dae_problem as dae_problem
     from orbitfinder.periodic.dae_orbit import find_dae_orbit as find_dae_orbit
+    from orbitfinder.periodic.freedom import Constraint as Constraint
+    from orbitfinder.periodic.freedom import Variables as Variables
+    from orbitfinder.periodic.guesses import normal_mode as normal_mode
+    from orbitfinder.periodic.guesses import normal_modes as normal_modes
     from orbitfinder.periodic.linkage_guesses import first_return as first_return
     from orbitfinder.periodic.linkage_guesses import linkage_equilibrium as linkage_equilibrium
     from orbitfinder.periodic.linkage_guesses import linkage_mode as linkage_mode
@@ -59,8 +68,13 @@ if TYPE_CHECKING:
     from orbitfinder.periodic.orbit import save_orbit as save_orbit
     from orbitfinder.periodic.problem import Guess as Guess
     from orbitfinder.periodic.problem import Problem as Problem
+    from orbitfinder.periodic.recurrence import close_returns as close_returns
+    from orbitfinder.periodic.recurrence import normal_mode_sum as normal_mode_sum
+    from orbitfinder.periodic.recurrence import recurrences as recurrences
     from orbitfinder.periodic.solve import SolveSettings as SolveSettings
     from orbitfinder.periodic.solve import find_orbit as find_orbit
+    from orbitfinder.periodic.warm import Refined as Refined
+    from orbitfinder.periodic.warm import Refiner as Refiner
     from orbitfinder.problemfile import load_problem as load_problem
     from orbitfinder.show.animate import orbit_clip as orbit_clip
     from orbitfinder.show.animate import save_animation as save_animation
@@ -70,6 +84,7 @@ if TYPE_CHECKING:
 # name -> the module that defines it; "" marks a module exported whole
 _HOMES = {
     "errors": "",
+    "systems": "",
     "IntegratorSettings": "flow",
     "build_flow": "flow",
     "end_state": "flow",
@@ -118,7 +133,17 @@ _HOMES = {
     "linkage_equilibrium": "periodic.linkage_guesses",
     "linkage_mode": "periodic.linkage_guesses",
     "linkage_modes": "periodic.linkage_guesses",
+    "Refined": "periodic.warm",
+    "Refiner": "periodic.warm",
     "load_problem": "problemfile",
+    "normal_mode_sum": "periodic.recurrence",
+    "normal_modes": "periodic.guesses",
+    "normal_mode": "periodic.guesses",
+    "close_returns": "periodic.recurrence",
+    "recurrences": "periodic.recurrence",
+    "least_unstable": "choosing",
+    "Variables": "periodic.freedom",
+    "Constraint": "periodic.freedom",
 }
 
 __all__ = ["__version__", *sorted(_HOMES)]

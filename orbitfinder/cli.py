@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder import completion, doctor, exporting, following, interrupt, paging, pictures
+from orbitfinder import completion, doctor, exporting, following, interrupt, paging, pictures, searching
 from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.version import __version__
@@ -144,6 +144,7 @@ def _print_outcome(outcome: Any) -> None:
     click.echo(
         f"{outcome.name}: {outcome.status}, period {outcome.period!r} s, energy {outcome.energy!r} J, "
         f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
+        + "".join(f", {name} = {value!r}" for name, value in outcome.chosen.items())
     )
     if outcome.failures:
         click.echo(f"  failed checks: {', '.join(outcome.failures)}")
@@ -252,6 +253,8 @@ for command in (
     pictures.animate,
     paging.page,
     following.follow,
+    searching.search,
+    searching.atlas,
     exporting.export,
     doctor.doctor,
     completion.completion,

@@ -38,7 +38,8 @@ class ProblemFile:
     """A problem file that has been read: its path, its tables and what they stand for.
 
     `problem` is None when the file has no `[guess]`; `search` is the range of periods in s;
-    `duration` (s) and `start` (2n) are what `simulate` uses.
+    `duration` (s) and `start` (2n) are what `simulate` uses; `starts` and `seed` what a choice among
+    separate orbits uses.
     """
 
     path: Path
@@ -49,16 +50,22 @@ class ProblemFile:
     search: tuple[float, float] | None = None
     duration: float = DEFAULT_DURATION
     start: np.ndarray | None = None
+    starts: int = 200
+    seed: int = 0
+
+    @property
+    def wanted(self) -> Problem:
+        """The Problem; `InputError` when the file has no guess."""
+        if self.problem is None:
+            raise InputError(
+                f"{self.path}: guess: missing; add a [guess] table with state and period, mode and amplitude, or csv"
+            )
+        return self.problem
 
 
 def load_problem(path: str | Path, trust: bool = False) -> Problem:
     """The Problem of a file. Raises `InputError`; Python files are executed only with `trust`."""
-    loaded = load_problem_file(path, trust)
-    if loaded.problem is None:
-        raise InputError(
-            f"{loaded.path}: guess: missing; add a [guess] table with state and period, mode and amplitude, or csv"
-        )
-    return loaded.problem
+    return load_problem_file(path, trust).wanted
 
 
 def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
@@ -199,6 +206,8 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         search=(table.search.period[0], table.search.period[1]) if table.search else None,
         duration=table.simulate.duration or DEFAULT_DURATION,
         start=_start(table, model, problem),
+        starts=table.find.starts,
+        seed=table.find.seed,
     )
 
 
@@ -206,7 +215,7 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
     from orbitfinder.periodic.conditions import pin
     from orbitfinder.periodic.problem import Problem
 
-    find, expected = table.find, table.expected.model_dump(exclude_none=True)
+    find, expected = table.find, _expected(table, model)
     return Problem(
         model=model,
         guess=guess,
@@ -216,11 +225,27 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         segments=find.segments,
         tolerance=find.tolerance,
         free=tuple(find.free),
-        expected={key: (float(number["value"]), float(number["tolerance"])) for key, number in expected.items()},
+        objective=find.objective,
+        coordinate=find.coordinate,
+        bounds={key: (float(low), float(high)) for key, (low, high) in find.bounds.items()},
+        expected=expected,
         name=name,
         title=table.title,
         source=table.source,
     )
+
+
+def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float]]:
+    """Known numbers by name, physical parameters among them."""
+    numbers = table.expected.model_dump(exclude_none=True)
+    parameters = numbers.pop("parameters", {})
+    for name in parameters:
+        if name not in model.parameter_names:
+            known = ", ".join(model.parameter_names[:12])
+            raise InputError(f"expected.parameters: unknown {name!r}; this system has {known}")
+    return {
+        key: (float(number["value"]), float(number["tolerance"])) for key, number in (numbers | parameters).items()
+    }
 
 
 def _turns(winding: list[int] | None, model: Model) -> tuple[int, ...] | None:

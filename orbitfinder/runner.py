@@ -10,7 +10,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +52,8 @@ class Outcome:
     closure: float | None = None
     stability: str | None = None
     symmetry: str | None = None
+    chosen: dict[str, float] = field(default_factory=dict)
+    """the freed physical parameters' values"""
     failures: tuple[str, ...] = ()
     written: tuple[str, ...] = ()
 
@@ -97,14 +99,15 @@ def check_writable(folder: Path) -> None:
 
 def run_job(job: Job, shown: Display | None = None) -> Outcome:
     """Find, certify and write one orbit. Raises `InputError` only; the rest is an Outcome."""
-    from orbitfinder.periodic.solve import find_orbit
-    from orbitfinder.problemfile import load_problem
+    from orbitfinder.choosing import solve
+    from orbitfinder.problemfile import load_problem_file
 
     began = time.perf_counter()
-    problem = load_problem(job.file, job.trust)
+    loaded = load_problem_file(job.file, job.trust)
+    problem = loaded.wanted
     report = None if shown is None else (lambda progress: shown.event(job.name, progress))
     try:
-        orbit = find_orbit(problem, progress=report)
+        orbit = solve(problem, loaded.starts, loaded.seed, report)
     except InputError:
         raise
     except OrbitfinderError as error:
@@ -135,7 +138,8 @@ def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
     return Outcome(
         orbit.name, str(job.file), "certified" if passed else "rejected",
         "certified" if passed else f"not an orbit: {explained(certificate)}", time.perf_counter() - began,
-        orbit.period, orbit.energy, orbit.closure, orbit.stability, orbit.symmetry, failures,
+        orbit.period, orbit.energy, orbit.closure, orbit.stability, orbit.symmetry,
+        dict(orbit.provenance.get("free", {})), failures,
         tuple(str(path) for path in written),
     )  # fmt: skip
 

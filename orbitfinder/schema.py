@@ -30,6 +30,15 @@ def _number_or_list(value: Any) -> Any:
     return value
 
 
+def _energies(value: Any) -> Any:
+    items = value if isinstance(value, list) else [value]
+    if not items or any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
+        raise PydanticCustomError("numbers", "must be a number or a list of numbers")
+    if any(not abs(item) < LARGEST_NUMBER for item in items):
+        raise PydanticCustomError("finite_number", "must be finite")
+    return value
+
+
 def _printable(text: str) -> str:
     if any(ord(letter) < 32 or ord(letter) == 127 for letter in text):
         raise PydanticCustomError("printable", "must be one line without control characters")
@@ -46,6 +55,7 @@ def check_name(name: str) -> str:
 
 
 PerLink = Annotated[float | list[float], BeforeValidator(_number_or_list)]
+Energies = Annotated[float | list[float], BeforeValidator(_energies)]
 Line = Annotated[str, Field(max_length=300), AfterValidator(_printable)]
 Name = Annotated[str, AfterValidator(check_name)]
 Positive = Annotated[float, Field(gt=0)]
@@ -221,6 +231,37 @@ class FindTable(Table):
         description="closure that the certificate asks for, at most 1e-6, times the largest Floquet multiplier",
     )
     free: list[str] = Field([], description='physical parameters that the solver may change, such as ["length3"]')
+    objective: Literal["nearest", "min_instability", "max_amplitude", "min_peak_rate"] = Field(
+        "nearest",
+        description="what chooses among the orbits that the pins leave: nearest to the guess, min_instability (smallest "
+        "spectral radius of the monodromy), max_amplitude (largest value of a coordinate) or min_peak_rate (smallest "
+        "peak of its rate)",
+    )
+    coordinate: str | None = Field(
+        None,
+        description="the coordinate of max_amplitude or min_peak_rate, such as theta2; the one that moves most when "
+        "left out",
+    )
+    bounds: dict[str, list[float]] = Field(
+        {},
+        description="ranges [smallest, largest] of the period (s), the energy (J), freed parameters or state components "
+        "at t = 0, such as { period = [1.5, 3.0], length3 = [0.5, 2.0] }",
+    )
+    starts: int = Field(
+        200, ge=1, le=100_000,
+        description="searches for min_instability at a pinned energy with nothing free, where the orbits stand alone "
+        "and the least unstable of those found in bounds.period is taken",
+    )  # fmt: skip
+    seed: int = Field(0, ge=0, description="seed of those searches; the same seed gives the same orbit")
+
+    @model_validator(mode="after")
+    def _ranges(self) -> FindTable:
+        for name, ends in self.bounds.items():
+            if len(ends) != 2 or not ends[0] < ends[1]:
+                raise PydanticCustomError(
+                    "period", "bounds.{n} must be [smallest, largest] with smallest below largest", {"n": name}
+                )
+        return self
 
 
 class SearchTable(Table):
@@ -228,6 +269,9 @@ class SearchTable(Table):
 
     period: list[Positive] = Field(
         min_length=2, max_length=2, description="smallest and largest minimal period wanted, in s"
+    )
+    energy: Energies | None = Field(
+        None, description="energy of the orbits wanted in J, one number or a list; find.pin.energy when left out"
     )
 
     @model_validator(mode="after")
@@ -259,6 +303,9 @@ class ExpectedTable(Table):
     period: ExpectedNumber | None = Field(None, description="minimal period in s, as { value, tolerance }")
     energy: ExpectedNumber | None = Field(None, description="total energy in J, as { value, tolerance }")
     action: ExpectedNumber | None = Field(None, description="integral of p dq in J s, as { value, tolerance }")
+    parameters: dict[str, ExpectedNumber] = Field(
+        {}, description="freed physical parameters by name, as { length3 = { value, tolerance } }"
+    )
 
 
 class ProblemTable(Table):

@@ -41,6 +41,54 @@ pin = { theta1 = 2.0 }
 ```
 """
 
+CHOOSING = """## Choosing among orbits
+
+Pins and freed parameters are counted before anything is solved. What the count leaves free is chosen by `objective`,
+within `bounds`; an orbit nearest to the guess is found first, and the objective is followed from there by IPOPT with
+exact first derivatives and an L-BFGS Hessian. The result is a local optimum, polished and certified like any other
+orbit.
+
+| objective | what is smallest (or largest) | remarks |
+|---|---|---|
+| `nearest` | the weighted distance from the guess | a freed parameter counts relative to its own size |
+| `min_instability` | the largest stability index, abs(mu + 1/mu), which beyond 2 grows with the spectral radius | \
+first derivatives from second-order variational equations: for a few degrees of freedom |
+| `max_amplitude` | the largest value of `coordinate` (its size) along the orbit is as large as possible | t = 0 of \
+the result is at that peak |
+| `min_peak_rate` | the largest rate of `coordinate` along the orbit | t = 0 of the result is at that peak; symmetry \
+none or reflection |
+
+With the energy pinned and nothing free, orbits stand alone and no gradient leads from one to another. Then
+`min_instability` with `bounds.period` is a choice: `starts` searches are made at that energy, and the orbit with the
+smallest spectral radius among those found is taken (of several elliptic ones, that with the smallest
+abs(mu + 1/mu)). More starts find more orbits; `provenance.choice` in orbit.json says how many there were, how often
+the chosen one was met, and the runner-up.
+
+From Python the objective is any callable that makes a CasADi expression of `orbitfinder.Variables` (node states,
+segment ends, period, freed parameters, the monodromy); a vector r stands for abs(r)^2 / 2 and gets its Gauss-Newton
+Hessian. `orbitfinder.Constraint` adds equations (which count) and inequalities (which do not).
+
+```python
+import orbitfinder as of
+
+rods = of.chain(3)
+guess = of.normal_mode(rods, 2, 0.9)
+uniform = of.Constraint(lambda v: v["inertia3"] - v["mass3"] * v["length3"] ** 2 / 12, name="uniform rod")
+problem = of.Problem(
+    rods,
+    guess,
+    pin=of.pin(period=1.5),
+    symmetry="brake",
+    free=("length3", "inertia3"),
+    bounds={"length3": (0.5, 2.5)},
+    constraints=(uniform,),
+    objective=lambda v: (v["length3"] - 1.2) ** 2 + (v.start[2] - 1.0) ** 2,
+)
+orbit = of.find_orbit(problem)
+print(orbit.period, orbit.provenance["free"])
+```
+"""
+
 PYTHON = """## The Python form
 
 A file ending in `.py` that defines `problem()` returning an `orbitfinder` `Problem`. It is a program, so it is
@@ -60,7 +108,7 @@ def schema_markdown() -> str:
         ("Each entry of `[expected]`", ExpectedNumber),
     ]  # fmt: skip
     parts += [_section(title, table) for title, table in sections]
-    return "\n".join([*parts, PYTHON])
+    return "\n".join([*parts, CHOOSING, PYTHON])
 
 
 def _tables() -> set[str]:

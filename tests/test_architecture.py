@@ -11,7 +11,7 @@ LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 
 # low to high; modules of one floor may import each other
 FLOORS = (
-    ("version", "errors", "quiet", "suggest", "interrupt"),
+    ("version", "errors", "quiet", "suggest", "interrupt", "display"),
     ("mechanics", "systems"),
     ("flow", "dae_flow", "reference", "runge_kutta", "compiled", "taylor", "defects"),
     ("periodic",),
@@ -22,7 +22,8 @@ FLOORS = (
     ("exports",),
     ("page",),
     ("report", "validation"),
-    ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation", "startlinkage"),
+    ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation", "startlinkage",
+     "choosing"),
     (
         "console", "runner", "pictures", "following", "searching", "guessing", "proving", "paging",
         "exporting", "doctor", "completion", "compileoption", "cli", "__main__",
@@ -42,6 +43,8 @@ SOLVING = (
     "dae_evidence",
     "tangent",
     "linkage_guesses",
+    "closing",
+    "marches",
     "freedom",
     "instability",
     "nlp",
@@ -61,6 +64,7 @@ CASADI = (
     "families.propagate",
     "proof",
     "exports",
+    "validation.literature",
     *(f"periodic.{name}" for name in SOLVING),
 )
 MODULES = sorted(PACKAGE.rglob("*.py"))

@@ -7,7 +7,7 @@ import pytest
 
 from orbitfinder.atlas.refine import attempt
 from orbitfinder.atlas.signature import LOOP_SAMPLES, images, same_orbit, signature_of
-from orbitfinder.atlas.starts import Target, bench, make_start, strategy_of
+from orbitfinder.atlas.starts import Target, bench, make_start
 from orbitfinder.mechanics.chain import chain
 
 
@@ -37,5 +37,5 @@ def test_starts_depend_on_seed_and_index_alone():
     first, second = bench(chain(3), target), bench(chain(3), target)
     one, other = make_start(first, 0, 2), make_start(second, 0, 2)
     assert np.array_equal(one.state, other.state) and one.period == other.period
-    found = [attempt(first, 0, k, strategy_of(k)).orbit for k in range(4)]
+    found = [attempt(first, 0, k).orbit for k in range(4)]
     assert any(found) and all(abs(orbit.energy + 30.0) < 1e-10 for orbit in found if orbit)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from orbitfinder.periodic.solve import find_orbit
-from orbitfinder.problemfile import load_problem
+from orbitfinder.choosing import solve
+from orbitfinder.problemfile import load_problem, load_problem_file
 
 FOLDER = Path(__file__).parents[1] / "problems"
 FILES = sorted(path for room in ("report", "examples", "gallery") for path in (FOLDER / room).glob("*.toml"))
@@ -20,10 +20,11 @@ REPORT = {
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_problem_file_certifies(path):
     """[expected] is part of the certificate, so a wrong orbit does not pass."""
-    problem = load_problem(path)
+    loaded = load_problem_file(path)
+    problem = loaded.wanted
     assert problem.name == path.stem and problem.title and problem.source
     assert "period" in problem.expected, "every shipped problem announces its period"
-    orbit = find_orbit(problem)
+    orbit = solve(problem, loaded.starts, loaded.seed)
     assert orbit.certificate.passed, orbit.certificate.failures
     assert orbit.closure <= 1e-12 * orbit.certificate.scale
     if path.stem in REPORT:
@@ -33,13 +34,14 @@ def test_problem_file_certifies(path):
 
 
 def test_the_files_cover_what_they_should():
-    """n = 1 to 5, unequal links, a brake orbit, a running orbit, a freed parameter, both guesses."""
+    """n = 1 to 5, unequal links, a brake orbit, a running orbit, a freed parameter, a choice."""
     problems = [load_problem(path) for path in FILES]
     assert {one.model.degrees_of_freedom for one in problems} >= {1, 2, 3, 4, 5}
     assert any(len(set(one.model.system["length"])) > 1 for one in problems)
     assert any(one.symmetry == "brake" for one in problems)
     assert any(one.turns.any() for one in problems)
     assert any(one.free for one in problems)
+    assert {one.objective for one in problems} >= {"nearest", "min_instability", "max_amplitude", "min_peak_rate"}
     assert REPORT.keys() <= {one.name for one in problems}
 
 

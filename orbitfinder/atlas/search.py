@@ -112,23 +112,27 @@ class Search:
         """Hand out, judge and write until a limit is reached; starts under way are waited for."""
         for row in self._atlas.rows():
             workers.learn((row.energy, row.period, abs(row.action)))
-        while True:
-            self._hand_out(workers)
-            if not self._under_way and self._head not in self._answers:
-                return self.tally
+        while self._hand_out(workers) or self._under_way:
             for order, attempt in workers.results(PATIENCE):
                 self._under_way -= 1
                 self._answers[order.number] = attempt
             while self._head in self._answers and self._judged(workers, self._answers.pop(self._head)):
                 self._head += 1
+        return self.tally
 
-    def _hand_out(self, workers: Workers) -> None:
-        while workers.room > 0 and self._issued < self._head + AHEAD * (self._under_way + workers.room):
-            late = self._limits.budget is not None and self.tally.elapsed >= self._limits.budget
-            if late or (self._limits.starts is not None and self._issued >= self._limits.starts):
-                return
+    def _wanted(self) -> bool:
+        """True while more starts are to be handed out."""
+        late = self._limits.budget is not None and self.tally.elapsed >= self._limits.budget
+        return not late and (self._limits.starts is None or self._issued < self._limits.starts)
+
+    def _hand_out(self, workers: Workers) -> bool:
+        """Give starts to idle workers; True while more are wanted."""
+        while self._wanted():
+            if not (workers.room > 0 and self._issued < self._head + AHEAD * (self._under_way + workers.room)):
+                return True
             self._submit(workers, self._order(self._issued))
             self._issued += 1
+        return False
 
     def _submit(self, workers: Workers, order: Order) -> None:
         workers.submit(order)

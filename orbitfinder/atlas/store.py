@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder import display
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError
@@ -108,7 +109,7 @@ class Atlas:
         found = self._recorded()
         if canonical(found) != canonical(system):
             raise InputError(
-                f"{self.path}: system: holds orbits of {described(found)}, not of {described(system)}; "
+                f"{self.path}: system: holds orbits of {described(found, system)}, not of {described(system, found)}; "
                 "give another atlas file"
             )
         return found
@@ -121,6 +122,10 @@ class Atlas:
 
             self._model = build_model(self.system)
         return self._model
+
+    def _repr_html_(self) -> str | None:
+        """How a notebook shows it."""
+        return display.html(self)
 
     def __len__(self) -> int:
         return int(self.connection.execute("SELECT count(*) FROM orbits").fetchone()[0])
@@ -232,9 +237,7 @@ def canonical(system: Mapping[str, Any]) -> str:
     return json.dumps(plain({key: value for key, value in system.items() if key != "formulation"}), sort_keys=True)
 
 
-def described(system: Mapping[str, Any]) -> str:
-    """A system in a few words."""
-    words = ", ".join(f"{key} = {value}" for key, value in system.items() if key not in ("kind", "formulation"))
-    return f"{system.get('kind', 'unknown')} ({words})"[:200]
-
-
+def described(system: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """A system in a few words: its kind, and what differs from another."""
+    words = [f"{key} = {value}" for key, value in system.items() if key != "formulation" and other.get(key) != value]
+    return f"{system.get('kind', 'unknown')} ({', '.join(sorted(words, key=len))})"[:200]

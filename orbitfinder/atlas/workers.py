@@ -102,11 +102,14 @@ class Local:
     @property
     def room(self) -> int:
         """Idle workers."""
-        return sum(one.order is None for one in self._workers) - len(self._again)
+        return len(self._idle()) - len(self._again)
+
+    def _idle(self) -> list[Worker]:
+        return [one for one in self._workers if one.ready and one.order is None]
 
     def submit(self, order: Order) -> None:
         """Give a start to an idle worker, with the news that it has not heard."""
-        worker = next(one for one in self._workers if one.order is None)
+        worker = self._idle()[0]
         worker.order = order
         with contextlib.suppress(OSError):  # it died: `results` finds out
             worker.pipe.send((order, self._news[worker.heard :]))
@@ -119,7 +122,7 @@ class Local:
         for k, worker in enumerate(self._workers):
             if worker.pipe in ready:
                 found += self._heard_from(k, worker)
-        while self._again and any(one.order is None for one in self._workers):
+        while self._again and self._idle():
             self.submit(self._again.pop(0))
         return found
 
@@ -167,8 +170,8 @@ class Local:
         order = worker.order
         if order is None:
             return []
-        if not worker.ready or order.tries < MOST_TRIES:
-            self._again.append(replace(order, tries=order.tries + worker.ready))
+        if order.tries < MOST_TRIES:
+            self._again.append(replace(order, tries=order.tries + 1))
             return []
         return [(order, Attempt(order.number, "", reason=DIED))]
 

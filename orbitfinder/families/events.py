@@ -202,7 +202,8 @@ def located(interval: Interval, test: Test, low: float = 0.0, high: float | None
             seen[distance] = probe_at(interval, distance)
         return test.measure(seen[distance])
 
-    where = float(brentq(value, low, high, xtol=LOCATION, rtol=1e-14, maxiter=60))
+    # round-off may keep the last bracket wider than asked for
+    where = float(brentq(value, low, high, xtol=LOCATION, rtol=1e-14, maxiter=60, disp=False))
     value(where)
     return seen[where]
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder import display
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import ClosureCheck
 from orbitfinder.families.stability import Spectrum, spectrum
@@ -138,6 +139,10 @@ class Family:
     def values(self, name: str) -> np.ndarray:
         """One number of every point as an array, in order along the family."""
         return np.asarray([getattr(point, name) for point in self.points])
+
+    def _repr_html_(self) -> str | None:
+        """How a notebook shows it."""
+        return display.html(self)
 
 
 Check = ClosureCheck

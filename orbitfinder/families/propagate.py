@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853
 
+from orbitfinder.compiled import compiled
 from orbitfinder.errors import IntegrationError
 from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.canonical import canonical
@@ -29,6 +30,8 @@ from orbitfinder.periodic.conditions import SYMMETRIES, Symmetry, boundary_rows,
 from orbitfinder.reference import TIGHTEST, integrate
 from orbitfinder.reference import vector_field as numpy_field
 
+EFFORT = 3.0
+"""Seconds of interpreted marching in a family of moderate length, for `compiled`."""
 FORMULATIONS = {**SYMMETRIES, "reversal": Symmetry("reversal", 0.5, False, True, False, True)}
 """The symmetries of a Problem, and odd motions, q(-t) = -q(t): reversal combined with reflection."""
 
@@ -78,8 +81,10 @@ def build_propagator(model: Model, symmetry: str = "none", free: tuple[str, ...]
                         [p[0] * field(0.0, x, p[1 : 1 + len(unfolded)], p[1 + len(unfolded) :])])  # fmt: skip
     return Propagator(
         model, boundary, tuple(free), len(unfolded), rate, field,
-        _step("step", rate, error=False), _step("move", plain, error=False), _step("trial", plain, error=True),
-        _step("trial_all", rate, error=True),
+        *(compiled(one, effort=EFFORT) for one in (
+            _step("step", rate, error=False), _step("move", plain, error=False),
+            _step("trial", plain, error=True), _step("trial_all", rate, error=True),
+        )),
         *_quantities(model, free), tuple(one.generator for one in model.invariants if one.generator is not None),
     )  # fmt: skip
 

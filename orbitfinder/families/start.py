@@ -10,6 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.mesh import remeshed, settled
+from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.points import FamilySettings
 from orbitfinder.families.propagate import Propagator, build_propagator, march, rates
 from orbitfinder.families.system import (
@@ -43,14 +44,17 @@ class Start:
     direction: np.ndarray
 
 
-def begin(origin: Problem | Orbit, settings: FamilySettings | None = None, symmetry: str = "auto") -> Start:
-    """The family through an orbit or through the solution of a Problem.
+def begin(
+    origin: Problem | Orbit, settings: FamilySettings | None = None, symmetry: str = "auto", model: Model | None = None
+) -> Start:
+    """The family through an orbit or through the solution of a Problem; a linkage's in minimal coordinates.
 
     `symmetry` "auto" recognises the orbit's own and uses the shortest horizon it allows; a name
-    insists on that formulation. Raises `InputError`, `ConvergenceError`, `IntegrationError`.
+    insists on that formulation. `model` is the orbit's where no file describes it. Raises `InputError`,
+    `ConvergenceError`, `IntegrationError`.
     """
     settings = settings or FamilySettings()
-    problem = as_problem(origin)
+    problem = as_problem(origin, model)
     free, held = unknown_parameters(problem.model, settings)
     if free and problem.model.conservative:
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held)
@@ -61,15 +65,16 @@ def begin(origin: Problem | Orbit, settings: FamilySettings | None = None, symme
     return reformulated(start, wanted, free, held)
 
 
-def as_problem(origin: Problem | Orbit) -> Problem:
-    """The Problem whose solution an orbit is."""
+def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
+    """The Problem whose solution an orbit is, in minimal coordinates."""
     if isinstance(origin, Problem):
-        return origin
-    model = build_model(origin.system)
-    return Problem(
-        model, Guess(origin.state, origin.period), (Pin("energy", origin.energy),) if model.invariants else (),
+        return minimal_problem(origin)
+    model = model or build_model(origin.system)
+    energy = next((one.name for one in model.invariants if one.generator is None), None)
+    return minimal_problem(Problem(
+        model, Guess(origin.state, origin.period), (Pin(energy, origin.energy),) if energy else (),
         winding=origin.winding, name=origin.name,
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -13,19 +13,24 @@ from orbitfinder.mechanics.foreign import python_model
 from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.maximal import chain_dae
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.partition import minimal_linkage
 
 REBUILDABLE = ("chain", "linkage")
 """Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
-    """The Model that a description stands for; of a linkage its reduced form in maximal coordinates.
+    """The Model that a description stands for; of a linkage its reduced form in maximal coordinates, or
+    (with `independent` bars and `branch`) its minimal one.
 
     `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
     Raises `InputError` for an unknown or wrong description.
     """
     if system.get("kind") == "python":
         return python_model(system, trusted)
+    if system.get("kind") == "linkage" and "independent" in system:
+        plain = {key: value for key, value in system.items() if key not in ("independent", "branch")}
+        return minimal_linkage(build_constrained(plain), system["independent"], system.get("branch", 1))
     if system.get("kind") == "linkage":
         return reduced(build_constrained(system))
     return _built(chain, system)  # type: ignore[no-any-return]

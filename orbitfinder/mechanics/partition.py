@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import casadi as ca
+import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import ConstrainedModel
@@ -26,6 +27,30 @@ def minimal_linkage(model: ConstrainedModel, independent: Sequence[int], branch:
     `branch` is the sign of sin(theta_j - theta_i) of the dependent bars i < j, constant along the motion.
     Raises `InputError`.
     """
+    chosen = [int(k) - 1 for k in independent]
+    u, rates = ca.SX.sym("u", len(chosen)), ca.SX.sym("udot", len(chosen))
+    theta = _bar_angles(model, u, independent, branch)
+    values, n = ca.DM(model.parameter_values), model.coordinates
+    assert model.lift is not None
+    state = model.lift(theta, ca.jtimes(theta, u, rates), values)
+    return lagrange(
+        model.kinetic(state[:n], state[n:], values),
+        model.potential(state[:n], values),
+        Symbols(u, rates),
+        names=[f"theta{k + 1}" for k in chosen],
+        angles=(True,) * len(chosen),
+        points=_joints(dimensions(model)[0], theta),
+        system={**model.system, "independent": [int(k) for k in independent], "branch": int(branch)},
+    )
+
+
+def bar_angles(model: ConstrainedModel, independent: Sequence[int], branch: int = 1) -> ca.Function:
+    """theta(u): the angles of all bars from those of the independent ones; see `minimal_linkage`."""
+    u = ca.SX.sym("u", len(independent))
+    return ca.Function("bar_angles", [u], [_bar_angles(model, u, independent, branch)])
+
+
+def _bar_angles(model: ConstrainedModel, u: ca.SX, independent: Sequence[int], branch: int) -> ca.SX:
     lengths, ground = dimensions(model)
     chosen = [int(k) - 1 for k in independent]
     rest = [k for k in range(lengths.size) if k not in chosen]
@@ -34,8 +59,6 @@ def minimal_linkage(model: ConstrainedModel, independent: Sequence[int], branch:
             f"independent: need {lengths.size - 2} different bars of 1 to {lengths.size} and branch +1 or -1, "
             f"got {list(independent)!r} and {branch!r}"
         )
-    assert model.lift is not None
-    u, rates = ca.SX.sym("u", len(chosen)), ca.SX.sym("udot", len(chosen))
     angles = [ca.SX(0)] * lengths.size
     gap = ca.SX(ca.DM(ground))
     for position, k in enumerate(chosen):
@@ -43,17 +66,13 @@ def minimal_linkage(model: ConstrainedModel, independent: Sequence[int], branch:
         gap -= float(lengths[k]) * ca.vertcat(ca.cos(u[position]), ca.sin(u[position]))
     i, j = rest
     angles[i], angles[j] = _dyad(gap, float(lengths[i]), float(lengths[j]), branch)
-    theta = ca.vertcat(*angles)
-    values, n = ca.DM(model.parameter_values), model.coordinates
-    state = model.lift(theta, ca.jtimes(theta, u, rates), values)
-    return lagrange(
-        model.kinetic(state[:n], state[n:], values),
-        model.potential(state[:n], values),
-        Symbols(u, rates),
-        names=[f"theta{k + 1}" for k in chosen],
-        angles=(True,) * len(chosen),
-        system={"kind": "custom", "linkage": dict(model.system)},
-    )
+    return ca.vertcat(*angles)
+
+
+def _joints(lengths: np.ndarray, theta: ca.SX) -> ca.SX:
+    """Positions (2 x n + 1) of the joints, from the first pivot to the last; x down, y right."""
+    bars = [float(length) * ca.vertcat(ca.cos(theta[k]), ca.sin(theta[k])) for k, length in enumerate(lengths)]
+    return ca.cumsum(ca.horzcat(ca.SX(2, 1), *bars), 1)
 
 
 def _dyad(gap: ca.SX, first: float, second: float, branch: int) -> tuple[ca.SX, ca.SX]:

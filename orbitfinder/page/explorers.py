@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder.page.gather import evenly
 from orbitfinder.page.motion import Films, packed
 from orbitfinder.page.orbits import Entry, player, symmetry_words
 from orbitfinder.page.text import Html, escaped, fill, joined, number
@@ -15,14 +16,7 @@ from orbitfinder.page.words import EVENTS, mechanism, plural
 MOST_POINTS = 60
 """Points of a family that can be seen moving; all points are on the plot."""
 MOST_EVENTS = 60
-MOST_ITEMS = 1000
-"""Orbits of an atlas that are on its page."""
 UNITS = {"energy": "J", "period": "s"}
-
-
-def evenly(count: int, most: int) -> list[int]:
-    """At most `most` of the indices below `count`, both ends among them."""
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
 
 
 def family_items(family: Mapping[str, Any], films: Films) -> list[dict[str, Any]]:
@@ -101,14 +95,17 @@ def family_main(family: Mapping[str, Any], items: Sequence[Mapping[str, Any]], b
     energies, periods = [p["energy"] for p in points], [p["period"] for p in points]
     stable = sum(point["stability"] != "unstable" for point in points)
     summary = (
-        f"{plural(len(points), 'orbit')} of the {mechanism(family['system'])}, {stable} of them not unstable, "
-        f"{plural(len(events), 'event')}. Energy {number(min(energies))} to {number(max(energies))} J, "
+        f"{plural(len(points), 'orbit')} of the {mechanism(family['system'])}, {len(points) - stable} of them unstable, "
+        f"and {plural(len(events), 'event')}. Energy {number(min(energies))} to {number(max(energies))} J, "
         f"period {number(min(periods))} to {number(max(periods))} s. Parameter: {family['parameter']}."
     )
+    columns = ["energy", "period"] if family["parameter"] in UNITS else ["value", "energy", "period"]
+    words = {"value": str(family["parameter"]), "energy": "energy, J", "period": "period, s"}
+    heads = [Html(f'<th scope="col">{escaped(words[name])}</th>') for name in columns]
     ends = [Html(f"<li>{escaped(str(end.get('kind', '')))}: {escaped(str(end.get('reason', '')))}</li>")
             for end in family["ends"]]  # fmt: skip
     return fill(
-        "family", title=f"Family {family['name']}", summary=summary, events=_event_rows(items),
+        "family", title=f"Family {family['name']}", summary=summary, events=_event_rows(items, columns), heads=joined(heads),
         ends=joined(ends) if ends else Html("<li>not recorded</li>"),
         axis=axis_options(family), back=back, inspector=inspector(),
     )  # fmt: skip
@@ -122,18 +119,17 @@ def axis_options(family: Mapping[str, Any]) -> Html:
     return joined(Html(f'<option value="{key}">{escaped(text)}</option>') for key, text in options)
 
 
-def _event_rows(items: Sequence[Mapping[str, Any]]) -> Html:
+def _event_rows(items: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Html:
     rows = []
     for k, item in enumerate(items):
         if item["event"]:
-            cells = "".join(f"<td>{number(item[name], 9)}</td>" for name in ("value", "energy", "period"))
+            cells = "".join(f"<td>{number(item[name], 9)}</td>" for name in columns)
             label = escaped(item["event"])
             rows.append(
-                Html(f'<tr data-kind="{escaped(item["kind"])}"><th scope="row">{label}</th>{cells}'
-                     f'<td><button type="button" class="pick" data-item="{k}" '
-                     f'aria-label="Show {label}">Show</button></td></tr>')
+                Html(f'<tr><th scope="row">{label}</th>{cells}<td><button type="button" class="pick" data-item="{k}" '
+                     f'aria-label="Show {label}, number {k + 1}">Show</button></td></tr>')
             )  # fmt: skip
-    return joined(rows) if rows else Html('<tr><td colspan="5">No event was met.</td></tr>')
+    return joined(rows) if rows else Html(f'<tr><td colspan="{2 + len(columns)}">No event was met.</td></tr>')
 
 
 def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[str, Any]:
@@ -163,8 +159,8 @@ def atlas_main(name: str, entries: Sequence[Entry], total: int) -> Html:
     energies, periods = ([float(one.document[key]) for one in entries] for key in ("energy", "period"))
     kinds = sorted({one.mechanism for one in entries})
     unstable = sum(one.document["stability"] == "unstable" for one in entries)
-    part = "" if total == len(entries) else f" ({len(entries)} of them on this page, evenly chosen in energy)"
-    summary = f"{plural(total, 'distinct orbit')}{part} of: {', '.join(kinds)}. {unstable} shown here are unstable."
+    part = "" if total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
+    summary = f"{plural(total, 'distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
         summary += (
             f" Energy {number(min(energies))} to {number(max(energies))} J, "

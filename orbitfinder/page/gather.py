@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,8 @@ from orbitfinder.families.store import FORMAT as FAMILY
 from orbitfinder.periodic.orbit import FORMAT as ORBIT
 from orbitfinder.periodic.orbit import check_document, orbit_from_document
 
+MOST_ITEMS = 1000
+"""Orbits of an atlas that are shown, evenly chosen in order of energy."""
 DATABASES = (".sqlite", ".sqlite3", ".db")
 NAMES = ("orbit.json", "family.json")
 
@@ -28,13 +30,27 @@ class OrbitFile:
     dense: tuple[np.ndarray, np.ndarray] | None = None
 
 
+@dataclass(frozen=True)
+class AtlasFile:
+    """An atlas: how many orbits it holds, and those to be shown with their numbers in order of energy."""
+
+    name: str
+    total: int
+    orbits: tuple[tuple[int, OrbitFile], ...]
+
+
 @dataclass
 class Gathered:
     """Everything that the paths hold."""
 
     orbits: list[OrbitFile] = field(default_factory=list)
     families: list[Mapping[str, Any]] = field(default_factory=list)
-    atlases: list[tuple[str, list[OrbitFile]]] = field(default_factory=list)
+    atlases: list[AtlasFile] = field(default_factory=list)
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """At most `most` of the indices below `count`, both ends among them."""
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
 
 
 def gather(paths: Sequence[Path]) -> Gathered:
@@ -65,11 +81,11 @@ def _below(folder: Path) -> list[Path]:
 
 def _take(file: Path, found: Gathered) -> None:
     if file.suffix in DATABASES:
-        found.atlases.append((file.stem, _from_database(file)))
+        found.atlases.append(_from_database(file))
         return
     document = _read(file)
     if isinstance(document, list):
-        found.atlases.append((file.stem, _documents(document, file)))
+        found.atlases.append(_from_export(document, file))
     elif isinstance(document, dict) and document.get("format") == FAMILY:
         found.families.append(_family(document, file))
     elif isinstance(document, dict) and document.get("format") == ORBIT:
@@ -111,8 +127,12 @@ def _orbit(document: Any, where: str) -> OrbitFile:
     return OrbitFile(checked, json.dumps(checked, separators=(",", ":"), allow_nan=False))
 
 
-def _documents(entries: Iterable[Any], file: Path) -> list[OrbitFile]:
-    return [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
+def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
+    """The atlas of a JSON list of orbit documents."""
+    orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
+    orbits.sort(key=lambda one: (one.document["energy"], one.document["period"]))
+    chosen = tuple((k + 1, orbits[k]) for k in evenly(len(orbits), MOST_ITEMS))
+    return AtlasFile(file.stem, len(orbits), chosen)
 
 
 def _dense(file: Path, size: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -152,8 +172,14 @@ def _family(document: dict[str, Any], file: Path) -> dict[str, Any]:
     return document
 
 
-def _from_database(file: Path) -> list[OrbitFile]:
-    """The orbits of an atlas database through its `Atlas` class."""
+def _from_database(file: Path) -> AtlasFile:
+    """The atlas of a database. Raises `InputError`."""
+    from orbitfinder.atlas.store import Atlas
+
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
-    raise InputError(f"{file}: export it first: orbitfinder atlas export {file} --to json")
+    with Atlas(file) as atlas:
+        rows = atlas.rows()
+        chosen = [(k + 1, rows[k].id) for k in evenly(len(rows), MOST_ITEMS)]
+        orbits = tuple((k, _orbit(atlas.document(number), f"{file}: orbit {number}")) for k, number in chosen)
+    return AtlasFile(file.stem, len(rows), orbits)

@@ -17,15 +17,19 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.runge_kutta import refined_march
+from orbitfinder.mechanics.model import Model
+from orbitfinder.runge_kutta import march
 
 COUNTS = (48, 72, 96, 144, 216, 324, 480)
 """Samples a period that are tried in turn."""
 INTERPOLATION = 0.005
 """Largest error of the page's interpolation, relative to the extent of the picture."""
+STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
+ENDS = 1e-7
+"""Agreement of two step sizes that is enough for a picture."""
 GAP = 1e-2
 """Largest jump between pieces of a motion that is still shown, relative to its extent."""
+STRAIGHT = 0.006
 LEVELS = 32767
 
 
@@ -98,14 +102,24 @@ class Films:
         model, field = found
         symmetry = str(entry.get("symmetry", "none"))
         share = {"none": 1.0, "brake+reflection": 0.25}.get(symmetry, 0.5)
-        try:
-            states = refined_march(field, np.asarray(entry["state"], float), share * period, 24, np.zeros(0))
-        except IntegrationError:
-            return None
-        states = completed(states, symmetry)
-        if not _closes(states):
+        path = _path(field, np.asarray(entry["state"], float), share * period)
+        if path is None or not _closes(states := completed(path, symmetry)):
             return None
         return _motion(model, np.linspace(0.0, period, len(states)), states, period)
+
+
+def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray | None:
+    """States at equal times: steps are halved until the end moves by less than ENDS; None when that fails."""
+    before = None
+    for steps in STEPS:
+        try:
+            states = march(field, state, duration, steps, np.zeros(0), start)
+        except IntegrationError:
+            continue
+        if before is not None and np.abs(states[-1] - before).max() <= ENDS * max(1.0, np.abs(states[-1]).max()):
+            return np.asarray(states)
+        before = states[-1]
+    return None
 
 
 def _pieces(field: Any, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray] | None:
@@ -113,9 +127,8 @@ def _pieces(field: Any, nodes: np.ndarray, period: float) -> tuple[np.ndarray, n
     count, span = len(nodes), period / len(nodes)
     times, states = [np.zeros(1)], [nodes[:1]]
     for k, node in enumerate(nodes):
-        try:
-            path = refined_march(field, node, span, max(2, 96 // count), np.zeros(0), k * span)
-        except IntegrationError:
+        path = _path(field, node, span, k * span)
+        if path is None:
             return None
         times.append(k * span + np.linspace(0.0, span, len(path))[1:])
         states.append(path[1:])
@@ -157,10 +170,19 @@ def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) 
 
     def seen(count: int) -> np.ndarray:
         chosen = resampled(times, states, period, count)
-        return positions(model, chosen) if model.points is not None else _plane(chosen)
+        return _positions(model, chosen) if model.points is not None else _plane(chosen)
 
     drawn = "mechanism" if model.points is not None else "plane"
     return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn)
+
+
+def _positions(model: Model, states: np.ndarray) -> np.ndarray:
+    """`of.positions` of many states in one call: (k, 2, j)."""
+    assert model.points is not None
+    count, n = len(states), model.degrees_of_freedom
+    values = np.tile(model.parameter_values[:, None], (1, count))
+    wide = model.points.map(count)(states[:, :n].T, values).full()
+    return np.asarray(wide.reshape(2, count, -1).transpose(1, 0, 2))
 
 
 def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.ndarray) -> Motion:
@@ -218,7 +240,18 @@ def packed(motion: Motion) -> dict[str, Any]:
 
 
 def histories(motion: Motion) -> dict[str, Any]:
-    """States at equal times, end included, as little-endian float32 in base64, component by component."""
-    count = max(240, len(motion.points)) + 1
-    states = motion.at(count, endpoint=True)
-    return {"count": count, "data": base64.b64encode(states.T.astype("<f4").tobytes()).decode()}
+    """States at equal times, end included, as little-endian float32 in base64, component by component.
+
+    As many samples as straight lines between them need to be within about a pixel of a plot (0.6 %), at most 960.
+    """
+    n = motion.states.shape[1] // 2
+    extent = np.ptp(motion.states, axis=0)
+    # a component that stands still must not have its round-off sampled
+    extent = np.maximum(extent, 1e-3 * np.repeat([extent[:n].max(), extent[n:].max()], n) + 1e-12)
+    for count in (240, 480, 960):
+        states = motion.at(2 * count + 1, endpoint=True)
+        straight = (states[:-1:2] + states[2::2]) / 2
+        if np.all(np.abs(straight - states[1::2]).max(axis=0) <= STRAIGHT * extent):
+            break
+    data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
+    return {"count": count + 1, "data": data}

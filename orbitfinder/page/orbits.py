@@ -28,6 +28,8 @@ class Entry:
     slug: str
     series: str = ""
     """name of the atlas it came from, empty for an orbit.json"""
+    label: str = ""
+    """what it is called where its document has no telling name of its own"""
 
     @property
     def document(self) -> Mapping[str, Any]:
@@ -37,7 +39,7 @@ class Entry:
     @property
     def title(self) -> str:
         """The title, or the name where there is none."""
-        return str(self.document.get("title") or self.document["name"])
+        return self.label or str(self.document.get("title") or self.document["name"])
 
     @property
     def mechanism(self) -> str:
@@ -99,7 +101,8 @@ def orbit_main(entry: Entry) -> Html:
         title=entry.title, mechanism=entry.mechanism, source=_source(document),
         verdict=verdict(entry.certified), stability=stability_badge(document["stability"]),
         symmetry=symmetry_words(document["symmetry"]), facts=_facts(entry),
-        player=player(f"Moving picture of {entry.title}"),
+        player=player(f"Moving picture of {entry.title}", entry.motion),
+        portraits=_portraits(entry.motion),
         missing=Html("") if entry.motion else _missing(), note=_chosen_note(entry.motion),
         multipliers=_multiplier_rows(document["floquet_multipliers"]), pair_defect=_pair_note(document),
         certificate=_certificate(document), name=problem_name(document),
@@ -108,9 +111,24 @@ def orbit_main(entry: Entry) -> Html:
     )  # fmt: skip
 
 
-def player(label: str) -> Html:
-    """A canvas with play, speed, trace and time."""
-    return fill("player", label=label)
+def player(label: str, motion: Motion | None = None) -> Html:
+    """A canvas with play, speed, trace and time; as wide for its height as the motion, within limits."""
+    aspect = 1.25
+    if motion is not None:
+        spans = np.ptp(motion.points, axis=(0, 2))
+        down, right = spans + 0.15 * max(float(spans.max()), 1e-12)
+        aspect = float(np.clip(right / down, 0.95, 2.4))
+    return fill("player", label=label, aspect=f"{aspect:.2f}")
+
+
+def _portraits(motion: Motion | None) -> Html:
+    """A box for each phase portrait, so that nothing moves when the plots are drawn."""
+    if motion is None:
+        return Html("")
+    n = len(motion.names) // 2
+    return joined(
+        fill("portrait", component=k, name=motion.names[k], rate=motion.names[k + n]) for k in shown(motion)
+    )
 
 
 def _source(document: Mapping[str, Any]) -> Html:

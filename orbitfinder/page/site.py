@@ -13,16 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError
-from orbitfinder.page.explorers import (
-    MOST_ITEMS,
-    atlas_data,
-    atlas_main,
-    evenly,
-    family_data,
-    family_main,
-    options,
-)
-from orbitfinder.page.gather import Gathered, OrbitFile
+from orbitfinder.page.explorers import atlas_data, atlas_main, family_data, family_main, options
+from orbitfinder.page.gather import AtlasFile, Gathered, evenly
 from orbitfinder.page.motion import Films, packed
 from orbitfinder.page.orbits import Entry, card, orbit_data, orbit_main
 from orbitfinder.page.text import ASSETS, Html, fill, joined, number, script_data, size, slug_maker
@@ -117,11 +109,11 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
         links.append(_add_family(site, family, families(str(family["name"])), films, motions))
         tell(f"family {family['name']}: {plural(len(family['points']), 'point')}")
     atlases = slug_maker()
-    for name, documents in found.atlases:
-        link, shown = _add_atlas(site, (name, atlases(name)), documents, films, slug)
+    for atlas in found.atlases:
+        link, shown = _add_atlas(site, atlas, films, (atlases(atlas.name), slug), motions)
         links.append(link)
         entries += shown
-        tell(f"atlas {name}: {plural(len(documents), 'orbit')}")
+        tell(f"atlas {atlas.name}: {plural(atlas.total, 'orbit')}")
     for entry in entries:
         _add_orbit(site, entry)
     _add_gallery(site, entries, links, motions)
@@ -152,22 +144,26 @@ def _add_family(site: Site, family: Mapping[str, Any], slug: str, films: Films, 
 
 
 def _add_atlas(
-    site: Site, name: tuple[str, str], documents: Sequence[OrbitFile], films: Films, slug: Callable[[str], str]
+    site: Site, atlas: AtlasFile, films: Films, slugs: tuple[str, Callable[[str], str]], motions: dict[str, Any]
 ) -> tuple[Html, list[Entry]]:
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
-    ordered = sorted(documents, key=lambda one: (one.document["energy"], one.document["period"]))
-    chosen = [ordered[k] for k in evenly(len(ordered), MOST_ITEMS)]
-    entries = [Entry(one, films.orbit(one.document), slug(one.document["name"]), name[0]) for one in chosen]
+    entries = []
+    names = [str(one.document["name"]) for _, one in atlas.orbits]
+    alike = len(set(names)) < len(names) or all(re.fullmatch(r"orbit[-\d]*", name) for name in names)
+    for place, one in atlas.orbits:
+        label = f"{atlas.name}, orbit {place}" if alike else ""
+        slug = slugs[1](f"{atlas.name}-{place}" if alike else names[len(entries)])
+        entries.append(Entry(one, films.orbit(one.document), slug, atlas.name, label))
     own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
-    data = atlas_data(name[0], entries, {one.slug for one in own})
-    main = atlas_main(name[0], entries, len(documents))
-    scripts = (PLOTTING, "plots.js", "explorer.js")
-    about = f"An atlas of {plural(len(documents), 'periodic orbit')}, energy against period."
-    path = f"atlases/{name[1]}.html"
-    site.add(path, f"Atlas {name[0]}", main, ("explorer", data), scripts, about)
-    words = ", ".join(sorted({one.mechanism for one in entries}))
-    note = f"{plural(len(documents), 'orbit')}, energy against period"
-    return fill("link", kind="Atlas", href=path, title=name[0], note=note, motion="", words=words), own
+    data, path = atlas_data(atlas.name, entries, {one.slug for one in own}), f"atlases/{slugs[0]}.html"
+    about = f"An atlas of {plural(atlas.total, 'periodic orbit')}, energy against period."
+    main = atlas_main(atlas.name, entries, atlas.total)
+    site.add(path, f"Atlas {atlas.name}", main, ("explorer", data), (PLOTTING, "plots.js", "explorer.js"), about)
+    key, moving = f"atlas/{slugs[0]}", [item["motion"] for item in data["items"] if item["motion"]]
+    if moving:
+        motions[key] = moving[len(moving) * 2 // 3]
+    words, note = ", ".join(sorted({one.mechanism for one in entries})), plural(atlas.total, "distinct orbit")
+    return fill("link", kind="Atlas", href=path, title=atlas.name, note=note, motion=key, words=words), own
 
 
 def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], motions: dict[str, Any]) -> None:

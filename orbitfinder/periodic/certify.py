@@ -189,7 +189,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         else None,
         *_constraint_checks(orbit, model, allowed, scale),
         *_record_checks(orbit, evidence, model, allowed, scale),
-        *_expected_checks(orbit),
+        *_expected_checks(orbit, model),
     ]
     return Certificate(tuple(check for check in checks if check), scale)
 
@@ -317,9 +317,15 @@ def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     return float(distance[rows, columns].max())
 
 
-def _expected_checks(orbit: Orbit) -> list[Check]:
+def _expected_checks(orbit: Orbit, model: Model) -> list[Check]:
+    """Numbers known from elsewhere: of the orbit, or of physical parameters that were free."""
     checks = []
     for name, (value, tolerance) in orbit.expected.items():
-        difference = abs(getattr(orbit, name) - value)
-        checks.append(_at_most(f"expected_{name}", difference, tolerance, f"against {value!r}"))
+        if name in ("period", "energy", "action"):
+            found = getattr(orbit, name)
+        elif name in model.parameter_names:
+            found = model.parameter_values[model.parameter_index(name)]
+        else:
+            raise InputError(f"expected: unknown quantity {name!r}; use period, energy, action or a physical parameter")
+        checks.append(_at_most(f"expected_{name}", abs(found - value), tolerance, f"against {value!r}"))
     return checks

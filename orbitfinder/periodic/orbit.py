@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder import display
 from orbitfinder.errors import InputError
 
 FORMAT, VERSION = "orbitfinder/orbit", 1
@@ -46,6 +47,10 @@ class Certificate:
     def failures(self) -> tuple[str, ...]:
         """Names of the checks that failed."""
         return tuple(check.name for check in self.checks if not check.passed)
+
+    def _repr_html_(self) -> str | None:
+        """How a notebook shows it."""
+        return display.html(self)
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,10 @@ class Orbit:
     source: str = ""
     record: str | None = None
     """digest of the numbers as written, present on orbits read from a file"""
+
+    def _repr_html_(self) -> str | None:
+        """How a notebook shows it."""
+        return display.html(self)
 
 
 def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
@@ -255,7 +264,8 @@ def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples:
             k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()
         }
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
-        if not 0 < tolerance < 1 or not expected.keys() <= {"period", "energy", "action"}:
+        described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
+        if not 0 < tolerance < 1 or not all({name, name.rstrip("0123456789")} & described for name in expected):
             raise ValueError(f"tolerance {tolerance} not between 0 and 1, or expected of an unknown quantity")
         return Orbit(
             name=document["name"], system=document["system"], state=state,

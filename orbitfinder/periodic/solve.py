@@ -10,9 +10,10 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from orbitfinder.errors import IntegrationError
+from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.flow import Flow, build_flow, end_state, transition
 from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.dae_segments import build_dae_flow
@@ -26,6 +27,9 @@ from orbitfinder.periodic.polish import polish
 from orbitfinder.periodic.preparation import at_forcing_period, check_invariants, winding_of
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import Shooting, transcribe
+
+NEAR_BOUND = 1e-6
+"""A quantity this near to the end of its range, relative, is held there by it."""
 
 
 def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress: Callback | None = None) -> Orbit:
@@ -52,7 +56,8 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     shooting, w = chosen(problem, nodes, flow, settings, _reporter(progress, began))
     refined, w = _minimal(*_polished(shooting, w), settings)
     orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), *refined.layout.tail(w)[:2])
-    orbit = replace(orbit, provenance=provenance(problem, settings, began))
+    _within(problem, orbit)
+    orbit = replace(orbit, provenance=provenance(problem, settings, began) | _choice(problem, refined.problem.model))
     if settings.with_certificate:
         certificate = certify(orbit, refined.problem.model)
         independent = [check.value for check in certificate.checks if check.name == "closure"]
@@ -60,6 +65,27 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
+
+
+def _within(problem: Problem, orbit: Orbit) -> None:
+    """`ConvergenceError` when the minimal period is no longer in the range asked for."""
+    low, high = problem.bounds.get("period", (0.0, np.inf))
+    if not low * (1 - NEAR_BOUND) <= orbit.period <= high * (1 + NEAR_BOUND):
+        raise ConvergenceError(
+            f"no orbit found: the search went round an orbit of period {orbit.period:.6g} s several times, which is "
+            f"outside bounds.period [{low:g}, {high:g}]; start nearer to an orbit of that period"
+        )
+
+
+def _choice(problem: Problem, model: Model) -> dict[str, Any]:
+    """What was left to choose and what came of it, for the provenance."""
+    found = {name: float(model.parameter_values[model.parameter_index(name)]) for name in problem.free}
+    said: dict[str, Any] = {"free": found} if found else {}
+    if problem.objective != "nearest":
+        said["objective"] = problem.objective if isinstance(problem.objective, str) else "callable"
+    if problem.bounds:
+        said["bounds"] = {name: [float(end) for end in ends] for name, ends in problem.bounds.items()}
+    return said
 
 
 def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.ndarray:
@@ -108,12 +134,29 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
         return shooting, w
     period, unfolding, free = layout.tail(w)
     nodes = layout.nodes(w)
-    model = with_parameters(problem.model, dict(zip(problem.free, free, strict=True)))
+    values = {name: _snapped(problem, name, float(value)) for name, value in zip(problem.free, free, strict=True)}
+    model = with_parameters(problem.model, values)
     settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
-        settled = replace(settled, pin=problem.pin[:1] or natural_pin(settled, nodes[0]))
+        settled = replace(settled, pin=problem.pin[:1] or _held(problem, natural_pin(settled, nodes[0]), period))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
     return held, polish(held, held.layout.join(nodes, period, np.zeros(0), unfolding))
+
+
+def _snapped(problem: Problem, name: str, value: float) -> float:
+    """A value, or the end of its range that an inequality holds it at."""
+    for end in problem.bounds.get(name, ()):
+        if abs(value - end) <= NEAR_BOUND * max(1.0, abs(end)):
+            return float(end)
+    return value
+
+
+def _held(problem: Problem, natural: tuple[Pin, ...], period: float) -> tuple[Pin, ...]:
+    """The pin at which an orbit is polished: the range's end where one holds it, else its own energy."""
+    held = _snapped(problem, "period", period)
+    if held in problem.bounds.get("period", ()):
+        return (Pin("period", held),)
+    return tuple(Pin(one.name, _snapped(problem, one.name, one.value)) for one in natural)
 
 
 def without_choice(problem: Problem) -> Problem:

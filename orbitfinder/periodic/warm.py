@@ -11,22 +11,28 @@ marches of x alone, doubled until twice as many steps say the same.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
-from orbitfinder.compiled import compiled
-from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.flow import build_flow
-from orbitfinder.periodic.conditions import Pin, boundary_rows, quantity, unfolded_invariants
+from orbitfinder.periodic.certify import certify
+from orbitfinder.periodic.closing import check_square, closing, pin_values
+from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.elimination import Linearised, Solver, eliminated
-from orbitfinder.periodic.polish import tail_of
+from orbitfinder.periodic.marches import Marches, Path, segments_needed
+from orbitfinder.periodic.measure import measure
+from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.preparation import WINDING_MARGIN, at_forcing_period
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import boundary_shift, phase_directions
-from orbitfinder.runge_kutta import block, variational_field
+
+Rows = tuple[np.ndarray, np.ndarray]
+"""Defects (N-1 x 2n) and closing rows."""
+
+STANDSTILL = 1e-6
+"""Largest rate at the start times the period, below which the motion is none."""
 
 
 @dataclass(frozen=True)
@@ -35,17 +41,21 @@ class WarmSettings:
 
     steps_per_period: int = 100
     """of the coarse march, which starts the iteration and whose Phi serves to its end"""
-    growth_per_segment: float = 1e3
+    growth_per_segment: float = 100.0
     """segments are added until no state-transition matrix of the first guess is larger than this"""
     most_segments: int = 40
+    largest_change: float = 0.2
+    """of the period in one step, relative: a longer step leads to a multiple of the orbit, or to another"""
     handover: float = 1e-4
     """residual at which the coarse march has done its work"""
     contraction: float = 0.1
     """a chord step that reduces the residual by less asks for a new Jacobian"""
     rough: float = 1e-10
     """residual to which the march that is still to be confirmed is driven"""
-    agreement: float = 1e-12
-    """two step sizes must agree to this; the finer is then some 2^8 times better than that"""
+    agreement: float = 4e-12
+    """two step sizes must agree to this, times the states; the finer is then some 2^8 times better than that"""
+    floor: float = 1e-14
+    """residual, times the states, below which nothing is gained by another step"""
     most_evaluations: int = 30
     most_doublings: int = 7
     converged: float = 1e-8
@@ -54,10 +64,10 @@ class WarmSettings:
 
 @dataclass(frozen=True)
 class Refined:
-    """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns, residual.
+    """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
 
-    `residual` is the largest row of the shooting equations, `steps` the Runge-Kutta steps per segment of the march
-    that says so, `marches` and `jacobians` what it took.
+    `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment;
+    `marches` and `jacobians` are what it took.
     """
 
     state: np.ndarray
@@ -73,18 +83,7 @@ class Refined:
 
 
 @dataclass(frozen=True)
-class _Path:
-    """Nodes (N x 2n) and tail (period, unfolding, freed parameters)."""
-
-    nodes: np.ndarray
-    tail: np.ndarray
-
-    def moved(self, step: tuple[np.ndarray, np.ndarray], factor: float = 1.0) -> _Path:
-        return _Path(self.nodes + factor * step[0], self.tail + factor * step[1])
-
-
-@dataclass(frozen=True)
-class _Conditions:
+class Conditions:
     """What one guess fixes: phase reference and directions (2n x k), displacement (n), pins."""
 
     reference: np.ndarray
@@ -94,28 +93,23 @@ class _Conditions:
 
 
 class Refiner:
-    """Refines guesses of one Problem, as many as you like, at its pins or at others of the same names.
+    """Refines guesses of one Problem, as many as you like, at its pins or at other values of them.
 
-    Building it derives and, with a C compiler, compiles (a second, once; later runs load the library). It needs a
-    Problem as square as `Problem.count()` wants it, with pins and no objective. Raises `CountError`, `InputError`.
+    Building it derives and, with a C compiler, compiles (about a second, once; later runs load the library). It needs
+    a Problem that its pins make square. Raises `CountError`, `InputError`.
     """
 
     def __init__(self, problem: Problem, settings: WarmSettings | None = None) -> None:
-        _check(problem)
-        self.settings = settings or WarmSettings()
+        check_square(problem)
+        self.settings = chosen = settings or WarmSettings()
         self.problem = problem = at_forcing_period(problem)
-        unfolded = unfolded_invariants(problem.model, problem.boundary)
-        self.flow = build_flow(problem.model, problem.free, unfolded)
-        field, fraction = self.flow.field, problem.boundary.fraction
-        varied = variational_field(field)
-        self._known, self._marches, self._jacobians = tail_of(self.flow), 0, 0
-        self.segments = problem.segments or self._needed(varied)
-        self._steps = max(4, int(np.ceil(self.settings.steps_per_period * fraction / self.segments)))
-        self._march = compiled(block(field, self._steps, self.segments))
-        self._first = compiled(block(field, self._steps, 1))
-        self._vary = compiled(block(varied, self._steps, self.segments))
-        self._rates = field.map(self.segments)
-        self._closing = _closing(problem)
+        self.flow = build_flow(problem.model, problem.free, unfolded_invariants(problem.model, problem.boundary))
+        whole = max(4, int(np.ceil(chosen.steps_per_period * problem.boundary.fraction)))
+        self.segments = problem.segments or segments_needed(
+            problem, self.flow, whole, chosen.growth_per_segment, chosen.most_segments
+        )
+        self.marches = Marches(problem, self.flow, self.segments, max(4, -(-whole // self.segments)))
+        self._closing, self._slopes = closing(problem)
 
     def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None) -> Refined:
         """The orbit near a guess (default: the problem's) at the pins (default: the problem's).
@@ -123,32 +117,47 @@ class Refiner:
         Raises `ConvergenceError` when Newton's method does not converge from there (find_orbit reaches farther),
         `IntegrationError` when the motion cannot be integrated.
         """
-        self._marches = self._jacobians = 0
-        path = self._start(guess or self.problem.guess)
-        conditions, path, solver = self._approach(path, _values(self.problem, pin))
+        self.marches.states = self.marches.derivatives = 0
+        path = self.marches.start(_checked(guess or self.problem.guess, len(self.problem.model.state_names)))
+        conditions, path, solver = self._approach(path, pin_values(self.problem, pin))
         path, rows, blocks = self._finish(path, conditions, solver)
-        residual = max(float(np.abs(part).max(initial=0.0)) for part in rows)
-        if not residual < self.settings.converged:
+        if not _largest(rows) < self.settings.converged:
             raise ConvergenceError(
-                f"warm refinement stalled at a residual of {residual:.2g}; the orbit is too unstable for "
+                f"warm refinement stalled at a residual of {_largest(rows):.2g}; the orbit is too unstable for "
                 f"{self.segments} segments, give the problem more"
             )
+        if self.marches.standstill(path) < STANDSTILL:
+            raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
         extra = len(self.flow.unfolded)
-        turns = conditions.shift / (2 * np.pi) if self.problem.symmetry == "none" else np.zeros(conditions.shift.size)
+        turns = conditions.shift / (2 * np.pi) if self.problem.symmetry == "none" else 0.0 * conditions.shift
         return Refined(
             path.nodes[0], float(path.tail[0]), path.nodes, path.tail[1 : 1 + extra], path.tail[1 + extra :],
-            np.round(turns).astype(int), residual, self._steps * blocks, self._marches, self._jacobians,
+            np.round(turns).astype(int), _largest(rows), self.marches.steps * blocks, self.marches.states,
+            self.marches.derivatives,
         )  # fmt: skip
+
+    def orbit(self, refined: Refined, with_certificate: bool = True) -> Orbit:
+        """The Orbit of a refined one, measured and certified (tenths of a second). No freed parameters."""
+        if refined.free.size:
+            raise InputError("free: an Orbit carries no freed parameters; put their values into the model")
+        turns = tuple(int(k) for k in refined.turns)
+        problem = replace(self.problem, guess=Guess(refined.state, refined.period), winding=turns)
+        orbit = measure(problem, self.flow, refined.nodes, refined.period, refined.unfolding)
+        if not with_certificate:
+            return orbit
+        certificate = certify(orbit, problem.model)
+        independent = [check.value for check in certificate.checks if check.name == "closure"]
+        return replace(orbit, certificate=certificate, closure=(independent or [orbit.closure])[0])
 
     # ---- the iteration -----------------------------------------------------------------------------
 
-    def _approach(self, path: _Path, pins: np.ndarray) -> tuple[_Conditions, _Path, Solver]:
+    def _approach(self, path: Path, pins: np.ndarray) -> tuple[Conditions, Path, Solver]:
         """Newton with damping on the coarse march until the residual is small."""
-        conditions: _Conditions | None = None
+        conditions: Conditions | None = None
         before, step, factor, best = path, (path.nodes, path.tail), 1.0, np.inf
         for _ in range(self.settings.most_evaluations):
             try:
-                ends, system = self._linearised(path)
+                ends, system = self.marches.linearised(path)
                 conditions = conditions or self._conditions(path, ends, pins)
                 rows = self._rows(path, ends, conditions)
                 size = float(np.sqrt(sum(np.sum(part**2) for part in rows)))
@@ -156,11 +165,11 @@ class Refiner:
                 if conditions is None:
                     raise
                 size = np.inf
-            if size < best:
+            if conditions is not None and size < best:
                 solver = eliminated(self._completed(system, path, ends, conditions))
-                before, best, factor = path, size, 1.0
-                step = solver(*rows)
-                if size < self.settings.handover:
+                before, best, step = path, size, solver(*rows)
+                factor = 1.0 / max(1.0, abs(step[1][0]) / (self.settings.largest_change * path.tail[0]))
+                if size < self.settings.handover and factor == 1.0:
                     return conditions, path.moved(step), solver
             else:
                 factor /= 2
@@ -169,122 +178,43 @@ class Refiner:
             f"warm refinement does not converge from this guess (residual {best:.2g}); find_orbit reaches farther"
         )
 
-    def _finish(
-        self, path: _Path, conditions: _Conditions, solver: Solver
-    ) -> tuple[_Path, tuple[np.ndarray, np.ndarray], int]:
+    def _finish(self, path: Path, conditions: Conditions, solver: Solver) -> tuple[Path, Rows, int]:
         """Chord steps on ever finer marches until twice as many steps confirm the residual, then to round-off."""
-        blocks = 2
+        blocks, scale = 1, max(1.0, float(np.abs(path.nodes).max()))
+        rows = self._rows(path, self.marches.ends(path, blocks), conditions)
         for _ in range(self.settings.most_doublings):
-            path, rows, solver = self._chord(path, conditions, solver, blocks, self.settings.rough)
-            finer = self._rows(path, self._ends(path, 2 * blocks), conditions)
+            path, rows, solver = self._chord(path, rows, conditions, solver, blocks, self.settings.rough)
+            finer = self._rows(path, self.marches.ends(path, 2 * blocks), conditions)
             change = max(float(np.abs(a - b).max(initial=0.0)) for a, b in zip(rows, finer, strict=True))
-            blocks *= 2
-            if change <= self.settings.agreement * max(1.0, float(np.abs(path.nodes).max())):
+            blocks, rows = 2 * blocks, finer
+            if change <= self.settings.agreement * scale:
                 break
-        path, rows, _ = self._chord(path, conditions, solver, blocks, 0.0)
+        path, rows, _ = self._chord(path, rows, conditions, solver, blocks, self.settings.floor * scale)
         return path, rows, blocks
 
     def _chord(
-        self, path: _Path, conditions: _Conditions, solver: Solver, blocks: int, target: float
-    ) -> tuple[_Path, tuple[np.ndarray, np.ndarray], Solver]:
+        self, path: Path, rows: Rows, conditions: Conditions, solver: Solver, blocks: int, target: float
+    ) -> tuple[Path, Rows, Solver]:
         """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off."""
-        def evaluated(one: _Path) -> tuple[tuple[np.ndarray, np.ndarray], float]:
-            rows = self._rows(one, self._ends(one, blocks), conditions)
-            return rows, max(float(np.abs(part).max(initial=0.0)) for part in rows)
-
-        rows, size = evaluated(path)
+        size = _largest(rows)
         for _ in range(self.settings.most_evaluations):
             if size <= target:
                 break
             trial = path.moved(solver(*rows))
-            found, reached = evaluated(trial)
-            slow = reached > self.settings.contraction * size
-            if reached < size:
-                path, rows, size = trial, found, reached
+            found = self._rows(trial, self.marches.ends(trial, blocks), conditions)
+            slow = _largest(found) > self.settings.contraction * size
+            if _largest(found) < size:
+                path, rows, size = trial, found, _largest(found)
             if slow and size < 1e3 * self.settings.agreement:
                 break  # round-off
             if slow:
-                ends, system = self._linearised(path)
+                ends, system = self.marches.linearised(path, blocks)
                 solver = eliminated(self._completed(system, path, ends, conditions))
         return path, rows, solver
 
-    # ---- marches -----------------------------------------------------------------------------------
-
-    def _parameters(self, path: _Path, steps: int) -> np.ndarray:
-        """h, unfolding and freed parameters of each lane."""
-        span = path.tail[0] * self.problem.boundary.fraction / self.segments
-        return np.tile(np.concatenate([[span / steps], path.tail[1:]])[:, None], (1, self.segments))
-
-    def _clock(self, path: _Path) -> np.ndarray:
-        return path.tail[0] * self.problem.boundary.fraction / self.segments * np.arange(self.segments)
-
-    def _ends(self, path: _Path, blocks: int) -> np.ndarray:
-        """End states (N x 2n) by so many blocks of steps."""
-        z: Any = np.vstack([self._clock(path), path.nodes.T])
-        p = ca.DM(self._parameters(path, self._steps * blocks))
-        self._marches += 1
-        for _ in range(blocks):
-            z = self._march(z, p)
-        return _finite(z.full()[1:].T, path)
-
-    def _linearised(self, path: _Path) -> tuple[np.ndarray, Linearised]:
-        """End states (N x 2n) and their derivatives by the coarse march; the closing rows are still missing."""
-        count, size = path.nodes.shape
-        extra = path.tail.size - 1
-        unit = np.eye(size, size + extra).ravel("F")
-        z = np.vstack([self._clock(path), path.nodes.T, np.tile(unit[:, None], (1, count))])
-        found = _finite(self._vary(z, self._parameters(path, self._steps)).full().T, path)
-        self._jacobians += 1
-        clock, ends = found[:, :1].T, found[:, 1 : 1 + size]
-        matrices = found[:, 1 + size :].reshape(count, size + extra, size).transpose(0, 2, 1)
-        share = self.problem.boundary.fraction / count
-        tail = np.tile(path.tail[1:, None], (1, count))
-        s, free = tail[: len(self.flow.unfolded)], tail[len(self.flow.unfolded) :]
-        late = self._rates(clock, ends.T, s, free).full().T
-        slopes = late * share
-        if self.problem.model.forced:
-            early = self._rates(z[:1], path.nodes.T, s, free).full().T
-            delayed = late - np.einsum("kij,kj->ki", matrices[:, :, :size], early)
-            slopes = slopes + delayed * (share * np.arange(count))[:, None]
-        columns = np.concatenate([slopes[:, :, None], matrices[:, :, size:]], axis=2)
-        none = np.zeros((0, size))
-        return ends, Linearised(matrices[:, :, :size], columns, none, none, none)
-
-    def _needed(self, varied: ca.Function) -> int:
-        """Segments that keep every state-transition matrix of the guess small."""
-        guess, fraction = self.problem.guess, self.problem.boundary.fraction
-        state = np.asarray(guess.state, float)
-        size, steps = state.size, self.settings.steps_per_period
-        unit = np.eye(size, size + self._known.size).ravel("F")
-        p = np.concatenate([[guess.period * fraction / steps], self._known])
-        found = block(varied, steps, 1)(np.concatenate([[0.0], state, unit]), p).full().ravel()
-        clock = np.concatenate([np.ones(size // 2), np.full(size // 2, guess.period / (2 * np.pi))])
-        matrix = found[1 + size : 1 + size + size**2].reshape(size, size, order="F")
-        if not np.all(np.isfinite(matrix)):
-            return self.settings.most_segments
-        growth = max(float(np.linalg.norm(matrix * clock[:, None] / clock[None, :], 2)), 2.0)
-        return min(int(np.ceil(np.log(growth) / np.log(self.settings.growth_per_segment))), self.settings.most_segments)
-
     # ---- conditions --------------------------------------------------------------------------------
 
-    def _start(self, guess: Guess) -> _Path:
-        """Nodes of a guess: sampled from its trajectory, else simulated from its state."""
-        state, period = np.asarray(guess.state, float), float(guess.period)
-        if state.shape != (len(self.problem.model.state_names),) or not np.all(np.isfinite(state)):
-            raise InputError(f"guess.state: need {len(self.problem.model.state_names)} finite numbers, got {state!r}")
-        if not (np.isfinite(period) and period > 0):
-            raise InputError(f"guess.period: must be positive and finite, got {period}; give a period in s")
-        tail = np.concatenate([[period], self._known])
-        span = period * self.problem.boundary.fraction / self.segments
-        if guess.times is not None and guess.states is not None:
-            moments = span * np.arange(self.segments)
-            return _Path(np.stack([np.interp(moments, guess.times, row) for row in guess.states.T], axis=1), tail)
-        p, nodes = np.concatenate([[span / self._steps], self._known]), [state]
-        for k in range(1, self.segments):
-            nodes.append(self._first(np.concatenate([[(k - 1) * span], nodes[-1]]), p).full().ravel()[1:])
-        return _Path(np.asarray(nodes), tail)
-
-    def _conditions(self, path: _Path, ends: np.ndarray, pins: np.ndarray) -> _Conditions:
+    def _conditions(self, path: Path, ends: np.ndarray, pins: np.ndarray) -> Conditions:
         """Phase conditions and displacement as the guess and its end have them."""
         problem, state, n = self.problem, path.nodes[0], self.problem.model.degrees_of_freedom
         if problem.symmetry == "none" and problem.winding is None:
@@ -294,73 +224,33 @@ class Refiner:
         else:
             shift = boundary_shift(problem, path.nodes, ends[-1])
         directions = np.asarray(phase_directions(problem, state)).reshape(-1, 2 * n).T
-        return _Conditions(state, directions, shift, pins)
+        return Conditions(state, directions, shift, pins)
 
-    def _rows(self, path: _Path, ends: np.ndarray, conditions: _Conditions) -> tuple[np.ndarray, np.ndarray]:
-        """Defects (N-1 x 2n) between the segments and the closing rows."""
-        closing = self._closing(*_arguments(path, ends, conditions, len(self.flow.unfolded)))[0]
-        return ends[:-1] - path.nodes[1:], closing.full().ravel()
+    def _rows(self, path: Path, ends: np.ndarray, conditions: Conditions) -> Rows:
+        """Defects between the segments and closing rows."""
+        found = self._closing(*self._arguments(path, ends, conditions)).full().ravel()
+        return ends[:-1] - path.nodes[1:], found
 
-    def _completed(self, system: Linearised, path: _Path, ends: np.ndarray, conditions: _Conditions) -> Linearised:
-        """The linearisation with the derivatives of its closing rows."""
-        extra = len(self.flow.unfolded)
-        _, first, last, tail = self._closing(*_arguments(path, ends, conditions, extra))
-        whole = np.insert(tail.full(), [1] * extra, 0.0, axis=1)  # no closing row contains the unfolding
-        return Linearised(system.transitions, system.columns, first.full(), last.full(), whole)
+    def _completed(self, system: Linearised, path: Path, ends: np.ndarray, conditions: Conditions) -> Linearised:
+        """The linearisation with the derivatives of its closing rows, none of which contains the unfolding."""
+        first, last, tail = (one.full() for one in self._slopes(*self._arguments(path, ends, conditions)))
+        whole = np.insert(tail, [1] * len(self.flow.unfolded), 0.0, axis=1)
+        return replace(system, first=first, last=last, tail=whole)
 
-
-def _arguments(path: _Path, ends: np.ndarray, conditions: _Conditions, extra: int) -> tuple[np.ndarray, ...]:
-    tail = np.concatenate([path.tail[:1], path.tail[1 + extra :]])
-    return (
-        path.nodes[0], ends[-1], tail, conditions.shift, conditions.directions, conditions.reference, conditions.pins
-    )  # fmt: skip
+    def _arguments(self, path: Path, ends: np.ndarray, conditions: Conditions) -> tuple[np.ndarray, ...]:
+        tail = np.concatenate([path.tail[:1], path.tail[1 + len(self.flow.unfolded) :]])
+        fixed = (conditions.shift, conditions.directions, conditions.reference, conditions.pins)
+        return path.nodes[0], ends[-1], tail, *fixed
 
 
-def _closing(problem: Problem) -> ca.Function:
-    """Boundary, phase, forcing and pin rows as a function of (first, last, (T, free), shift, directions, reference,
-    pins), with their derivatives by the first three."""
-    model, n = problem.model, problem.model.degrees_of_freedom
-    first, last = ca.MX.sym("first", 2 * n), ca.MX.sym("last", 2 * n)
-    tail, shift = ca.MX.sym("tail", 1 + len(problem.free)), ca.MX.sym("shift", n)
-    count = len(phase_directions(problem, np.asarray(problem.guess.state, float)))
-    directions, reference = ca.MX.sym("directions", 2 * n, count), ca.MX.sym("reference", 2 * n)
-    pins, parameters = ca.MX.sym("pins", len(problem.pin)), model.parameters(problem.free, tail[1:])
-    rows = [boundary_rows(problem.boundary, first, last, shift), directions.T @ (first - reference)]  # type: ignore[arg-type]
-    if model.forcing_period is not None:
-        rows.append(tail[0] - problem.forcing_cycles * model.forcing_period(parameters))
-    rows += [quantity(model, one.name, first, tail[0], parameters) - pins[k] for k, one in enumerate(problem.pin)]
-    whole = ca.vertcat(*rows)
-    inputs = [first, last, tail, shift, directions, reference, pins]
-    slopes = [ca.densify(ca.jacobian(whole, one)) for one in (first, last, tail)]
-    return ca.Function("closing", inputs, [whole, *slopes])
+def _largest(rows: Rows) -> float:
+    return max(float(np.abs(part).max(initial=0.0)) for part in rows)
 
 
-def _values(problem: Problem, pin: Sequence[Pin] | None) -> np.ndarray:
-    """Values of the pins in the problem's order."""
-    known = {one.name: one.value for one in problem.pin}
-    given = {one.name: one.value for one in (problem.pin if pin is None else pin)}
-    if known.keys() != given.keys():
-        raise InputError(
-            f"pin: this refiner was built for pins of {', '.join(known) or 'nothing'}, got "
-            f"{', '.join(given) or 'nothing'}; build another one"
-        )
-    return np.array([given[name] for name in known], float)
-
-
-def _finite(numbers: np.ndarray, path: _Path) -> np.ndarray:
-    if np.all(np.isfinite(numbers)):
-        return numbers
-    segment = int(np.argmin(np.all(np.isfinite(numbers), axis=1)))
-    raise IntegrationError("the state is not finite", segment=segment, time=0.0, state=path.nodes[segment])
-
-
-def _check(problem: Problem) -> None:
-    """Only square systems of pins can be refined by Newton's method alone."""
-    problem.check_count()
-    others = {"constraints": problem.constraints, "phase_condition": problem.phase_condition, "bounds": problem.bounds}
-    for name, value in others.items():
-        if value:
-            raise InputError(f"{name}: warm refinement knows pins only; use find_orbit")
-    count = problem.count()
-    if count.freedom:
-        raise CountError(f"pin: {count} leave {count.freedom} to choose; warm refinement needs as many pins")
+def _checked(guess: Guess, size: int) -> Guess:
+    state = np.asarray(guess.state, float)
+    if state.shape != (size,) or not np.all(np.isfinite(state)):
+        raise InputError(f"guess.state: need {size} finite numbers, got {state.tolist()}")
+    if not (np.isfinite(guess.period) and guess.period > 0):
+        raise InputError(f"guess.period: must be positive and finite, got {guess.period}; give a period in s")
+    return guess

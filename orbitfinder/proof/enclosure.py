@@ -34,9 +34,9 @@ class Settings:
     rad/s) and the shortest step that is tried, as a part of the segment.
     """
 
-    order: int = 24
+    order: int = 20
     bits: int = 106
-    tolerance: float = 1e-22
+    tolerance: float = 1e-18
     shortest: float = 1e-8
 
 

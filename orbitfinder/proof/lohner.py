@@ -57,19 +57,20 @@ class Cloud:
         return [x + d for x, d in zip(self.point[:size], moved, strict=True)] + constants
 
 
-def cloud(box: Sequence[Any]) -> Cloud:
-    """The Cloud of a box z (2n + 2 balls) at the start."""
+def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
+    """The Cloud of a box z (2n + 2 balls) at the start, about a point of it (balls; its centre if absent)."""
     size = len(box) - 2
-    centre = midpoints(box)
+    about = list(point) if point is not None else midpoints(box)
+    centre = midpoints(about)
     unit = arb_mat(size, size + 2, [arb(int(i == j)) for i in range(size) for j in range(size + 2)])
     return Cloud(
         centre=centre,
         frame=identity(size),
-        spread=column([arb(0)] * size),
+        spread=column([x - c for x, c in zip(about[:size], centre[:size], strict=True)]),
         middle=unit,
         turned=identity(size),
         rest=arb_mat(size, size + 2, [arb(0)] * (size * (size + 2))),
-        start=column([x - c for x, c in zip(box, centre, strict=True)]),
+        start=column([x - c for x, c in zip(box, about, strict=True)]),
     )
 
 

@@ -18,7 +18,6 @@ var orbitfinder = (function () {
     this.count = packed.count;
     this.points = packed.points;
     this.centre = packed.centre;
-    this.half = packed.half;
     this.moving = packed.moving;
     this.drawn = packed.drawn;
     this.now = new Float32Array(2 * packed.points);
@@ -32,7 +31,21 @@ var orbitfinder = (function () {
       this.values[k] = packed.centre[channel < many ? 0 : 1] + packed.half * values[k] / 32767;
     }
     this.tip = this.fixed.lastIndexOf(false);
+    this.spans = [this.span(0), this.span(many)];
   }
+
+  // Extent of one axis over all points and samples, in m; `from` is its first channel.
+  Motion.prototype.span = function (from) {
+    var low = Infinity, high = -Infinity, m = this;
+    function take(value) { low = Math.min(low, value); high = Math.max(high, value); }
+    this.now.subarray(from, from + this.points).forEach(function (value, p) {
+      if (m.moving.indexOf(from + p) < 0) take(value);
+    });
+    this.moving.forEach(function (channel, row) {
+      if (channel >= from && channel < from + m.points) m.values.subarray(row * m.count, (row + 1) * m.count).forEach(take);
+    });
+    return Math.max(high - low, 1e-9);
+  };
 
   // All positions at a time in s: Catmull-Rom between samples, periodic.
   Motion.prototype.at = function (time) {
@@ -68,7 +81,7 @@ var orbitfinder = (function () {
     this.canvas.height = Math.round(this.height * ratio);
     this.pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (!m) return;
-    this.scale = 0.42 * Math.min(this.width, this.height) / m.half;
+    this.scale = 0.84 * Math.min(this.height / m.spans[0], this.width / m.spans[1]);
     this.path = null;
     if (m.tip < 0) return;
     this.path = new Path2D();

@@ -62,7 +62,8 @@
     traces.push(points(chosen, plain, { name: "orbit", showlegend: false, marker: { size: 6, color: c.series[0] } }));
     Object.keys(kinds).forEach(function (kind) {
       traces.push(points(chosen, kinds[kind], { name: kind.replace(/_/g, " "), marker: { symbol: SYMBOLS[kind] || "star",
-        size: kind === "resonance" ? 6 : 10, color: kind === "resonance" ? c.series[3] : c.series[1], line: { width: 1.5, color: c.series[1] } } }));
+        size: kind === "resonance" ? 6 : 10, color: kind === "resonance" ? c.series[3] : c.series[1],
+        line: kind === "resonance" ? { width: 0 } : { width: 1.5, color: c.series[1] } } }));
     });
     return traces;
   }
@@ -72,7 +73,7 @@
     return kinds.map(function (kind, n) {
       var which = shown.filter(function (k) { return items[k].stability === kind; });
       return points(chosen, which, { name: kind, marker: { size: 8, color: c.series[(kind === "unstable" ? 1 : n === 1 ? 2 : n) % 6],
-        symbol: kind === "unstable" ? "diamond-open" : "circle", opacity: 0.85, line: { width: 1.4 } } });
+        symbol: kind === "unstable" ? "diamond-open" : "circle", line: { width: kind === "unstable" ? 1.4 : 0.8, color: kind === "unstable" ? c.series[1] : c.surface } } });
     });
   }
 

@@ -9,6 +9,7 @@
     else canvas.classList.add("empty");
   });
   player.controls();
+  if (matchMedia("(max-width: 520px)").matches) document.getElementById("filters").open = false;
 
   var list = document.getElementById("cards"), cards = Array.from(list.children), given = cards.slice();
   function field(id) { return document.getElementById(id); }

@@ -24,17 +24,23 @@
     player.scrubber(function () { return it.period; });
 
     var marks = [];
+    function span(i) { var all = row(i); return [Math.min.apply(null, all), Math.max.apply(null, all)]; }
+    // A component that stands still is shown as a point, not as its round-off.
+    function range(i, others) {
+      var own = span(i), most = Math.max.apply(null, others.map(function (k) { var s = span(k); return s[1] - s[0]; }));
+      var middle = (own[0] + own[1]) / 2;
+      return own[1] - own[0] > 1e-6 * most ? {} : { range: [middle - most / 2, middle + most / 2] };
+    }
+    var rates = it.shown.map(function (i) { return i + n; });
     it.shown.forEach(function (i) {
-      var box = document.createElement("div"), units = it.units[i];
-      box.className = "plot small";
-      box.setAttribute("role", "img");
-      box.setAttribute("aria-label", "Phase portrait: " + it.names[i + n] + " against " + it.names[i]);
-      part("portraits").appendChild(box);
+      var box = part("portraits").querySelector('[data-component="' + i + '"]'), units = it.units[i];
+      var across = Object.assign({ nticks: 4, zeroline: false }, range(i, it.shown));
+      var up = Object.assign({ nticks: 5, zeroline: false }, range(i + n, rates));
       plots.plot(box, function () {
         return { traces: [{ x: row(i), y: row(i + n), mode: "lines", hoverinfo: "x+y",
           line: { color: orbitfinder.colours().series[0], width: 1.6 } }],
-        layout: plots.layout(plots.axis(it.labels[i] + ", " + units, { nticks: 4, zeroline: false }),
-          plots.axis("rate, " + units + "/s", { nticks: 5, zeroline: false }), { margin: { l: 52, r: 10, t: 8, b: 40 } }) };
+        layout: plots.layout(plots.axis(it.labels[i] + ", " + units, across),
+          plots.axis("rate, " + units + "/s", up), { margin: { l: 52, r: 10, t: 8, b: 40 } }) };
       });
       marks.push({ mark: new plots.Mark(box, "dot"), component: i });
     });

@@ -55,12 +55,19 @@ orbitfinder.plots = (function () {
     var c = orbitfinder.colours(), x = [], y = [], inside = { x: [], y: [], text: [] }, outside = { x: [], y: [], text: [] };
     for (var k = 0; k <= 180; k++) { x.push(Math.cos(k * Math.PI / 90)); y.push(Math.sin(k * Math.PI / 90)); }
     (pairs || []).forEach(function (pair) {
-      var size = Math.hypot(pair[0], pair[1]), to = size > LIMIT ? outside : inside;
-      var factor = size > LIMIT ? LIMIT / size : 1, sign = pair[1] < 0 ? " \u2212 " : " + ";
-      to.x.push(pair[0] * factor);
-      to.y.push(pair[1] * factor);
-      to.text.push(to === outside ? "|\u03bc| = " + orbitfinder.figure(size, 3)
-        : orbitfinder.figure(pair[0], 5) + sign + orbitfinder.figure(Math.abs(pair[1]), 5) + "i");
+      var size = Math.hypot(pair[0], pair[1]), sign = pair[1] < 0 ? " \u2212 " : " + ";
+      if (size <= LIMIT) {
+        inside.x.push(pair[0]);
+        inside.y.push(pair[1]);
+        inside.text.push(orbitfinder.figure(pair[0], 5) + sign + orbitfinder.figure(Math.abs(pair[1]), 5) + "i");
+        return;
+      }
+      var x = pair[0] * LIMIT / size, y = pair[1] * LIMIT / size, same = outside.x.findIndex(function (u, i) {
+        return Math.hypot(u - x, outside.y[i] - y) < 0.3; });
+      if (same >= 0) { outside.text[same] += "<br>" + orbitfinder.figure(size, 3); return; }
+      outside.x.push(x);
+      outside.y.push(y);
+      outside.text.push("|\u03bc| = " + orbitfinder.figure(size, 3));
     });
     var traces = [
       { x: x, y: y, mode: "lines", line: { color: c.muted, width: 1 }, hoverinfo: "skip" },

@@ -1,0 +1,114 @@
+"""Families of linkages: the same motion in minimal coordinates, where the shooting of `families` applies.
+
+A native linkage has 6 states a bar and a damped constraint, a minimal one 2 (n - 2) states and none; the
+angles of two bars follow from the others as long as these two are never in line (a dead point). A family
+keeps the choice of independent bars in its `system`, and `bar_states` gives back the angles of all bars.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.flow import build_flow, sample
+from orbitfinder.mechanics.catalogue import build_constrained
+from orbitfinder.mechanics.constrained import ConstrainedModel
+from orbitfinder.mechanics.linkage import linkage_state
+from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.partition import bar_angles, minimal_linkage
+from orbitfinder.periodic.conditions import Pin
+from orbitfinder.periodic.problem import Guess, Problem
+
+LEAST_SINE = 0.05
+"""|sin| of the angle between the two dependent bars below which they count as being in line."""
+SAMPLES = 200
+
+
+def minimal_problem(problem: Problem) -> Problem:
+    """A linkage's Problem in the angles of n - 2 bars; any other Problem as it is.
+
+    Of all choices of bars the one whose dependent pair stays furthest from being in line over the guess's
+    motion is taken. Raises `InputError` when every choice passes a dead point, or where there is none.
+    """
+    native = problem.model.native
+    if native is None:
+        return problem
+    if native.system.get("kind") != "linkage":
+        raise InputError(
+            "system: families of constrained systems are followed for linkages only; describe this one in minimal "
+            "coordinates (lagrange)"
+        )
+    theta, rates = _bars(np.asarray(problem.guess.state, float))
+    chosen = _best(native, theta, rates, float(problem.guess.period))
+    if chosen is None:
+        raise InputError(
+            "system: whichever two bars are taken as dependent, they come into line on the way (a dead point), so "
+            "that no choice of minimal coordinates covers this motion and its family cannot be followed"
+        )
+    model, picked = chosen
+    state = np.concatenate([theta[picked], rates[picked]])
+    turns = None if problem.winding is None else tuple(problem.turns[3 * k + 2] for k in picked)
+    return replace(
+        problem, model=model, guess=Guess(state, problem.guess.period), winding=turns, symmetry="none",
+        pin=tuple(one for one in problem.pin if one.name in ("energy", "period")) or (Pin("energy", energy(model, state)),),
+    )  # fmt: skip
+
+
+def _bars(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and rates of the bars in a native state (x, y, theta of every bar, then their rates)."""
+    q, v = np.split(state, 2)
+    return q[2::3], v[2::3]
+
+
+def _best(
+    native: ConstrainedModel, theta: np.ndarray, rates: np.ndarray, period: float
+) -> tuple[Model, list[int]] | None:
+    """The minimal model (with its independent bars) that stays furthest from a dead point over a period."""
+    found: list[tuple[float, Model, list[int]]] = []
+    for i, j in combinations(range(theta.size), 2):
+        sine = float(np.sin(theta[j] - theta[i]))
+        if abs(sine) < LEAST_SINE or (found and abs(sine) <= found[-1][0]):
+            continue
+        picked = [k for k in range(theta.size) if k not in (i, j)]
+        independent, branch = [k + 1 for k in picked], 1 if sine > 0 else -1
+        model = minimal_linkage(native, independent, branch)
+        try:
+            states = sample(build_flow(model), np.concatenate([theta[picked], rates[picked]]), period, SAMPLES)
+        except IntegrationError:
+            continue
+        angles = bar_angles(native, independent, branch).map(len(states))(states[:, : len(picked)].T).full()
+        margin = float((branch * np.sin(angles[j] - angles[i])).min())
+        if margin > LEAST_SINE and (not found or margin > found[-1][0]):
+            found.append((margin, model, picked))
+    return found[-1][1:] if found else None
+
+
+def bar_states(system: Mapping[str, Any], states: np.ndarray) -> np.ndarray:
+    """States (k x 2 bars) of all bars, angles then rates, from minimal ones (k x 2 (bars - 2)) of a family's system."""
+    native = _native(system)
+    theta = bar_angles(native, system["independent"], system["branch"])
+    n = len(system["independent"])
+    slope = theta.jacobian()
+    rows = []
+    for state in np.atleast_2d(states):
+        u, rates = state[:n], state[n:]
+        there = theta(u).full().ravel()
+        rows.append(np.concatenate([there, slope(u, there).full() @ rates]))
+    return np.asarray(rows)
+
+
+def native_state(system: Mapping[str, Any], state: np.ndarray) -> np.ndarray:
+    """The state of the linkage as a native DAE (6 a bar) that a minimal state of a family stands for."""
+    angles, rates = np.split(bar_states(system, state)[0], 2)
+    return linkage_state(_native(system), angles, rates)
+
+
+def _native(system: Mapping[str, Any]) -> ConstrainedModel:
+    if "independent" not in system:
+        raise InputError("system: not a linkage in minimal coordinates; give the system of a linkage's family")
+    return build_constrained({key: value for key, value in system.items() if key not in ("independent", "branch")})

@@ -1,0 +1,95 @@
+"""Symmetries of the equations proved on their graph: parities and whole turns, operation by operation.
+
+No numbers are sampled: each operation maps the parities of its operands to that of its result (the
+sine of an odd value is odd, a product of two odd values even), so an answer "yes" is a proof.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orbitfinder.proof.program import Program
+
+EVEN, ODD, NEITHER = 1, -1, 0
+
+
+def parities(code: Program, signs: dict[int, int]) -> list[set[int]]:
+    """Parities of each result's entries when every argument k is multiplied by signs[k] (1 or -1)."""
+    value: list[int] = [EVEN] * code.size
+    for target, argument, _ in code.inputs:
+        value[target] = signs.get(argument, EVEN)
+    numbers = dict(code.constants)
+    for name, target, a, b in code.operations:
+        value[target] = _parity(name, value[a], value[b] if b >= 0 else EVEN, numbers.get(b))
+    return [{value[place] for place in result.values()} for result in code.outputs]
+
+
+def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
+    if name in ("add", "sub"):
+        return a if a == b else NEITHER
+    if name in ("mul", "div"):
+        return a * b
+    if name == "pow":
+        whole = exponent is not None and float(exponent).is_integer()
+        return a ** int(exponent or 0) if whole else EVEN if a == b == EVEN else NEITHER
+    if name in ("sin", "neg"):
+        return a
+    if name in ("cos", "sq"):
+        return EVEN if a != NEITHER else NEITHER
+    return EVEN if a == EVEN else NEITHER
+
+
+def has_symmetry(rates: Program, energy: Program, symmetry: str) -> bool:
+    """True when the accelerations a(q, v, s) (and the energy) provably have a symmetry of orbits.
+
+    brake: a(q, -v, -s) = a(q, v, s); reversal: a(-q, v, -s) = -a(q, v, s); reflection:
+    a(-q, -v, s) = -a(q, v, s) and E(-q, -v) = E(q, v). Arguments are numbered q, v, s = 0, 1, 2.
+    """
+    wanted = {
+        "brake": ({1: -1, 2: -1}, EVEN),
+        "reversal": ({0: -1, 2: -1}, ODD),
+        "reflection": ({0: -1, 1: -1}, ODD),
+    }
+    for name, (signs, parity) in wanted.items():
+        if name in symmetry:
+            if not parities(rates, signs)[0] <= {parity}:
+                return False
+            if name == "reflection" and not parities(energy, signs)[0] <= {EVEN}:
+                return False
+    return True
+
+
+def turns_leave(code: Program, angles: Sequence[bool]) -> bool:
+    """True when the first result provably does not change as angles (argument 0) make whole turns.
+
+    Followed are whole-numbered combinations of angles; only through a sine or a cosine does one of
+    them become invariant.
+    """
+    combination: list[dict[int, int] | None] = [{} for _ in range(code.size)]
+    for target, argument, entry in code.inputs:
+        combination[target] = {entry: 1} if argument == 0 and angles[entry] else {}
+    numbers = dict(code.constants)
+    for name, target, a, b in code.operations:
+        combination[target] = _turned(name, combination[a], combination[b] if b >= 0 else {}, numbers, (a, b))
+    return all(combination[place] == {} for place in code.outputs[0].values())
+
+
+def _turned(
+    name: str, a: dict[int, int] | None, b: dict[int, int] | None, numbers: dict[int, float], places: tuple[int, int]
+) -> dict[int, int] | None:
+    """Multiples of each angle in a result, {} for an invariant one, None when nothing can be said."""
+    if a is None or b is None:
+        return None
+    if (not a and not b) or name in ("sin", "cos"):
+        return {}
+    if name in ("add", "sub", "neg"):
+        sign = 1 if name == "add" else -1
+        left = a if name != "neg" else {key: -count for key, count in a.items()}
+        total = {key: left.get(key, 0) + sign * b.get(key, 0) for key in {*left, *b}}
+        return {key: count for key, count in total.items() if count}
+    if name == "mul":
+        for counts, other in ((a, places[1]), (b, places[0])):
+            factor = numbers.get(other)
+            if counts and factor is not None and float(factor).is_integer():
+                return {key: int(factor) * count for key, count in counts.items()}
+    return None

@@ -1,0 +1,144 @@
+"""The interval Newton theorem of Krawczyk on the multiple-shooting equations.
+
+K(X) = m - C F(m) + (1 - C DF(X)) (X - m). If K(X) lies in the interior of X, F has exactly one
+zero in X, and it lies in K(X). Source: R. Krawczyk, Computing 4 (1969) 187-201; A. Neumaier,
+Interval Methods for Systems of Equations (1990), section 5.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.proof.balls import Vector, arb, arb_mat, column, exact, floats, inside, midpoints
+from orbitfinder.proof.enclosure import Settings, Step
+from orbitfinder.proof.field import Field
+from orbitfinder.proof.formulation import Formulation
+from orbitfinder.proof.lohner import cloud, integrate
+
+Arc = tuple[Vector, Any, Vector, list[Step]]
+"""a segment: its end from the box's centre, derivatives over the box (2n x 2n+2), its end from the box, steps"""
+
+
+@dataclass(frozen=True)
+class Equations:
+    """F(u) = 0 with everything it needs besides the unknowns.
+
+    `section` are (anchor (2n), normal (2n)) of the hyperplane that fixes the phase, `energy` (J) a ball.
+    """
+
+    field: Field
+    formulation: Formulation
+    energy: Any
+    section: tuple[Sequence[float], Sequence[float]] | None = None
+
+
+@dataclass(frozen=True)
+class Krawczyk:
+    """The operator on one box: K(X), X itself, a bound of the norm of 1 - C DF(X), and whether K(X) is inside X.
+
+    `arcs` are the segments over X.
+    """
+
+    image: Vector
+    box: Vector
+    contraction: float
+    proved: bool
+    arcs: list[Arc]
+
+
+def arcs_over(equations: Equations, box: Vector, centre: Vector, settings: Settings) -> list[Arc]:
+    """Every segment integrated from the nodes of a box of unknowns, about its centre."""
+    found = []
+    nodes = equations.formulation.nodes
+    for node, point in zip(nodes(box), nodes(centre), strict=True):
+        end, steps = integrate(equations.field, cloud(node, point), settings)
+        found.append((end.point[: 2 * equations.field.size], end.derivatives, end.hull, steps))
+    return found
+
+
+def residual(equations: Equations, unknowns: Vector, ends: Sequence[Vector]) -> Vector:
+    """F at a point (or over a box, without its correlations) from the segments' ends (2n each)."""
+    form = equations.formulation
+    nodes = form.nodes(unknowns)
+    rows: Vector = []
+    for end, following in zip(ends[:-1], nodes[1:], strict=True):
+        rows += [a - b for a, b in zip(end, following, strict=False)]
+    rows += [ends[-1][i] + form.mirror * nodes[0][i] - form.constant(i) for i in form.ends]
+    if equations.section is not None:
+        anchor, normal = equations.section
+        rows.append(sum((w * (x - a) for w, x, a in zip(normal, nodes[0], anchor, strict=False)), arb(0)))
+    return [*rows, equations.field.energy(nodes[0])[0] - equations.energy]
+
+
+def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> Any:
+    """DF over a box of unknowns from the segments' derivatives (2n x 2n+2 each)."""
+    form = equations.formulation
+    n2, count, total = 2 * form.size, len(form.free), form.unknowns
+    rows = [[arb(0)] * total for _ in range(total)]
+
+    def place(k: int, component: int) -> int | None:
+        if k:
+            return count + n2 * (k - 1) + component
+        return component - form.free.start if component in form.free else None
+
+    def put(row: int, k: int, component: int, value: Any) -> None:
+        where = place(k, component)
+        if where is not None:
+            rows[row][where] += value
+
+    for k, matrix in enumerate(derivatives):
+        last = k == len(derivatives) - 1
+        values = matrix.entries()
+        for row, i in enumerate(form.ends if last else range(n2), start=n2 * k):
+            line = values[i * (n2 + 2) : (i + 1) * (n2 + 2)]
+            for j in range(n2):
+                put(row, k, j, line[j])
+            rows[row][-1] += line[-1]
+            if form.unfolded:
+                rows[row][-2] += line[-2]
+            if last:
+                put(row, 0, i, arb(form.mirror))
+            else:
+                put(row, k + 1, i, arb(-1))
+    if equations.section is not None:
+        for i, weight in enumerate(equations.section[1]):
+            put(total - 2, 0, i, arb(weight))
+    for i, slope in enumerate(equations.field.energy(form.nodes(box)[0])[1]):
+        put(total - 1, 0, i, slope)
+    return arb_mat(rows)
+
+
+def krawczyk(equations: Equations, box: Vector, settings: Settings) -> Krawczyk:
+    """K on a box of unknowns about its centre."""
+    centre = midpoints(box)
+    arcs = arcs_over(equations, box, centre, settings)
+    values = residual(equations, centre, [arc[0] for arc in arcs])
+    slopes = jacobian(equations, box, [arc[1] for arc in arcs])
+    inverse = exact(approximate_inverse(floats(slopes)))
+    defect = exact(np.eye(len(centre))) - inverse * slopes
+    moved = inverse * column(values)
+    spread = defect * column([x - m for x, m in zip(box, centre, strict=True)])
+    image = [m - f + e for m, f, e in zip(centre, moved.entries(), spread.entries(), strict=True)]
+    return Krawczyk(image, box, norm(defect), inside(box, image), arcs)
+
+
+def approximate_inverse(matrix: np.ndarray) -> np.ndarray:
+    """A float inverse; of a singular matrix zeros, which prove nothing."""
+    try:
+        found = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return np.zeros_like(matrix)
+    return found if np.all(np.isfinite(found)) else np.zeros_like(matrix)
+
+
+def norm(matrix: Any) -> float:
+    """An upper bound of the largest row sum of |entries|."""
+    size, values = matrix.ncols(), [abs(x).upper() for x in matrix.entries()]
+    sums = [sum(values[i : i + size], arb(0)).upper() for i in range(0, len(values), size)]
+    if not all(x.is_finite() for x in sums):
+        return float("inf")
+    return float(np.nextafter(max(float(x) for x in sums), np.inf))

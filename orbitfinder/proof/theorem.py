@@ -1,0 +1,229 @@
+"""Prove that a recorded orbit exists: from orbit to verdict, box, period, multipliers.
+
+docs/proof.md states and proves the theorem; this module checks its hypotheses one after the other.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
+from orbitfinder.periodic.orbit import Orbit
+from orbitfinder.proof.approach import Approach, approach
+from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
+from orbitfinder.proof.enclosure import Settings
+from orbitfinder.proof.field import Programs, make_field, programs
+from orbitfinder.proof.invariance import has_symmetry, turns_leave
+from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk
+from orbitfinder.proof.newton import solve
+from orbitfinder.proof.stability import Stability, stability
+from orbitfinder.proof.tour import Tour, minimal_period, monodromy, moves, positive_mass, reduced, tour
+
+STATEMENT = 1
+"""version of the theorem in docs/proof.md that a record refers to"""
+RADII = (1e-10, 1e-12, 1e-14)
+"""of the boxes that are tried; the smaller ones are for very unstable orbits"""
+CENTRE = 1e-22
+"""Newton's last correction before the box is set"""
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What was proved of one orbit, or why nothing was.
+
+    `radius` of the box X of unknowns about `nodes` (N x 2n balls, K(X)) in which exactly one orbit of
+    this symmetry and energy exists; `contraction` bounds the norm of 1 - C DF(X); `period` (s) and
+    `state` (2n, the first node) are enclosures of that orbit; `distance` bounds how far the recorded
+    state is from it and `period_distance` (s) the recorded period from the enclosed one.
+    """
+
+    proved: bool
+    reason: str
+    symmetry: str
+    settings: Settings
+    wall_time: float
+    segments: int = 0
+    steps: int = 0
+    radius: float = float("nan")
+    tightness: float = float("nan")
+    contraction: float = float("nan")
+    energy: Any = None
+    period: Any = None
+    phase: float = 0.0
+    nodes: list[Vector] = field(default_factory=list)
+    unfolding: Any = None
+    distance: float = float("nan")
+    period_distance: float = float("nan")
+    minimal: bool = False
+    divisors: int = 0
+    stability: Stability | None = None
+
+    @property
+    def state(self) -> Vector:
+        """The first node (2n balls)."""
+        return self.nodes[0]
+
+
+class NotProved(Exception):
+    """A hypothesis of the theorem that could not be checked; its message is the reason."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to prove and how: the symmetry to use (that of the record if None), segments, what counts as near.
+
+    `nearness` is the largest distance allowed between the record and the proved orbit (rad, rad/s, s).
+    """
+
+    settings: Settings = Settings()
+    symmetry: str | None = None
+    segments: int | None = None
+    nearness: float = 1e-9
+
+
+def prove(
+    orbit: Orbit, model: Model | None = None, options: Options | None = None, progress: Progress | None = None
+) -> Proof:
+    """The proof of an orbit's existence, or the reason why there is none. Raises `InputError`."""
+    chosen, say = options or Options(), progress or (lambda line: None)
+    symmetry = chosen.symmetry or orbit.symmetry
+    began = time.perf_counter()
+    with precision(chosen.settings.bits):
+        model = model or provable_model(orbit)
+        codes = programs(model)
+        try:
+            found = _prove(orbit, model, codes, symmetry, chosen, say)
+        except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
+            return Proof(False, str(error), symmetry, chosen.settings, time.perf_counter() - began)
+        return Proof(**{**found, "wall_time": time.perf_counter() - began})
+
+
+def provable_model(orbit: Orbit) -> Model:
+    """The Model of an orbit; of a chain in the formulation with the fewest operations."""
+    system = dict(orbit.system)
+    if system.get("kind") == "chain":
+        system["formulation"] = "recursive"
+    return build_model(system)
+
+
+def _prove(
+    orbit: Orbit, model: Model, codes: Programs, symmetry: str, options: Options, say: Progress
+) -> dict[str, Any]:
+    settings = options.settings
+    start = approach(model, orbit, symmetry, options.segments)
+    check_symmetries(codes, start, model)
+    equations = make_equations(model, codes, start, decimal(orbit.energy))
+    centre, rounds = solve(equations, unknowns_at(start), settings, CENTRE)
+    say(f"Newton settled in {rounds} iterations; integrating {start.formulation.segments} segments of a box")
+    contracted = enclosed(equations, centre, settings, say)
+    path = tour(equations, contracted.image, settings)
+    return conclusions(orbit, model, contracted, path, start, options) | {
+        "proved": True, "reason": "", "symmetry": symmetry, "settings": settings,
+        "steps": sum(len(arc[3]) for arc in contracted.arcs),
+        "radius": radius(contracted.box), "contraction": contracted.contraction,
+        "energy": equations.energy,
+    }  # fmt: skip
+
+
+def unknowns_at(start: Approach) -> Vector:
+    """The approach's floats as exact unknowns."""
+    return [arb(x) for x in start.formulation.unknowns_of(start.nodes, start.duration)]
+
+
+def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) -> Equations:
+    """The theorem's equations; the section is normal to the flow at the first node."""
+    section = None
+    if start.formulation.unfolded:
+        section = ([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])
+    return Equations(make_field(model, codes), start.formulation, energy, section)
+
+
+def check_symmetries(codes: Programs, start: Approach, model: Model) -> None:
+    """`NotProved` unless the symmetry used (and whole turns, where they occur) follow from the graphs."""
+    form = start.formulation
+    if not has_symmetry(codes.rates, codes.energy, form.symmetry):
+        raise NotProved(f"the equations' {form.symmetry} symmetry could not be read off their graph; use none")
+    turning = any(form.start) or any(form.turns) or (form.symmetry != "brake" and any(form.target))
+    if turning and not all(turns_leave(code, model.angles) for code in (codes.rates, codes.energy)):
+        raise NotProved("the equations' invariance under whole turns could not be read off their graph")
+
+
+def enclosed(equations: Equations, centre: Vector, settings: Settings, say: Progress) -> Krawczyk:
+    """K on the largest box on which it contracts."""
+    reasons = []
+    for size in RADII:
+        try:
+            found = krawczyk(equations, [x + arb(0, size) for x in centre], settings)
+        except IntegrationError as error:
+            reasons.append(f"radius {size:g}: {error}")
+            continue
+        say(f"box of radius {size:g}: contraction {found.contraction:.2g}, {'inside' if found.proved else 'not inside'}")
+        if found.proved:
+            return found
+        reasons.append(f"radius {size:g}: contraction {found.contraction:.3g}")
+    raise NotProved("the interval Newton operator maps no box into itself (" + "; ".join(reasons) + ")")
+
+
+def conclusions(
+    orbit: Orbit, model: Model, contracted: Krawczyk, path: Tour, start: Approach, options: Options
+) -> dict[str, Any]:
+    """What follows from the zero: that it is an orbit, the recorded one, its period and multipliers."""
+    form = start.formulation
+    if not moves(path):
+        raise NotProved("the state could be an equilibrium")
+    if form.unfolded and not positive_mass(path):
+        raise NotProved("the mass matrix could not be shown to be positive definite along the orbit")
+    distance, apart = gaps(orbit, path, start)
+    if not max(distance, apart) <= options.nearness:
+        raise NotProved(
+            f"an orbit exists, but not within {options.nearness:g} of the record: "
+            f"its state is up to {distance:.3g} away, its period up to {apart:.3g} s"
+        )
+    minimal, divisors, reason = minimal_period(path, model.angles)
+    if not minimal:
+        raise NotProved(f"an orbit closes after this period, but it could be a multiple of the minimal one: {reason}")
+    return {
+        "segments": form.segments, "period": path.period, "phase": start.phase,
+        "tightness": radius(path.box),
+        "nodes": [node[: 2 * form.size] for node in form.nodes(path.box)],
+        "unfolding": path.box[-2] if form.unfolded else None,
+        "distance": distance, "period_distance": apart, "minimal": minimal, "divisors": divisors,
+        "stability": stability(reduced(path, monodromy(path))),
+    }  # fmt: skip
+
+
+def gaps(orbit: Orbit, path: Tour, start: Approach) -> tuple[float, float]:
+    """Upper bounds of the distances of the recorded state (rad, rad/s) and period (s) from the proved ones.
+
+    The recorded state is compared with the orbit's at the phase at which it was recorded, corrected
+    once along the flow.
+    """
+    recorded = [arb(float(x)) for x in orbit.state]
+    n = path.formulation.size
+
+    def difference(phase: Fraction) -> Vector:
+        found = path.state(phase % 1)
+        turned = 2 * arb.pi() * (phase.numerator // phase.denominator)
+        whole = [turned * k for k in path.formulation.turns] + [arb(0)] * n
+        raw = [a + w - b for a, w, b in zip(found, whole, recorded, strict=True)]
+        return [x - 2 * arb.pi() * round(float(x.mid()) / 6.283185307179586) if i < n else x for i, x in enumerate(raw)]
+
+    phase = Fraction(start.phase)
+    for _ in range(3):
+        apart = [float(x.mid()) for x in difference(phase)]
+        here = path.state(phase % 1)
+        flow = [float(x.mid()) for x in path.field.rates([*here, arb(0), arb(1)])[: 2 * n]]
+        speed = sum(x * x for x in flow)
+        if speed > 0:
+            phase -= Fraction(sum(a * b for a, b in zip(apart, flow, strict=True)) / speed / float(path.period.mid()))
+    return magnitude(difference(phase)), magnitude([path.period - arb(float(orbit.period))])
+
+
+__all__ = ["InputError", "NotProved", "Options", "Proof", "prove"]

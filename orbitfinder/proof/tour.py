@@ -1,0 +1,190 @@
+"""Along the proved orbit once more, in its tiny box: states at any time, minimal period, positivity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.proof.balls import Vector, arb, arb_mat, between, fmpq, identity
+from orbitfinder.proof.enclosure import Settings, Step
+from orbitfinder.proof.field import Field
+from orbitfinder.proof.formulation import Formulation, image
+from orbitfinder.proof.krawczyk import Equations, krawczyk
+from orbitfinder.proof.lohner import block
+
+PIECES = 8
+"""Parts of a step over which the field's sign is looked at"""
+
+
+@dataclass(frozen=True)
+class Tour:
+    """The orbit's horizon enclosed: `steps` of every segment, derivatives (2n square) over the horizon.
+
+    `box` (unknowns) holds every zero; all other boxes follow from it.
+    """
+
+    field: Field
+    formulation: Formulation
+    box: Vector
+    steps: list[list[Step]]
+    horizon_matrix: Any
+
+    @property
+    def first(self) -> Vector:
+        """The extended first node (2n + 2)."""
+        return self.formulation.nodes(self.box)[0]
+
+    @property
+    def period(self) -> Any:
+        """The period (s)."""
+        return self.box[-1] * self.formulation.segments * self.formulation.parts
+
+    def state(self, fraction: Fraction) -> Vector:
+        """Enclosure of the state (2n) at a fraction (0..1, exact) of the period."""
+        time, transform = image(self.formulation, fraction)
+        return list(transform(self._inside(Fraction(time) * self.formulation.segments)))
+
+    def _inside(self, time: Fraction) -> Vector:
+        """The state at a time measured in segments from the start of the horizon."""
+        k = min(int(time), self.formulation.segments - 1)
+        local = time - k
+        step = next(one for one in reversed(self.steps[k]) if Fraction(one.begin) <= local)
+        after = local - Fraction(step.begin)
+        return step.at(arb(fmpq(after.numerator, after.denominator)))
+
+
+def tour(equations: Equations, box: Vector, settings: Settings) -> Tour:
+    """The tour of a box of unknowns that holds every zero, itself made smaller by the operator once more."""
+    again = krawczyk(equations, box, settings)
+    both = [x.intersection(y) for x, y in zip(box, again.image, strict=True)]
+    size = 2 * equations.field.size
+    total = identity(size)
+    for arc in again.arcs:
+        total = block(arc[1], size, 0, size) * total
+    return Tour(equations.field, equations.formulation, both, [arc[3] for arc in again.arcs], total)
+
+
+def monodromy(found: Tour) -> Any:
+    """dx(T)/dx(0) (2n square) from the horizon's, by the symmetries.
+
+    With B = diag(1, -1) (brake) or diag(-1, 1) (reversal) and Phi the horizon's matrix, the second half
+    is B Phi^-1 B; a reflection squares.
+    """
+    n, symmetry, phi = found.formulation.size, found.formulation.symmetry, found.horizon_matrix
+
+    def back(sign: int, matrix: Any) -> Any:
+        mirror = arb_mat(2 * n, 2 * n, [
+            arb((sign if i < n else -sign) * int(i == j)) for i in range(2 * n) for j in range(2 * n)
+        ])  # fmt: skip
+        return mirror * matrix.solve(mirror * matrix, algorithm="precond")
+
+    if symmetry == "none":
+        return phi
+    if symmetry == "reflection":
+        return phi * phi
+    if symmetry == "brake+reflection":
+        half = back(-1, phi)
+        return half * half
+    return back(1 if symmetry == "brake" else -1, phi)
+
+
+def positive_mass(found: Tour) -> bool:
+    """True when the mass matrix is positive definite at every state on the way (L D L^T of its enclosures)."""
+    return all(positive_definite(found.field.mass(step.rough)) for steps in found.steps for step in steps)
+
+
+def positive_definite(matrix: Any) -> bool:
+    """True when every symmetric matrix in the enclosure is positive definite: all pivots are positive."""
+    n, rows = matrix.nrows(), matrix.tolist()
+    for j in range(n):
+        if not rows[j][j] > 0:
+            return False
+        for i in range(j + 1, n):
+            factor = rows[i][j] / rows[j][j]
+            for k in range(j + 1, n):
+                rows[i][k] = rows[i][k] - factor * rows[j][k]
+    return True
+
+
+def moves(found: Tour) -> bool:
+    """True when some component of the field is provably not zero at the first node."""
+    return any(not x.contains(0) for x in found.field.rates(found.first)[: 2 * found.formulation.size])
+
+
+def escape(found: Tour) -> tuple[Fraction, int] | None:
+    """A fraction of the period within which one component, which is also returned, moves one way only.
+
+    Until then the orbit has not been back at its first state.
+    """
+    form = found.formulation
+    rates = found.field.rates(found.first)[: 2 * form.size]
+    component = max(range(len(rates)), key=lambda i: float(abs(rates[i]).lower().mid()))
+    reached = Fraction(0)
+    for k, steps in enumerate(found.steps):
+        for step in steps:
+            for piece in range(PIECES):
+                low, high = (Fraction(step.h) * Fraction(j, PIECES) for j in (piece, piece + 1))
+                here = step.at(between(_ball(low), _ball(high))) + found.first[-2:]
+                turned = found.field.rates(here)[component].contains(0)
+                far = component < form.size and not abs(here[component] - found.first[component]) < 2 * arb.pi()
+                if turned or far:
+                    return (reached, component) if reached else None
+                reached = (k + Fraction(step.begin) + high) / (form.segments * form.parts)
+    return reached, component
+
+
+def _ball(number: Fraction) -> Any:
+    return arb(fmpq(number.numerator, number.denominator))
+
+
+def minimal_period(found: Tour, angles: Sequence[bool]) -> tuple[bool, int, str]:
+    """Whether T is proved minimal, the largest k for which T/k was looked at, and what stood in the way.
+
+    A period T/k below the escape time is impossible; for the other k, x(T/k) must differ from x(0) in
+    some component (angles modulo whole turns).
+    """
+    left = escape(found)
+    if left is None:
+        return False, 0, "no component of the state is monotone at first"
+    most = int(1 / left[0])
+    start = found.state(Fraction(0))
+    for k in range(2, most + 1):
+        there = found.state(Fraction(1, k))
+        if not any(_apart(a - b, i < len(angles) and angles[i]) for i, (a, b) in enumerate(zip(there, start, strict=True))):
+            return False, k, f"the state at T/{k} could not be told from the first"
+    return True, most, ""
+
+
+def _apart(difference: Any, angle: bool) -> bool:
+    """True when a difference is not zero (nor a whole turn)."""
+    if not difference.is_finite():
+        return False
+    return not (difference / (2 * arb.pi())).contains_integer() if angle else not difference.contains(0)
+
+
+def reduced(found: Tour, matrix: Any) -> Any:
+    """The monodromy on the energy surface modulo the flow (2n - 2 square).
+
+    With f the field, g = grad E, g Phi = g and Phi f = f; in a basis (f, W, u) with g W = 0 the matrix
+    is block triangular and its middle block is what is asked for.
+    """
+    size = 2 * found.formulation.size
+    flow = found.field.rates(found.first)[:size]
+    slope = found.field.energy(found.first)[1]
+    g, f = (np.array([float(x.mid()) for x in vector]) for vector in (slope, flow))
+    u = g / np.linalg.norm(g)
+    tangent = f - (f @ u) * u
+    span = np.linalg.svd(np.vstack([u, tangent / np.linalg.norm(tangent)]))[2][2:]
+    across = sum((a * b for a, b in zip(slope, map(arb, u), strict=True)), arb(0))
+    columns = [flow]
+    for w in span:
+        part = sum((a * arb(b) for a, b in zip(slope, w, strict=True)), arb(0)) / across
+        columns.append([arb(b) - part * arb(c) for b, c in zip(w, u, strict=True)])
+    columns.append([arb(c) for c in u])
+    basis = arb_mat(size, size, [columns[j][i] for i in range(size) for j in range(size)])
+    whole = basis.solve(matrix * basis, algorithm="precond").tolist()
+    return arb_mat([row[1:-1] for row in whole[1:-1]])

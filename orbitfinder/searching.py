@@ -1,0 +1,415 @@
+"""The commands `search` and `atlas`: fill a catalogue of orbits, look into it, take things out."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orbitfinder import interrupt
+from orbitfinder.compileoption import compile_option
+from orbitfinder.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from orbitfinder.atlas.api import Found
+    from orbitfinder.atlas.report import Summary
+    from orbitfinder.atlas.search import Limits, Tally
+    from orbitfinder.atlas.store import Filter, Row
+    from orbitfinder.problemfile import ProblemFile
+
+FILES = click.Path(path_type=Path)
+SPEAK_EVERY = 5.0
+"""Seconds between two lines of progress where there is no terminal."""
+REFRESH_EVERY = 0.25
+REASONS_SHOWN = 8
+UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+
+
+def seconds(text: str) -> float:
+    """A duration such as 60s, 10m, 1.5h or a plain number of seconds."""
+    found = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(s|m|min|h)?\s*", text)
+    try:
+        return float(found[1]) * UNITS[found[2] or ""] if found else math.nan
+    except ValueError:
+        return math.nan
+
+
+def _budget(_: click.Context, __: click.Parameter, text: str | None) -> float | None:
+    if text is None:
+        return None
+    value = seconds(text)
+    if not value > 0:
+        raise InputError(f"--budget: {text!r} is not a time; give seconds, such as 60s, 10m or 2h")
+    return value
+
+
+def interval(name: str) -> Callable[[click.Context, click.Parameter, str | None], tuple[float, float] | None]:
+    """A callback that reads `low,high`; either may be left out."""
+
+    def read(_: click.Context, __: click.Parameter, text: str | None) -> tuple[float, float] | None:
+        if text is None:
+            return None
+        words = text.split(",")
+        try:
+            low, high = (float(word) if word.strip() else None for word in words)
+        except ValueError as error:
+            raise InputError(f"--{name}: {text!r} is no range; give low,high, either may be left out") from error
+        return -math.inf if low is None else low, math.inf if high is None else high
+
+    return read
+
+
+def _remember_json(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
+    ctx.meta["orbitfinder.json"] = value
+    return value
+
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
+    help="Print one JSON document on standard output instead of text.",
+)  # fmt: skip
+
+
+def filters(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that choose orbits of an atlas."""
+    for option in (
+        click.option("--symmetry", multiple=True, help="Only this symmetry, such as brake; may be repeated."),
+        click.option("--stability", multiple=True, help="Only elliptic, unstable or marginal; may be repeated."),
+        click.option("--energy", callback=interval("energy"), metavar="LOW,HIGH", help="Range of energies in J."),
+        click.option("--period", callback=interval("period"), metavar="LOW,HIGH", help="Range of periods in s."),
+    ):
+        command = option(command)
+    return command
+
+
+def chosen(options: dict[str, Any]) -> Filter:
+    """The filter that those options make."""
+    from orbitfinder.atlas.store import Filter
+
+    return Filter(**{name: options[name] for name in ("period", "energy", "stability", "symmetry")})
+
+
+@click.command(name="search")
+@click.argument("file", type=FILES, metavar="FILE")
+@click.option("--atlas", "book", required=True, type=FILES, metavar="FILE.sqlite", help="Where the orbits are kept.")
+@click.option("--budget", callback=_budget, metavar="TIME", help="Stop after this time, such as 60s, 10m; default 60s.")
+@click.option("--starts", type=click.IntRange(0), help="Stop when this many starts have been made in all.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0, 2**63 - 1), help="Another seed, other starts.")
+@click.option("--workers", default=2, show_default=True, type=click.IntRange(0, 256), help="Processes; 0: no other.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://head:8786, instead of processes.")
+@click.option("--trust", is_flag=True, help="Import the Python function of the system; only for files you have read.")
+@compile_option
+@json_option
+def search(file: Path, book: Path, scheduler: str | None, trust: bool, as_json: bool, **options: Any) -> None:
+    """Search for all periodic orbits of the system of a problem FILE, at its energies and periods.
+
+    Every orbit found is certified and, when it is new, written to the atlas. The starts depend on the
+    seed alone, not on the number of workers. The same command goes on where it was stopped, or killed.
+
+    \b
+    Examples:
+      orbitfinder search problems/search/triple.toml --budget 60s --atlas triple.sqlite
+      orbitfinder search problems/search/triple.toml --starts 2000 --workers 4 --atlas triple.sqlite
+    """
+    from orbitfinder.atlas.api import DEFAULT_BUDGET
+    from orbitfinder.atlas.api import search as run
+    from orbitfinder.atlas.search import Limits
+    from orbitfinder.problemfile import load_problem_file
+
+    loaded = load_problem_file(file, trust)
+    energies, periods = wanted(loaded)
+    starts, budget = options["starts"], options["budget"]
+    budget = DEFAULT_BUDGET if starts is None and budget is None else budget
+    limits = Limits(starts, None if budget is None else budget / len(energies))
+    with watched(limits) as report:
+        found = run(
+            loaded.model, energies, periods, book, starts=starts, budget=budget, seed=options["seed"],
+            workers=options["workers"], scheduler=scheduler, folder=file.parent.resolve() if trust else None,
+            progress=report,
+        )  # fmt: skip
+    if as_json:
+        _print_json({"format": "orbitfinder/search"} | found_document(found))
+    else:
+        _print_found(found)
+
+
+def wanted(loaded: ProblemFile) -> tuple[list[float], tuple[float, float]]:
+    """Energies (J) and range of periods (s) that a problem file asks for."""
+    table = loaded.document.get("search", {})
+    if loaded.search is None:
+        raise InputError(f"{loaded.path}: search: missing; add a [search] table with period = [shortest, longest]")
+    energy = table.get("energy", (loaded.document.get("find", {}).get("pin") or {}).get("energy"))
+    if energy is None:
+        raise InputError(f"{loaded.path}: search.energy: missing; give the energy in J, or find.pin.energy")
+    return [float(one) for one in (energy if isinstance(energy, list) else [energy])], loaded.search
+
+
+@contextlib.contextmanager
+def watched(limits: Limits) -> Iterator[Callable[[float, Tally], None]]:
+    """A callback that shows a tally: a table that changes on a terminal, a line now and then elsewhere."""
+    with os.fdopen(os.dup(2), "w", encoding="utf-8", errors="replace", buffering=1) as stream:
+        if not stream.isatty() or os.environ.get("TERM") == "dumb":
+            yield paced(lambda energy, tally: stream.write(line(energy, tally, limits) + "\n"), SPEAK_EVERY)
+            return
+        from rich.console import Console
+        from rich.live import Live
+
+        console = Console(file=stream, markup=False, highlight=False)
+        quiet: Any = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
+        with Live(console=console, transient=True, **quiet) as live:
+            yield paced(lambda energy, tally: live.update(table(energy, tally, limits), refresh=True), REFRESH_EVERY)
+
+
+def paced(show: Callable[[float, Tally], object], every: float) -> Callable[[float, Tally], None]:
+    """Call `show` no more often than every so many seconds."""
+    last = [time.monotonic() - every + 1.0]
+
+    def call(energy: float, tally: Tally) -> None:
+        interrupt.check()
+        if time.monotonic() - last[0] >= every:
+            last[0] = time.monotonic()
+            with contextlib.suppress(OSError):  # a reader that went away must not stop a search
+                show(energy, tally)
+
+    return call
+
+
+def line(energy: float, tally: Tally, limits: Limits) -> str:
+    """A tally as one line."""
+    left = tally.left(limits)
+    return (
+        f"{energy:g} J: {tally.begun_at + tally.done} starts, {tally.hits} hits, {tally.new} new, "
+        f"{tally.duplicates} known, {sum(tally.failures.values())} failed, {tally.orbits} orbits in the atlas, "
+        f"{tally.done / max(tally.elapsed, 1e-9):.1f} starts/s" + ("" if left is None else f", {left:.0f} s left")
+    )
+
+
+def table(energy: float, tally: Tally, limits: Limits) -> Table:
+    """A tally as a table."""
+    from rich.table import Table
+
+    left = tally.left(limits)
+    shown = Table(box=None, pad_edge=False, show_header=False)
+    shown.add_column()
+    shown.add_column(justify="right")
+    entries = [
+        ("energy", f"{energy:g} J"), ("starts", f"{tally.begun_at + tally.done}"), ("hits", f"{tally.hits}"),
+        ("new orbits", f"{tally.new}"), ("known orbits", f"{tally.duplicates}"),
+        ("orbits in the atlas", f"{tally.orbits}"),
+        ("starts a second", f"{tally.done / max(tally.elapsed, 1e-9):.1f}"),
+        ("time left", "" if left is None else f"{left:.0f} s"),
+        *((f"failed: {reason}", str(count)) for reason, count in tally.failures.most_common(REASONS_SHOWN)),
+    ]  # fmt: skip
+    for name, value in entries:
+        shown.add_row(name, value)
+    return shown
+
+
+def found_document(found: Found) -> dict[str, Any]:
+    """A finished search for `--json`."""
+    runs = [
+        {
+            "energy": energy, "starts": tally.done, "first_start": tally.begun_at, "hits": tally.hits,
+            "new": tally.new, "duplicates": tally.duplicates, "failures": dict(tally.failures),
+            "seconds": tally.elapsed,
+        }
+        for energy, tally in found.tallies
+    ]  # fmt: skip
+    return {"atlas": str(found.atlas), "runs": runs, "summary": found.summary.document()}
+
+
+def _print_found(found: Found) -> None:
+    for energy, tally in found.tallies:
+        click.echo(
+            f"{energy:g} J: {tally.done} starts in {tally.elapsed:.1f} s, {tally.new} new orbits, "
+            f"{tally.duplicates} times a known one, {sum(tally.failures.values())} failed"
+        )
+    click.echo(f"{found.atlas}: {found.summary.orbits} distinct certified orbits")
+    print_summary(found.summary)
+
+
+def print_summary(summary: Summary) -> None:
+    """Yield by strategy, failures by reason, and how many orbits may remain."""
+    click.echo(f"  {'strategy':<16}{'starts':>8}{'hits':>8}{'new':>8}{'cpu s':>9}{'new/cpu s':>11}")
+    for one in summary.yields:
+        rate = one.new / one.seconds if one.seconds else 0.0
+        click.echo(f"  {one.strategy:<16}{one.starts:>8}{one.hits:>8}{one.new:>8}{one.seconds:>9.1f}{rate:>11.2f}")
+    failures = list(summary.failures.items())
+    for reason, count in failures[:REASONS_SHOWN]:
+        click.echo(f"  failed {count:>6}: {reason}")
+    if rest := sum(count for _, count in failures[REASONS_SHOWN:]):
+        click.echo(f"  failed {rest:>6}: other reasons")
+    total, error = summary.estimate
+    click.echo(f"  such starts can find at least about {total:.0f} +- {error:.0f} orbits in all (Chao1)")
+
+
+@click.group(name="atlas")
+def atlas() -> None:
+    """Look into an atlas of orbits: list, show, report, export, plot."""
+
+
+@atlas.command(name="list")
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@filters
+@click.option("--order", default="energy, period", show_default=True, help="Columns to sort by; append DESC to reverse.")
+@json_option
+def list_orbits(book: Path, order: str, as_json: bool, **options: Any) -> None:
+    """List the orbits of an atlas, one a line.
+
+    \b
+    Examples:
+      orbitfinder atlas list triple.sqlite --stability elliptic
+      orbitfinder atlas list triple.sqlite --period ,3 --order "instability"
+    """
+    from orbitfinder.atlas.store import Atlas
+
+    with Atlas(book) as opened:
+        rows = opened.rows(chosen(options), order)
+    if as_json:
+        _print_json({"format": "orbitfinder/atlas-list", "orbits": [vars(row) for row in rows]})
+        return
+    click.echo(
+        f"{'id':>6} {'energy (J)':>12} {'period (s)':>14} {'action (J s)':>13}  {'symmetry':<18}{'stability':<11}"
+        f"{'largest |mu|':>12} {'closure':>9}"
+    )
+    for row in rows:
+        click.echo(described(row))
+    click.echo(f"{len(rows)} orbits")
+
+
+def described(row: Row) -> str:
+    """A row of an atlas as one line."""
+    return (
+        f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f} {row.action:>13.6f}  {row.symmetry:<18}"
+        f"{row.stability:<11}{row.instability:>12.4g} {row.closure:>9.1e}"
+    )
+
+
+@atlas.command()
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@click.argument("number", type=int, metavar="ID")
+@json_option
+def show(book: Path, number: int, as_json: bool) -> None:
+    """Show one orbit by its id; with --json its orbit.json document.
+
+    \b
+    Example:
+      orbitfinder atlas show triple.sqlite 12 --json > orbit.json && orbitfinder verify orbit.json
+    """
+    from orbitfinder.atlas.store import Atlas
+
+    with Atlas(book) as opened:
+        document = opened.document(number)
+        names = opened.model.state_names
+    if as_json:
+        _print_json(document)
+        return
+    click.echo(f"orbit {number} of {book}")
+    for key, unit in (("period", "s"), ("energy", "J"), ("action", "J s"), ("closure", ""), ("symmetry", ""),
+                      ("stability", "")):  # fmt: skip
+        click.echo(f"  {key:<22}{document[key]!r} {unit}".rstrip().replace("'", ""))
+    for name, value in zip(names, document["state"], strict=True):
+        click.echo(f"  {name:<22}{value!r}")
+    multipliers = ", ".join(f"{complex(*mu):.6g}" for mu in document["floquet_multipliers"])
+    click.echo(f"  {'floquet multipliers':<22}{multipliers}")
+    source = document["provenance"]
+    click.echo(f"  {'found by':<22}{source.get('strategy')}, seed {source.get('seed')}, start {source.get('index')}")
+
+
+@atlas.command()
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@json_option
+def report(book: Path, as_json: bool) -> None:
+    """Yield of each strategy, failures by reason and an estimate of what remains, over all searches.
+
+    \b
+    Example:
+      orbitfinder atlas report triple.sqlite
+    """
+    from orbitfinder.atlas.report import summarise
+    from orbitfinder.atlas.store import Atlas
+
+    with Atlas(book) as opened:
+        summary = summarise(opened)
+    if as_json:
+        _print_json({"format": "orbitfinder/atlas-report"} | summary.document())
+    else:
+        click.echo(f"{book}: {summary.orbits} distinct certified orbits of {summary.starts} starts")
+        print_summary(summary)
+
+
+@atlas.command()
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@click.option("--to", "kind", type=click.Choice(["json", "csv", "parquet"]), default="json", show_default=True)
+@click.option("-o", "--out", type=FILES, default=None, help="File to write; standard output when left out.")
+@filters
+def export(book: Path, kind: str, out: Path | None, **options: Any) -> None:
+    """Write orbits as a JSON list of orbit documents, or as a table in CSV or Parquet.
+
+    Parquet needs the extra `parquet` (pyarrow) and -o.
+
+    \b
+    Examples:
+      orbitfinder atlas export triple.sqlite --to csv -o triple.csv
+      orbitfinder atlas export triple.sqlite --stability elliptic > elliptic.json
+    """
+    from orbitfinder.atlas.export import exported
+    from orbitfinder.atlas.store import Atlas
+    from orbitfinder.periodic.orbit import write_atomically
+
+    if out is None and kind == "parquet":
+        raise InputError("--out: missing; a Parquet file is not text, name it with -o FILE.parquet")
+    with Atlas(book) as opened:
+        data = exported(opened, kind, chosen(options))
+    if out is None:
+        click.get_binary_stream("stdout").write(data)
+        return
+    try:
+        write_atomically(out, data)
+    except OSError as error:
+        raise InputError(f"--out: cannot write {out} ({error}); choose another place") from error
+    click.echo(f"{out}: written")
+
+
+@atlas.command()
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@click.option("-o", "--out", type=FILES, default=Path(), help="Folder for the figures; this one by default.")
+@filters
+def plot(book: Path, out: Path, **options: Any) -> None:
+    """Draw energy against period with stability, the histogram of instability and the discovery curve.
+
+    \b
+    Example:
+      orbitfinder atlas plot triple.sqlite -o figures
+    """
+    from orbitfinder.atlas.store import Atlas
+    from orbitfinder.runner import check_writable
+    from orbitfinder.show.atlas_plot import save_atlas_figures
+
+    check_writable(out)
+    with Atlas(book) as opened:
+        written = save_atlas_figures(opened, out, chosen(options))
+    for path in written:
+        click.echo(str(path))
+
+
+def _print_json(document: Any) -> None:
+    click.echo(json.dumps(_finite(document), indent=1, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

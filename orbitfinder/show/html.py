@@ -1,0 +1,151 @@
+"""What a notebook shows of an Orbit, a Certificate, a Family or an Atlas: a little HTML that moves.
+
+Everything is inline: no script, no style sheet, no network. Names and titles are escaped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import OrbitfinderError
+from orbitfinder.families.points import Family, FamilyPoint
+from orbitfinder.flow import build_flow, sample
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.periodic.orbit import Certificate, Orbit
+from orbitfinder.show.diagram import diagram
+from orbitfinder.show.svg import moving_mechanism, moving_portrait, unit_circle
+
+SAMPLES = 121
+"""Points of one period where an object carries no dense samples."""
+ROWS = 12
+"""Orbits of an atlas in its table."""
+ROW = "display:flex;flex-wrap:wrap;gap:16px;align-items:center"
+CELL = "text-align:left;padding:1px 10px 1px 0;font-variant-numeric:tabular-nums"
+
+
+def html(value: Any) -> str | None:
+    """HTML of one of ours; None for anything else, and for a drawing that fails (the plain text remains)."""
+    from orbitfinder.atlas.store import Atlas
+
+    makers = {Orbit: orbit_html, Certificate: certificate_html, Family: family_html, Atlas: atlas_html}
+    maker = makers.get(type(value))
+    if maker is None:
+        return None
+    try:
+        return maker(value)  # type: ignore[operator]
+    except OrbitfinderError:
+        return None
+
+
+def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
+    """A table of texts, escaped."""
+    top = "".join(f'<th style="{CELL}">{escape(one)}</th>' for one in head)
+    body = "".join(
+        "<tr>" + "".join(f'<td style="{CELL}">{escape(one)}</td>' for one in row) + "</tr>" for row in rows
+    )
+    return f"<table>{f'<tr>{top}</tr>' if top else ''}{body}</table>"
+
+
+def heading(title: str, below: str = "") -> str:
+    """A bold line and a plain one."""
+    return f"<div><b>{escape(title)}</b>{f'<br>{escape(below)}' if below else ''}</div>"
+
+
+def orbit_html(orbit: Orbit) -> str:
+    """Mechanism and phase portrait moving in real time, multipliers, and the numbers."""
+    certificate = orbit.certificate
+    verdict = "no certificate" if certificate is None else verdict_of(certificate)
+    rows = [
+        ("period", f"{orbit.period:.12g} s"), ("energy", f"{orbit.energy:.12g} J"),
+        ("closure", f"{orbit.closure:.1e}"), ("stability", orbit.stability), ("symmetry", orbit.symmetry),
+        ("largest multiplier", f"{np.abs(orbit.floquet_multipliers).max(initial=0.0):.6g}"), ("certificate", verdict),
+    ]  # fmt: skip
+    circle = unit_circle(orbit.floquet_multipliers, "Floquet multipliers and the unit circle")
+    pictures = motions(orbit.system, orbit.state, orbit.period, orbit.samples)
+    body = f'<div style="{ROW}">{pictures}{circle}{table(rows)}</div>'
+    return f"<div>{heading(orbit.title or orbit.name, orbit.source)}{body}</div>"
+
+
+def motions(system: Any, state: np.ndarray, period: float, samples: np.ndarray | None = None) -> str:
+    """Mechanism and phase portrait of one period; nothing for a system that no file describes."""
+    try:
+        model = build_model(system)
+        states = samples if samples is not None and len(samples) > 1 else sampled(model, state, period)
+    except OrbitfinderError:
+        return ""
+    n = model.degrees_of_freedom
+    largest = int(np.argmax(np.ptp(states[:, :n], axis=0)))
+    name = model.state_names[largest]
+    parts = []
+    if model.points is not None:
+        parts.append(moving_mechanism(positions(model, states), period, f"the mechanism over {period:.4g} s"))
+    parts.append(moving_portrait(states[:, largest], states[:, n + largest], period, f"rate of {name} against {name}"))
+    return "".join(parts)
+
+
+def sampled(model: Model, state: np.ndarray, period: float) -> np.ndarray:
+    """States (k x 2n) at equal times over one period, by CVODES."""
+    return sample(build_flow(model), state, period, SAMPLES)
+
+
+def verdict_of(certificate: Certificate) -> str:
+    """passed, or the checks that failed."""
+    count = len(certificate.checks)
+    return f"passed, {count} checks" if certificate.passed else f"FAILED: {', '.join(certificate.failures)}"
+
+
+def certificate_html(certificate: Certificate) -> str:
+    """Every check with its number, what is allowed and its note."""
+    rows = [
+        (one.name, f"{one.value:.2e}", f"{one.tolerance:.2e}", "passed" if one.passed else "FAILED", one.note)
+        for one in certificate.checks
+    ]
+    scale = f"closure tolerances scaled by {certificate.scale:.3g}"
+    checks = table(rows, ("check", "value", "allowed", "result", "note"))
+    return f"<div>{heading(f'Certificate: {verdict_of(certificate)}', scale)}{checks}</div>"
+
+
+def family_html(family: Family) -> str:
+    """Frequency against energy with stability and events, and three of its orbits moving."""
+    counts: dict[str, int] = {}
+    for event in family.events:
+        counts[event.kind.replace("_", " ")] = counts.get(event.kind.replace("_", " "), 0) + 1
+    events = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none"
+    ends = [(f"end {k + 1}", f"{end.kind}: {end.reason}") for k, end in enumerate(family.ends)]
+    rows = [("orbits", str(len(family.points))), ("parameter", family.parameter), ("events", events), *ends]
+    places = sorted({0, len(family.points) // 2, len(family.points) - 1}) if family.points else []
+    shown = "".join(_member(family, family.points[place]) for place in places)
+    body = f'<div style="{ROW}">{diagram(family)}{table(rows)}</div><div style="{ROW}">{shown}</div>'
+    return f"<div>{heading(f'Family {family.name}')}{body}</div>"
+
+
+def _member(family: Family, point: FamilyPoint) -> str:
+    try:
+        model = build_model(family.system)
+        states = sampled(model, point.state, point.period)
+    except OrbitfinderError:
+        return ""
+    if model.points is None:
+        return ""
+    picture = moving_mechanism(positions(model, states), point.period, f"orbit {point.index} of the family")
+    text = f"E = {point.energy:.6g} J, T = {point.period:.5g} s, {point.stability}"
+    return f"<div>{picture}<br>{escape(text)}</div>"
+
+
+def atlas_html(atlas: Any) -> str:
+    """How many orbits, the first of them in a table, the first three moving."""
+    rows = atlas.rows()
+    numbers = [
+        (str(row.id), f"{row.energy:.8g}", f"{row.period:.10g}", row.symmetry, row.stability, f"{row.instability:.4g}")
+        for row in rows[:ROWS]
+    ]
+    moving = "".join(motions(atlas.system, one.state, one.period) for one in (atlas.orbit(r.id) for r in rows[:3]))
+    head = ("id", "energy (J)", "period (s)", "symmetry", "stability", "largest multiplier")
+    more = f"the first {ROWS} by energy and period" if len(rows) > ROWS else ""
+    title = heading(f"Atlas {atlas.path.name}: {len(rows)} orbits", more)
+    return f'<div>{title}{table(numbers, head)}<div style="{ROW}">{moving}</div></div>'

@@ -1,0 +1,115 @@
+"""Small self-contained SVG pictures that move by themselves: no script, no network, a few kilobytes.
+
+Motion is declared (SMIL `animate`), so that a picture moves in a notebook, in a saved page and in a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from orbitfinder.show.style import COLOURS
+
+SIZE = 220
+"""Pixels on a side."""
+MARGIN = 14.0
+FRAMES = 60
+LARGEST = 150_000
+"""Bytes of motion in one picture; mechanisms of many joints get fewer frames."""
+BODY, TIP = COLOURS[0], COLOURS[1]
+
+
+def picture(content: str, label: str, width: int = SIZE, height: int = SIZE) -> str:
+    """An SVG element with an accessible name; its lines take the colour of the text around it."""
+    return (
+        f'<svg role="img" aria-label="{escape(label, quote=True)}" viewBox="0 0 {width} {height}" width="{width}" '
+        f'height="{height}" style="max-width:100%;height:auto">{content}</svg>'
+    )
+
+
+def fitted(points: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """Positions (..., 2) of x to the right and y up as pixels of a square, equal scales, centred."""
+    flat = points.reshape(-1, 2)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    scale = (size - 2 * MARGIN) / max(float((high - low).max()), 1e-12)
+    return np.asarray(size / 2 + (points - (low + high) / 2) * scale * np.array([1.0, -1.0]))
+
+
+def stretched(points: np.ndarray, size: int = SIZE) -> np.ndarray:
+    """The same with each axis filling the square."""
+    low, room = points.min(axis=0), size - 2 * MARGIN
+    share = (points - low) / np.maximum(np.ptp(points, axis=0), 1e-12)
+    return np.asarray([MARGIN, size - MARGIN] + room * share * [1, -1])
+
+
+def path(points: np.ndarray) -> str:
+    """The `points` attribute of a polyline (k x 2)."""
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+
+
+def frames_of(samples: np.ndarray, joints: int) -> np.ndarray:
+    """Indices of the samples (first and last included) that are drawn, fewer for many joints."""
+    most = max(12, min(FRAMES, LARGEST // (12 * joints)))
+    return np.unique(np.linspace(0, len(samples) - 1, most + 1).round().astype(int))
+
+
+def motion(attribute: str, values: Sequence[str], duration: float) -> str:
+    """An endless animation of an attribute through `values`, in `duration` s."""
+    return (
+        f'<animate attributeName="{attribute}" dur="{duration:.6g}s" repeatCount="indefinite" '
+        f'values="{";".join(values)}"/>'
+    )
+
+
+def dot(places: np.ndarray, duration: float) -> str:
+    """A disc that moves through `places` (k x 2) in `duration` s."""
+    moves = [motion(name, [f"{x:.1f}" for x in places[:, k]], duration) for k, name in enumerate(("cx", "cy"))]
+    return f'<circle cx="{places[0][0]:.1f}" cy="{places[0][1]:.1f}" r="4" fill="{TIP}">{"".join(moves)}</circle>'
+
+
+def moving_mechanism(positions: np.ndarray, duration: float, label: str) -> str:
+    """A polyline through one period: `positions` (k x 2 x m; x down, y right), the path of its end behind it."""
+    places = fitted(np.stack([positions[:, 1, :], -positions[:, 0, :]], axis=-1))
+    shown = places[frames_of(places, places.shape[1])]
+    tip = places[:: max(1, len(places) // 200), -1]
+    fixed = np.ptp(places, axis=0).max(axis=1) < 0.5
+    joints = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="currentColor"/>' for x, y in places[0][fixed])
+    return picture(
+        f'<polyline points="{path(tip)}" fill="none" stroke="{TIP}" stroke-opacity=".45"/>'
+        f'<polyline points="{path(shown[0])}" fill="none" stroke="{BODY}" stroke-width="3" stroke-linejoin="round">'
+        f"{motion('points', [path(one) for one in shown], duration)}</polyline>{joints}"
+        f"{'' if fixed[-1] else dot(shown[:, -1], duration)}",
+        label,
+    )
+
+
+def moving_portrait(coordinate: np.ndarray, rate: np.ndarray, duration: float, label: str) -> str:
+    """Rate against coordinate over one period (k each), with a dot that moves in time."""
+    places = stretched(np.column_stack([coordinate, rate]))
+    line = places[np.unique(np.linspace(0, len(places) - 1, 240).round().astype(int))]
+    words = f'<text x="{SIZE / 2}" y="{SIZE - 1}" text-anchor="middle" font-size="10" fill="currentColor">'
+    return picture(
+        f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"/>'
+        f"{dot(places[frames_of(places, 1)], duration)}{words}{escape(label)}</text>",
+        label,
+    )
+
+
+def unit_circle(multipliers: np.ndarray, label: str, size: int = 150) -> str:
+    """Multipliers in the plane beside the unit circle; those further out sit on the rim, hollow."""
+    reach = 1.6
+    inside = np.abs(multipliers) <= reach
+    drawn = np.where(inside, multipliers, reach * multipliers / np.maximum(np.abs(multipliers), 1e-300))
+    scale, half = (size / 2 - 8) / reach, size / 2
+    dots = "".join(
+        f'<circle cx="{half + z.real * scale:.1f}" cy="{half - z.imag * scale:.1f}" r="3.5" stroke="{TIP}" '
+        f'fill="{TIP if near else "none"}"/>'
+        for z, near in zip(drawn, inside, strict=True)
+    )
+    axes = (
+        f'<path d="M 4 {half} H {size - 4} M {half} 4 V {size - 4}" stroke="currentColor" stroke-opacity=".25"/>'
+        f'<circle cx="{half}" cy="{half}" r="{scale:.1f}" fill="none" stroke="currentColor" stroke-opacity=".6"/>'
+    )
+    return picture(axes + dots, label, size, size)

@@ -1,0 +1,118 @@
+"""Orbits whose digits are printed in books and papers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.orbit import Orbit
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.systems import restricted_three_body, van_der_pol
+from orbitfinder.validation.comparison import Comparison, Section, attempted, number
+
+VAN_DER_POL = {"period": "6.6632868593231301896996820305", "amplitude": "2.00861986087484313650940188"}
+ARENSTORF = (
+    ("-2.00158510637908252240537862224", "17.0652165601579625588917206249"),
+    ("-2.0317326295573368357302057924", "11.124340337266085134999734047"),
+)
+EIGHT = {"x1": "0.97000436", "y1": "-0.24308753", "vx3": "-0.93240737", "vy3": "-0.86473146"}
+EIGHT_PERIOD = "6.32591398"
+
+
+def sections() -> list[Section]:
+    """Van der Pol, Arenstorf, the figure eight."""
+    return [
+        Section(
+            "Van der Pol oscillator, mu = 1",
+            "E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, stationary van der Pol test, as quoted "
+            "in public test suites; the first 16 digits agree with P. Amore, arXiv 2111.12198.",
+            tuple(attempted("van der Pol", "", cycle)),
+        ),
+        Section(
+            "Restricted three-body problem: Arenstorf orbits",
+            "E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.0, as quoted "
+            "in public test suites. Start (0.994, 0, 0, y'), ratio 0.012277471; x is pinned, y' and the period are "
+            "found. The orbit passes the Moon at 0.006 Earth-Moon distances.",
+            tuple(row for one in ARENSTORF for row in arenstorf(*one)),
+        ),
+        Section(
+            "Three equal masses: the figure eight",
+            "A. Chenciner, R. Montgomery, Annals of Mathematics 152 (2000) 881-901, initial data by C. Simo. The "
+            "period is pinned to the printed one. Allowed: one unit of the last printed digit.",
+            tuple(attempted("figure eight", EIGHT_PERIOD, eight)),
+        ),
+    ]
+
+
+def certified(orbit: Orbit) -> Comparison:
+    """A row that counts the failed checks of an orbit's certificate."""
+    failures: Sequence[str] = orbit.certificate.failures if orbit.certificate else ("no certificate",)
+    count, named = len(failures), ", ".join(failures)
+    return Comparison("failed checks of the certificate", "0", str(count), count, 0.0, named)
+
+
+def cycle() -> list[Comparison]:
+    """The limit cycle found from a rough guess; its amplitude is x where x' = 0."""
+    orbit = find_orbit(Problem(van_der_pol(), Guess([2.0, 0.0], 6.7)))
+    amplitude = abs(orbit.state[0]) if abs(orbit.state[1]) < 1e-12 else float("nan")
+    return [
+        number("period", VAN_DER_POL["period"], orbit.period, 1e-13),
+        number("amplitude", VAN_DER_POL["amplitude"], amplitude, 1e-13),
+        certified(orbit),
+    ]
+
+
+def arenstorf(rate: str, period: str) -> list[Comparison]:
+    """One Arenstorf orbit from the printed start."""
+
+    def rows() -> list[Comparison]:
+        guess = Guess([0.994, 0.0, 0.0, float(rate)], float(period))
+        orbit = find_orbit(Problem(restricted_three_body(0.012277471), guess, pin(x=0.994)))
+        return [
+            number("period", period, orbit.period, 1e-9),
+            number("y'(0)", rate, float(orbit.state[3]), 1e-9),
+            certified(orbit),
+        ]
+
+    return attempted("period", period, rows)
+
+
+def three_bodies() -> Model:
+    """Three unit masses in a plane, G = 1, in Jacobi coordinates r = x2 - x1 and R = x3 - (x1 + x2) / 2.
+
+    T = r'^2 / 4 + R'^2 / 3; energy and angular momentum are conserved.
+    """
+    q, v = ca.SX.sym("q", 4), ca.SX.sym("v", 4)
+    r, far, none = q[:2], q[2:], ca.SX(0, 1)
+    kinetic = ca.sumsqr(v[:2]) / 4 + ca.sumsqr(v[2:]) / 3
+    potential = -1 / ca.norm_2(r) - 1 / ca.norm_2(far + r / 2) - 1 / ca.norm_2(far - r / 2)
+    turned = ca.vertcat(-q[1], q[0], -q[3], q[2])
+    momentum = ca.dot(ca.gradient(kinetic, v), turned)
+    generator = ca.vertcat(turned, -v[1], v[0], -v[3], v[2])
+
+    def function(name: str, value: ca.SX) -> ca.Function:
+        return ca.Function(name, [q, v, none], [value])
+
+    invariants = [
+        Invariant("energy", function("energy", kinetic + potential), function("damping", v)),
+        Invariant("angular_momentum", function("angular_momentum", momentum), function("turning", turned),
+                  function("rotation", generator)),
+    ]  # fmt: skip
+    return lagrange(kinetic, potential, Symbols(q, v), invariants=invariants, names=["rx", "ry", "Rx", "Ry"])
+
+
+def eight() -> list[Comparison]:
+    """The figure eight from the eight printed digits: x1 = -x2, x3 = 0, v1 = v2 = -v3 / 2."""
+    x1, v3 = (np.array([float(EIGHT[a]), float(EIGHT[b])]) for a, b in (("x1", "y1"), ("vx3", "vy3")))
+    state = np.concatenate([-2 * x1, np.zeros(4), 1.5 * v3])
+    period = float(EIGHT_PERIOD)
+    orbit = find_orbit(Problem(three_bodies(), Guess(state, period), pin(period=period)))
+    found = np.concatenate([-orbit.state[:2] / 2, orbit.state[6:] / 1.5])
+    rows = [number(name, EIGHT[name], value, 1e-8) for name, value in zip(EIGHT, found, strict=True)]
+    return [*rows, certified(orbit)]

@@ -1,0 +1,303 @@
+"""Searches: the same orbits whoever does the work, whenever it is interrupted, whoever dies."""
+
+import os
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbitfinder.atlas import api, workers
+from orbitfinder.atlas.report import chao1, discovery, summarise
+from orbitfinder.atlas.search import Limits, Search, register
+from orbitfinder.atlas.starts import Target, bench
+from orbitfinder.atlas.store import Atlas
+from orbitfinder.atlas.task import Known, Order, Task, perform
+from orbitfinder.atlas.workers import DIED, Inline, Local
+from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.periodic.certify import certify
+
+ROOT = Path(__file__).parents[1]
+TRIPLE = ROOT / "problems" / "search" / "triple.toml"
+ENERGY, PERIODS = -30.0, (0.5, 6.0)
+STARTS = 24
+
+
+def content(path):
+    """Everything that a search must reproduce: orbits to the last bit, starts with their outcomes."""
+    with sqlite3.connect(path) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+        orbits = connection.execute("SELECT id, period, document FROM orbits ORDER BY id").fetchall()
+        starts = connection.execute(
+            "SELECT search, number, strategy, outcome, reason, orbit FROM starts ORDER BY search, number"
+        ).fetchall()
+    connection.close()
+    return orbits, starts
+
+
+@pytest.fixture(scope="module")
+def triple():
+    return chain(3)
+
+
+@pytest.fixture(scope="module")
+def task(triple):
+    return Task(dict(triple.system), ENERGY, PERIODS, 0)
+
+
+@pytest.fixture(scope="module")
+def one(triple):
+    return bench(triple, Target(ENERGY, PERIODS))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(triple, tmp_path_factory):
+    """The atlas of a search in this process, never interrupted."""
+    path = tmp_path_factory.mktemp("undisturbed") / "triple.sqlite"
+    api.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0)
+    return path
+
+
+def test_every_orbit_is_certified_and_in_range(undisturbed):
+    """By the certificate computed again from the atlas alone; numbers of the row are those of the document."""
+    with Atlas(undisturbed) as atlas:
+        rows = atlas.rows()
+        assert len(rows) >= 6
+        for row in rows:
+            orbit = atlas.orbit(row.id)
+            assert abs(orbit.energy - ENERGY) < 1e-10 and PERIODS[0] <= orbit.period <= PERIODS[1]
+            assert orbit.provenance["seed"] == 0 and orbit.provenance["strategy"]
+        assert certify(atlas.orbit(rows[-1].id)).passed
+        summary = summarise(atlas)
+        assert summary.starts == STARTS and summary.new == len(rows) == summary.orbits
+        assert summary.hits + sum(summary.failures.values()) == STARTS
+        assert {one.strategy for one in summary.yields} >= {"brake", "recurrence", "random", "normal-modes"}
+        seconds, distinct, estimates = discovery(atlas, 1)
+        assert distinct[-1] == len(rows) and np.all(np.diff(distinct) >= 0) and np.all(np.diff(seconds) >= 0)
+        assert estimates[-1] >= distinct[-1]
+
+
+def test_the_number_of_workers_does_not_matter(triple, undisturbed, tmp_path):
+    path = tmp_path / "two.sqlite"
+    found = api.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=2)
+    assert content(path) == content(undisturbed)
+    assert found.tallies[0][1].done == STARTS and found.summary.orbits == len(content(path)[0])
+
+
+class Murderous(Local):
+    """Kills the worker of chosen starts: `first` only when tried first, `always` every time."""
+
+    first, always = (5, 11), ()
+
+    def submit(self, order):
+        super().submit(order)
+        if order.number in self.always or (order.number in self.first and order.tries == 1):
+            os.kill(next(one for one in self._workers if one.order is order).process.pid, signal.SIGKILL)
+
+
+def test_a_killed_worker_costs_nothing(task, triple, one, undisturbed, tmp_path):
+    """Its start is made again by another one, with the same result."""
+    path = tmp_path / "killed.sqlite"
+    crew = Murderous(task, 2)
+    with Atlas(path, write=True, model=triple) as atlas:
+        Search(atlas, task, one, Limits(starts=STARTS)).run(crew)
+    crew.close()
+    assert content(path) == content(undisturbed)
+
+
+def test_a_start_that_kills_its_workers_costs_one_start(task, triple, one, tmp_path, monkeypatch):
+    monkeypatch.setattr(Murderous, "always", (2,))
+    crew = Murderous(task, 2)
+    with Atlas(tmp_path / "a.sqlite", write=True, model=triple) as atlas:
+        tally = Search(atlas, task, one, Limits(starts=6)).run(crew)
+    crew.close()
+    starts = content(tmp_path / "a.sqlite")[1]
+    assert tally.done == 6 and [start[4] for start in starts].count(DIED) == 1
+    assert starts[2][2:5] == ("random", "failed", DIED)
+
+
+def test_workers_that_cannot_begin_are_not_hired_for_ever(tmp_path):
+    """A system whose function ends the process: an error that says what to do."""
+    (tmp_path / "deadly.py").write_text("import os\n\ndef system():\n    os._exit(3)\n")
+    system = {"kind": "python", "module": "deadly", "function": "system", "arguments": {}}
+    crew = Local(Task(system, 1.0, PERIODS, 0, str(tmp_path)), 1)
+    with pytest.raises(OrbitfinderError, match=r"workers? processes die before they begin; .*--workers 0"):
+        for _ in range(20):
+            crew.results(5.0)
+    crew.close()
+
+
+def test_a_search_goes_on_where_it_was_stopped(triple, undisturbed, tmp_path):
+    path = tmp_path / "resumed.sqlite"
+    for starts in (5, 5, 13, STARTS):
+        found = api.search(triple, ENERGY, PERIODS, path, starts=starts, workers=0)
+    assert content(path) == content(undisturbed) and found.tallies[0][1].begun_at == 13
+
+
+def test_a_budget_ends_a_search(triple, undisturbed, tmp_path):
+    """Whatever was done is a beginning of the undisturbed search."""
+    path = tmp_path / "budget.sqlite"
+    found = api.search(triple, ENERGY, PERIODS, path, budget=0.7, starts=STARTS, workers=0)
+    orbits, starts = content(path)
+    assert 0 < len(starts) <= STARTS and found.tallies[0][1].done == len(starts)
+    assert orbits == content(undisturbed)[0][: len(orbits)] and starts == content(undisturbed)[1][: len(starts)]
+
+
+def test_suspicion_is_not_enough(task, triple, one, undisturbed, tmp_path):
+    """Workers that wrongly take every orbit for known: each is made again with its certificate, nothing is lost."""
+    crew, path = Inline(one, task), tmp_path / "suspicious.sqlite"
+    with Atlas(undisturbed) as atlas:
+        for row in atlas.rows():
+            crew.learn((row.energy, row.period, row.action))
+    with Atlas(path, write=True, model=triple) as atlas:
+        Search(atlas, task, one, Limits(starts=STARTS)).run(crew)
+    assert content(path) == content(undisturbed)
+
+
+def test_known_orbits_are_not_certified_again(one, undisturbed):
+    with Atlas(undisturbed) as atlas:
+        first = atlas.orbit(1)
+    known = Known()
+    number = first.provenance["index"]
+    assert perform(one, 0, Order(number), known).orbit is not None
+    known.learn([(first.energy, first.period, first.action)])
+    found = perform(one, 0, Order(number), known)
+    assert found.orbit is None and found.signature is not None and not found.reason
+    assert perform(one, 0, Order(number, certain=True), known).orbit is not None
+
+
+def test_two_searches_share_an_atlas(triple, undisturbed, tmp_path):
+    """Another seed is another search: its starts are its own, its orbits join the others without doubles."""
+    path = tmp_path / "shared.sqlite"
+    path.write_bytes(undisturbed.read_bytes())
+    api.search(triple, ENERGY, PERIODS, path, starts=8, seed=1, workers=0)
+    orbits, starts = content(path)
+    assert orbits[: len(content(undisturbed)[0])] == content(undisturbed)[0]
+    assert len([start for start in starts if start[0] == 2]) == 8
+    periods = [round(orbit[1], 6) for orbit in orbits]
+    assert len(set(periods)) == len(periods)
+
+
+def test_known_orbits_are_continued_to_another_energy(triple, undisturbed, tmp_path):
+    """The first starts at a new energy follow the families of the orbits known at another."""
+    path = tmp_path / "continued.sqlite"
+    path.write_bytes(undisturbed.read_bytes())
+    found = api.search(triple, -31.0, PERIODS, path, starts=2, workers=0)
+    by = {one.strategy: one for one in found.summary.yields}
+    assert by["continuation"].starts == 2 and by["continuation"].hits >= 1
+    with Atlas(path) as atlas:
+        rows = [row for row in atlas.rows() if abs(row.energy + 31) < 1e-9]
+        assert rows and atlas.orbit(rows[0].id).provenance["strategy"] == "continuation"
+
+
+def test_starts_recorded_by_another_writer_are_left_alone(task, triple, one, tmp_path):
+    """Two runs of one search at once: every start is recorded once."""
+    path = tmp_path / "both.sqlite"
+    with Atlas(path, write=True, model=triple) as first, Atlas(path, write=True, model=triple) as second:
+        runs = [Search(atlas, task, one, Limits(starts=4)) for atlas in (first, second)]
+        tallies = [run.run(Inline(one, task)) for run in runs]
+    assert len(content(path)[1]) == 4 and tallies[0].new >= 1
+    assert tallies[1].new == tallies[1].duplicates == 0
+
+
+def test_a_full_disk_ends_a_search_that_can_go_on(task, triple, one, undisturbed, tmp_path):
+    path = tmp_path / "full.sqlite"
+    with Atlas(path, write=True, model=triple) as atlas:
+        Search(atlas, task, one, Limits(starts=3)).run(Inline(one, task))
+        pages = atlas.connection.execute("PRAGMA page_count").fetchone()[0]
+        atlas.connection.execute(f"PRAGMA max_page_count = {pages}")
+        with pytest.raises(InputError, match=r"the disk is full; .* goes on from here"):
+            Search(atlas, task, one, Limits(starts=STARTS)).run(Inline(one, task))
+    content(path)
+    api.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0)
+    assert content(path) == content(undisturbed)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"energies": -50.0}, r"energy: -50 J is not above -44.1 J"),
+        ({"energies": []}, r"energy: missing"),
+        ({"periods": (6.0, 0.5)}, r"search.period: must be two increasing positive numbers"),
+        ({"starts": -1}, r"starts: must not be negative"),
+        ({"budget": -1.0}, r"budget: must be positive and finite"),
+        ({"seed": -1}, r"seed: must be between 0"),
+        ({"workers": 1000}, r"workers: must be between 0 and 256"),
+        ({"model": chain(2, gravity=0.0)}, r"search: works on energy shells"),
+    ],
+)
+def test_requests_that_make_no_sense(tmp_path, changed, message):
+    request = {"model": chain(3), "energies": ENERGY, "periods": PERIODS, "starts": 1, "workers": 0} | changed
+    with pytest.raises(InputError, match=message):
+        api.search(request.pop("model"), request.pop("energies"), request.pop("periods"), tmp_path / "a.sqlite",
+                   **request)  # fmt: skip
+
+
+def test_chao1():
+    """By hand: 10 kinds, 5 met once, 2 twice, 3 three times, 18 meetings: 10 + 17/18 5 4 / (2 3)."""
+    counts = np.array([1] * 5 + [2] * 2 + [3] * 3)
+    total, error = chao1(counts)
+    assert total == pytest.approx(10 + 17 / 18 * 20 / 6) and error > 0
+    assert chao1(np.array([2, 2, 2])) == (3.0, 0.0)
+    assert chao1(np.zeros(0, int)) == (0.0, 0.0)
+
+
+def test_chao1_estimates_an_urn():
+    """200 kinds drawn 300 times: the estimate is within three standard errors below or near the truth."""
+    drawn = np.random.default_rng(0).integers(0, 200, 300)
+    counts = np.unique(drawn, return_counts=True)[1]
+    total, error = chao1(counts)
+    assert len(counts) < total and abs(total - 200) < 3 * error
+
+
+def test_environment_of_workers_is_put_back(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with workers.one_thread():
+        assert os.environ["OMP_NUM_THREADS"] == os.environ["OPENBLAS_NUM_THREADS"] == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "7" and "OPENBLAS_NUM_THREADS" not in os.environ
+
+
+def test_a_search_is_registered_once(triple, task, one, tmp_path):
+    with Atlas(tmp_path / "a.sqlite", write=True, model=triple) as atlas:
+        assert register(atlas, task, one) == (1, 0) == register(atlas, task, one)
+        other = Task(task.system, ENERGY, PERIODS, 1)
+        assert register(atlas, other, one) == (2, 0)
+
+
+def command(path, starts):
+    return [
+        sys.executable, "-m", "orbitfinder", "search", str(TRIPLE), "--starts", str(starts), "--workers", "2",
+        "--atlas", str(path),
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_twenty_kills(tmp_path):
+    """20 SIGKILLs at random moments: nothing lost, nothing double, intact, and in the end the same set."""
+    starts, chance = 240, random.Random(0)
+    calm, killed = tmp_path / "calm.sqlite", tmp_path / "killed.sqlite"
+    subprocess.run(command(calm, starts), check=True, capture_output=True, timeout=600)
+    before = []
+    for _ in range(20):
+        process = subprocess.Popen(command(killed, starts), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(chance.uniform(0.3, 3.0))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        if killed.exists():
+            try:
+                orbits = content(killed)[0]
+            except sqlite3.OperationalError:  # killed before the tables were made
+                continue
+            assert orbits[: len(before)] == before
+            assert orbits == content(calm)[0][: len(orbits)]
+            before = orbits
+    assert before
+    subprocess.run(command(killed, starts), check=True, capture_output=True, timeout=600)
+    assert content(killed) == content(calm)

@@ -1,0 +1,270 @@
+"""The atlas file: what goes in comes out, the same orbit goes in once, and no accident damages it."""
+
+import json
+import os
+import sqlite3
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orbitfinder.atlas import store, tables
+from orbitfinder.atlas.export import exported
+from orbitfinder.atlas.signature import LOOP_SAMPLES, Signature, signature_of
+from orbitfinder.atlas.store import Atlas, Filter
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.periodic.certify import certify
+from orbitfinder.periodic.orbit import orbit_to_document
+
+
+@pytest.fixture(scope="module")
+def triples(report_orbits):
+    return [report_orbits["triple-1"], report_orbits["triple-2"]]
+
+
+@pytest.fixture
+def book(tmp_path, triples):
+    """A closed atlas with the two triple pendulum orbits of the report."""
+    path = tmp_path / "triple.sqlite"
+    with Atlas(path, triples[0].system, write=True) as atlas:
+        assert [atlas.add(one) for one in triples] == [(1, True), (2, True)]
+    return path
+
+
+def intact(path):
+    with sqlite3.connect(path) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+        count = connection.execute("SELECT count(*) FROM orbits").fetchone()[0]
+    connection.close()
+    return count
+
+
+def test_an_orbit_comes_out_as_it_went_in(book, triples):
+    """The document is that of orbit.json, digest included, and the orbit passes its certificate."""
+    with Atlas(book) as atlas:
+        assert len(atlas) == 2
+        assert atlas.document(1) == json.loads(json.dumps(orbit_to_document(triples[0])))
+        found = atlas.orbit(2)
+        assert found.period == triples[1].period and np.array_equal(found.nodes, triples[1].nodes)
+        assert certify(found).passed
+        row = atlas.rows(order="id")[0]
+        assert (row.period, row.symmetry, row.stability) == (
+            triples[0].period, triples[0].symmetry, triples[0].stability,
+        )  # fmt: skip
+        assert row.instability == np.abs(triples[0].floquet_multipliers).max()
+        assert atlas.model.degrees_of_freedom == 3
+
+
+def test_the_same_orbit_goes_in_once(book, triples):
+    """From any node, mirrored or run backwards it is known; after reopening too, when loops are integrated anew."""
+    one = triples[0]
+    backwards = np.concatenate([np.ones(3), -np.ones(3)])
+    variants = [
+        replace(one, state=one.nodes[3], nodes=np.roll(one.nodes, -3, axis=0)),
+        replace(one, state=-one.state, nodes=-one.nodes),
+        replace(one, state=one.state * backwards, nodes=np.roll(one.nodes[::-1], 1, axis=0) * backwards),
+    ]
+    with Atlas(book, one.system, write=True) as atlas:
+        for variant in variants:
+            bare = replace(variant, times=np.zeros(0), samples=np.zeros((0, 6)))
+            assert atlas.add(bare) == (1, False)
+        assert len(atlas) == 2
+
+
+def test_only_certified_orbits_go_in(book, triples):
+    with Atlas(book, triples[0].system, write=True) as atlas, pytest.raises(InputError, match=r"orbit: not certified"):
+        atlas.insert(replace(triples[0], certificate=None), signature_of(triples[0], chain(3)))
+    assert intact(book) == 2
+
+
+def test_filters_and_order(book, triples):
+    with Atlas(book) as atlas:
+        assert [row.id for row in atlas.rows(Filter(period=(2, 3)))] == [2]
+        assert [row.id for row in atlas.rows(Filter(energy=(-38.4, -38.3)))] == [1]
+        assert [row.id for row in atlas.rows(Filter(stability=("no such",)))] == []
+        assert {row.id for row in atlas.rows(Filter(symmetry=(triples[0].symmetry, triples[1].symmetry)))} == {1, 2}
+        assert [row.id for row in atlas.rows(order="period DESC")] == [2, 1]
+        with pytest.raises(InputError, match=r"order: unknown 'period; drop'; use columns among id, energy"):
+            atlas.rows(order="period; drop")
+        with pytest.raises(InputError, match=r"id: no orbit 7"):
+            atlas.orbit(7)
+
+
+def test_exports(book, triples):
+    with Atlas(book) as atlas:
+        documents = json.loads(exported(atlas, "json"))
+        assert [one["period"] for one in documents] == [triples[0].period, triples[1].period]
+        lines = exported(atlas, "csv", Filter(period=(2, 3))).decode().splitlines()
+        assert len(lines) == 2 and lines[0].startswith("id,energy,period,action,symmetry,stability,instability")
+        assert repr(triples[1].period) in lines[1] and repr(float(triples[1].state[0])) in lines[1]
+        assert exported(atlas, "csv", Filter(period=(9, 9))).decode().count("\n") == 1
+
+
+def test_parquet(book, triples):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `parquet` is not installed")
+    import pyarrow
+
+    with Atlas(book) as atlas:
+        found = parquet.read_table(pyarrow.BufferReader(exported(atlas, "parquet"))).to_pydict()
+    assert found["period"] == [triples[0].period, triples[1].period]
+    assert found["theta2dot"][1] == triples[1].state[4]
+
+
+def test_another_system_is_refused(book):
+    """By name; all formulations and spellings of one system are the same."""
+    with pytest.raises(InputError, match=r"triple.sqlite: system: holds orbits of chain \(links = 3, .*, not of chain \(links = 4"):
+        Atlas(book, chain(4).system, write=True)
+    with pytest.raises(InputError, match=r"of chain \(gravity = 9.8\), not of chain \(gravity = 9.81\); give another"):
+        Atlas(book, chain(3, gravity=9.81).system)
+    Atlas(book, chain(3, gravity=9.8, formulation="lagrange").system, write=True).close()
+    assert intact(book) == 2
+
+
+def test_a_newer_atlas_is_refused_untouched(book):
+    with sqlite3.connect(book) as connection:
+        connection.execute(f"PRAGMA user_version = {tables.VERSION + 1}")
+    connection.close()
+    before = book.read_bytes()
+    for write in (False, True):
+        with pytest.raises(InputError, match=rf"version: an atlas of version {tables.VERSION + 1}.*update orbitfinder"):
+            Atlas(book, chain(3).system, write=write)
+    assert book.read_bytes() == before
+
+
+def test_an_older_atlas_is_migrated_by_a_writer(tmp_path, triples):
+    path = tmp_path / "old.sqlite"
+    with sqlite3.connect(path) as connection:
+        connection.executescript(tables.MIGRATIONS[0])
+        connection.execute(f"PRAGMA application_id = {tables.APPLICATION}")
+        connection.execute("PRAGMA user_version = 1")
+    connection.close()
+    with pytest.raises(InputError, match=rf"version: an atlas of version 1, this orbitfinder reads {tables.VERSION}"):
+        Atlas(path)
+    with Atlas(path, triples[0].system, write=True) as atlas:
+        assert atlas.connection.execute("PRAGMA user_version").fetchone()[0] == tables.VERSION
+        assert atlas.add(triples[0]) == (1, True)
+    assert intact(path) == 1
+
+
+def test_a_read_only_atlas_can_be_read_only(book, triples):
+    os.chmod(book, 0o444)
+    with Atlas(book) as atlas:
+        assert len(atlas) == 2
+    with pytest.raises(InputError, match=r"triple.sqlite: read-only; make it writable, or work on a copy"):
+        Atlas(book, triples[0].system, write=True)
+    os.chmod(book, 0o644)
+    with Atlas(book, triples[0].system, write=True) as atlas:  # the file system turns read-only under way
+        atlas.connection.execute("PRAGMA query_only = ON")
+        with pytest.raises(InputError, match="read-only"):
+            atlas.add(replace(triples[0], period=9.0))
+    assert intact(book) == 2
+
+
+def test_a_full_disk_loses_nothing(book, triples):
+    """SQLite is told that no page is left: a clear message, the atlas as before, and space makes it go on."""
+    other = replace(triples[0], period=1.0, nodes=np.tile(triples[0].nodes, (40, 1)) + np.random.default_rng(0).normal(
+        size=(40 * len(triples[0].nodes), 6)))  # fmt: skip
+    with Atlas(book, triples[0].system, write=True) as atlas:
+        pages = atlas.connection.execute("PRAGMA page_count").fetchone()[0]
+        atlas.connection.execute(f"PRAGMA max_page_count = {pages}")
+        with pytest.raises(InputError, match=r"triple.sqlite: the disk is full; free some space .* goes on from here"):
+            atlas.add(other)
+        assert len(atlas) == 2
+        atlas.connection.execute(f"PRAGMA max_page_count = {pages + 1000}")
+        assert atlas.add(other) == (3, True)
+    assert intact(book) == 3
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "empty, not an atlas yet"),
+        (b"not a database at all, just text" * 100, "not an SQLite file"),
+        (None, "a database of another program"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, content, message):
+    path = tmp_path / "other.sqlite"
+    if content is None:
+        with sqlite3.connect(path) as connection:
+            connection.execute("CREATE TABLE songs (title TEXT)")
+        connection.close()
+    else:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        Atlas(path)
+    if content != b"":
+        with pytest.raises(InputError, match=message):
+            Atlas(path, chain(3).system, write=True)
+
+
+def test_paths_that_are_no_files(tmp_path):
+    with pytest.raises(InputError, match="no such atlas"):
+        Atlas(tmp_path / "absent.sqlite")
+    with pytest.raises(InputError, match="a folder, not an atlas"):
+        Atlas(tmp_path, chain(3).system, write=True)
+    with pytest.raises(InputError, match="does not exist; make it first"):
+        Atlas(tmp_path / "no" / "a.sqlite", chain(3).system, write=True)
+
+
+def test_a_damaged_document_is_named(book):
+    with sqlite3.connect(book) as connection:
+        connection.execute("UPDATE orbits SET document = x'00' WHERE id = 2")
+    connection.close()
+    with Atlas(book) as atlas, pytest.raises(InputError, match=r"orbit 2: damaged .*; restore a copy"):
+        atlas.orbit(2)
+
+
+def test_a_damaged_file_is_named(book):
+    data = bytearray(book.read_bytes())
+    data[4096:] = b"\xff" * (len(data) - 4096)
+    book.write_bytes(data)
+    with pytest.raises(InputError, match="damaged"), Atlas(book) as atlas:
+        atlas.rows()
+
+
+def test_several_writers(tmp_path, triples):
+    """Four writers put the same two orbits in at once: each orbit is there once, every writer gets its id."""
+    path, found = tmp_path / "shared.sqlite", []
+
+    def write(turn):
+        with Atlas(path, triples[0].system, write=True) as atlas:
+            found.extend(atlas.add(one) for one in triples[:: 1 if turn % 2 else -1])
+
+    threads = [threading.Thread(target=write, args=(turn,)) for turn in range(4)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert intact(path) == 2
+    assert len(found) == 8 and sum(new for _, new in found) == 2 and {number for number, _ in found} == {1, 2}
+
+
+def synthetic(random):
+    """The signature of a loop that no other is like."""
+    loop = random.normal(size=(LOOP_SAMPLES, 6))
+    return Signature(-30.0, float(random.uniform(0.5, 6)), float(random.uniform(5, 60)), loop, (True,) * 3)
+
+
+@pytest.mark.slow
+def test_the_cost_of_an_insertion_stays_flat(tmp_path, triples, monkeypatch):
+    """The 100,000th orbit costs at most 1.5 times the 1,000th (medians of 1,000 look-ups with insertion).
+
+    The document is compressed beforehand, which would hide the rest.
+    """
+    data = store.packed(triples[0])
+    monkeypatch.setattr(store, "packed", lambda orbit: data)
+    random, times = np.random.default_rng(0), []
+    with Atlas(tmp_path / "large.sqlite", triples[0].system, write=True) as atlas:
+        for _ in range(100_500):
+            signature = synthetic(random)
+            began = time.perf_counter()
+            with tables.transaction(atlas.connection):
+                assert atlas.look_up(signature) is None
+                atlas.insert(triples[0], signature)
+            times.append(time.perf_counter() - began)
+    early, late = np.median(times[500:1500]), np.median(times[99_500:100_500])
+    assert late < 1.5 * early, f"{early * 1e6:.0f} and {late * 1e6:.0f} microseconds"

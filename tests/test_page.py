@@ -1,0 +1,425 @@
+"""The static site: what it is made from, what it says, and that nothing in a file can do harm."""
+
+import base64
+import json
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import pendulum_period
+
+from orbitfinder.atlas.store import Atlas
+from orbitfinder.cli import cli
+from orbitfinder.errors import InputError
+from orbitfinder.families.command import continue_command
+from orbitfinder.families.normal_modes import mode_problem
+from orbitfinder.families.points import FamilySettings
+from orbitfinder.flow import vector_field
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.model import positions
+from orbitfinder.page.gather import evenly, gather
+from orbitfinder.page.motion import Films, completed, histories, packed, resampled
+from orbitfinder.page.recipe import problem_name, problem_text, toml
+from orbitfinder.page.site import MARK, Settings, build_site, check_target, write_site
+from orbitfinder.page.text import Html, fill, number, script_data, size, slug_maker
+from orbitfinder.page.words import coordinate, mechanism, plural
+from orbitfinder.periodic.orbit import load_orbit, orbit_to_document
+from orbitfinder.problemfile import load_problem
+from orbitfinder.runge_kutta import march
+
+ROOT = Path(__file__).parents[1]
+SHIPPED = ROOT / "results" / "orbits"
+NASTY = '</script><script>window.stolen = 1</script>\u2028 & "quoted" <b>'
+PROBLEMS = sorted([*(ROOT / "problems" / "gallery").glob("*.toml"), *(ROOT / "problems" / "linkages").glob("*.toml")])
+
+
+def document(name: str = "triple-1") -> dict:
+    return json.loads((SHIPPED / name / "orbit.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def material(tmp_path_factory) -> Path:
+    """The shipped orbits, one with a title that is a program, a small family, and an atlas in both forms."""
+    folder = tmp_path_factory.mktemp("material")
+    shutil.copytree(SHIPPED, folder / "orbits", ignore=shutil.ignore_patterns("*.png"))
+    (folder / "orbits" / "nasty").mkdir()
+    (folder / "orbits" / "nasty" / "orbit.json").write_text(
+        json.dumps(document() | {"name": "../" + NASTY, "title": NASTY, "source": NASTY})
+    )
+    settings = FamilySettings(first_step=0.1, longest_step=0.3)
+    continue_command(mode_problem(chain(2), 1, 0.3), points=12, out=folder / "families", settings=settings)
+    orbits = [load_orbit(path) for path in sorted(SHIPPED.glob("triple-*/orbit.json"))]
+    with Atlas(folder / "triples.sqlite", write=True, model=chain(3)) as atlas:
+        for orbit in orbits:
+            atlas.add(orbit)
+    (folder / "quadruples.json").write_text(json.dumps([document("quadruple-1"), document("quadruple-2")]))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def site(material, tmp_path_factory) -> Path:
+    """A site of all of it, written by the command."""
+    out = tmp_path_factory.mktemp("site") / "site"
+    paths = [material / "orbits", material / "families", material / "triples.sqlite", material / "quadruples.json"]
+    result = CliRunner().invoke(cli, ["page", *map(str, paths), "-o", str(out), "--title", "A & B"])
+    assert result.exit_code == 0, result.output
+    assert "9 orbits, 1 family, 2 atlases" in result.output
+    return out
+
+
+def embedded(path: Path) -> tuple[str, dict]:
+    """Key and payload of a data file."""
+    found = re.fullmatch(r'orbitfinder\.put\("([^"]+)",(.*)\);\n', path.read_text(encoding="ascii"))
+    assert found
+    return found.group(1), json.loads(found.group(2))
+
+
+def decoded(motion: dict) -> np.ndarray:
+    """Positions (m x 2 x j) out of what `packed` made."""
+    many, values = motion["points"], np.frombuffer(base64.b64decode(motion["data"]), "<i2").astype(float)
+    channels = np.zeros((2 * many, motion["count"]))
+    for row, channel in enumerate(motion["moving"]):
+        part = values[row * motion["count"] : (row + 1) * motion["count"]]
+        channels[channel] = motion["centre"][channel >= many] + motion["half"] * part / 32767
+    for channel, value in motion["still"].items():
+        channels[int(channel)] = value
+    return channels.reshape(2, many, -1).transpose(2, 0, 1)
+
+
+def test_every_page_is_whole(site):
+    pages = sorted(path.relative_to(site).as_posix() for path in site.rglob("*.html"))
+    assert len([page for page in pages if page.startswith("orbits/")]) == 9
+    assert "index.html" in pages and "atlases/triples.html" in pages and "atlases/quadruples.html" in pages
+    assert any(page.startswith("families/") for page in pages)
+    for page in pages:
+        text = (site / page).read_text(encoding="utf-8")
+        assert not re.search(r"[$@]{2}|\$[a-z]", text), page
+        for target in re.findall(r'(?:src|href)="([^"#]+)"', text):
+            assert "://" not in target and (site / page).parent.joinpath(target).resolve().is_file(), (page, target)
+        assert text.startswith("<!doctype html>") and 'lang="en"' in text and "<title>" in text
+
+
+def test_page_weight_is_stated_and_true(site):
+    stated = re.search(r"This page loads ([\d.]+) MB; the whole site is ([\d.]+) MB", (site / "index.html").read_text())
+    assert stated is None  # the gallery itself loads no plotting library
+    stated = re.search(r"This page loads ([\d.]+) MB; the whole site is ([\d.]+) MB", (site / "orbits/triple-1.html").read_text())
+    whole = sum(path.stat().st_size for path in site.rglob("*") if path.is_file())
+    assert stated and float(stated.group(2)) == pytest.approx(whole / 1e6, abs=0.02)
+    own = ["orbits/triple-1.html", "data/orbits/triple-1.js"]
+    own += [f"assets/{name}" for name in ("page.css", "theme.js", "core.js", "plotly-basic.min.js", "plots.js", "orbit.js")]
+    assert float(stated.group(1)) == pytest.approx(sum((site / name).stat().st_size for name in own) / 1e6, abs=0.02)
+
+
+def test_a_hundred_orbits_stay_below_six_megabytes(material):
+    found = gather([material / "orbits"])
+    made, summary = build_site(type(found)(orbits=found.orbits * 20))
+    assert summary.orbits == 100 and summary.size < 6e6
+    assert summary.size == sum(map(len, made.files.values()))
+
+
+def test_nothing_in_a_file_becomes_markup(site):
+    pages = list(site.rglob("*.html"))
+    assert sum("window.stolen" in page.read_text(encoding="utf-8") for page in pages) >= 2
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert "<script>window" not in text and "<b>" not in text and not re.search(r"<script(?! (defer )?src=)", text)
+    for data in (site / "data").rglob("*.js"):
+        assert "<" not in data.read_text(encoding="ascii")
+    names = {path.name for path in site.rglob("*")}
+    assert not any(".." in name or "<" in name for name in names)
+
+
+def test_data_survive_their_escapes():
+    text = script_data("key", {"title": NASTY, "number": float("nan"), "list": [1.5, float("inf")]})
+    assert "<" not in text and "&" not in text and "\u2028" not in text
+    payload = json.loads(text[len('orbitfinder.put("key",') : -len(");\n")])
+    assert payload == {"title": NASTY, "number": None, "list": [1.5, None]}
+
+
+def test_templates_escape_what_is_not_markup():
+    made = fill("portrait", component=1, name="<i>", rate=Html("<b>kept</b>"))
+    assert "&lt;i&gt;" in made and "<b>kept</b>" in made
+
+
+def test_same_input_same_bytes(material):
+    first, _ = build_site(gather([material]))
+    second, _ = build_site(gather([material]))
+    assert first.files == second.files
+
+
+def test_former_page_is_replaced_and_nothing_else(site, tmp_path):
+    made, _ = build_site(gather([SHIPPED / "triple-1"]), Settings("first"))
+    out = tmp_path / "site"
+    write_site(made, out)
+    (out / "left-over.html").write_text("old")
+    write_site(made, out)
+    assert (out / MARK).is_file() and not (out / "left-over.html").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["site"]
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "thesis.txt").write_text("all of it")
+    with pytest.raises(InputError, match="not empty and holds no former page"):
+        write_site(made, foreign)
+    assert (foreign / "thesis.txt").read_text() == "all of it"
+    with pytest.raises(InputError, match="exists and is not a folder"):
+        check_target(foreign / "thesis.txt")
+    with pytest.raises(InputError, match="cannot write beside"):
+        write_site(made, foreign / "thesis.txt" / "site")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "truncated or corrupt JSON"),
+        ("7", "'int' is not an orbit, a family or an atlas export"),
+        ('{"format": "something"}', "'something' is not an orbit"),
+        ('[{"format": "orbitfinder/orbit"}]', r"file.json\[0\]: version: this orbitfinder reads 1"),
+        (json.dumps(document() | {"period": -1.0}), "not finite or not positive"),
+        (json.dumps(document() | {"state": [0.1, 0.2, 0.3]}), "3 numbers; coordinates and then as many velocities"),
+        (json.dumps(document() | {"state": ["x"]}), "malformed entry"),
+        ('{"format": "orbitfinder/family"}', "name: missing or of the wrong kind"),
+        (json.dumps({"format": "orbitfinder/family", "name": "f", "system": {}, "parameter": "energy", "points": [],
+                     "events": [], "ends": []}), "points: empty"),
+        (json.dumps({"format": "orbitfinder/family", "name": "f", "system": {}, "parameter": "energy",
+                     "points": [{"period": 1.0}], "events": [], "ends": []}), r"points\[0\]: malformed"),
+        ("[" * 100_000, "nested too deeply|corrupt JSON"),
+    ],
+)  # fmt: skip
+def test_bad_files_are_named(content, message, tmp_path):
+    file = tmp_path / "file.json"
+    file.write_text(content)
+    with pytest.raises(InputError, match=message):
+        gather([file])
+    result = CliRunner().invoke(cli, ["page", str(file), "-o", str(tmp_path / "out")])
+    assert result.exit_code == 2 and result.output.startswith("Error: ") and not (tmp_path / "out").exists()
+
+
+def test_bad_numbers_of_a_family_are_named(material, tmp_path):
+    family = json.loads(next(material.glob("families/*/family.json")).read_text())
+    family["points"][3]["energy"] = float("nan")
+    (tmp_path / "family.json").write_text(json.dumps(family))
+    with pytest.raises(InputError, match=r"points\[3\]: a number is missing or not finite"):
+        gather([tmp_path])
+
+
+def test_bad_paths_are_named(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        gather([tmp_path / "absent.json"])
+    with pytest.raises(InputError, match=r"no such file|check the path"):
+        gather([tmp_path / "absent.sqlite"])
+    with pytest.raises(InputError, match="no orbit.json, family.json or atlas"):
+        gather([tmp_path])
+    (tmp_path / "text.sqlite").write_text("not a database")
+    with pytest.raises(InputError, match="text.sqlite"):
+        gather([tmp_path / "text.sqlite"])
+    (tmp_path / "latin.json").write_bytes(b'{"name": "\xe9"}')
+    with pytest.raises(InputError, match="cannot be read"):
+        gather([tmp_path / "latin.json"])
+    shutil.copy(SHIPPED / "triple-1" / "orbit.json", tmp_path / "orbit.json")
+    (tmp_path / "orbit.npz").write_bytes(b"no zip")
+    with pytest.raises(InputError, match="damaged"):
+        gather([tmp_path / "orbit.json"])
+
+
+def test_a_path_given_twice_counts_once(material):
+    found = gather([material / "orbits", material / "orbits" / "triple-1" / "orbit.json"])
+    assert len(found.orbits) == 5
+
+
+@pytest.mark.parametrize("name", ["triple-1", "quadruple-2"])
+def test_positions_are_those_of_the_orbit(name):
+    about = document(name)
+    motion = Films().orbit(about)
+    seen, model = decoded(packed(motion)), build_model(about["system"])
+    exact = positions(model, motion.at(len(seen)))
+    extent = np.ptp(exact, axis=(0, 2)).max()
+    assert np.abs(seen - exact).max() < 1e-4 * extent
+    lengths = np.linalg.norm(np.diff(seen, axis=2), axis=1)
+    assert np.abs(lengths - 1.0).max() < 1e-3
+    nodes = np.asarray(about["nodes"])
+    assert np.abs(motion.at(len(nodes)) - nodes).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", ["triple-1", "triple-2"])
+def test_interpolation_of_the_page_is_good_to_a_pixel(name):
+    motion = Films().orbit(document(name))
+    coarse, fine = motion.points, positions(build_model(document(name)["system"]), motion.at(2 * len(motion.points)))
+    u, around = 0.5, [np.roll(coarse, shift, axis=0) for shift in (1, 0, -1, -2)]
+    weights = [-u + 2 * u**2 - u**3, 2 - 5 * u**2 + 3 * u**3, u + 4 * u**2 - 3 * u**3, u**3 - u**2]  # as core.js
+    between = sum(w / 2 * part for w, part in zip(weights, around, strict=True))
+    assert np.abs(between - fine[1::2]).max() < 0.006 * np.ptp(fine, axis=(0, 2)).max()
+
+
+def test_histories_hold_the_states():
+    motion = Films().orbit(document())
+    made = histories(motion)
+    states = np.frombuffer(base64.b64decode(made["data"]), "<f4").reshape(6, made["count"])
+    assert np.abs(states[:, 0] - document()["state"]).max() < 1e-6
+    assert np.abs(states[:, -1] - states[:, 0]).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "start", "share"),
+    [
+        ("brake+reflection", [1.2, 0.0], 0.25),
+        ("brake", [1.2, 0.0], 0.5),
+        ("reflection", [1.2, 0.0], 0.5),
+        ("reversal", [0.0, None], 0.5),
+        ("none", [1.2, 0.0], 1.0),
+    ],
+)
+def test_symmetries_complete_an_orbit(symmetry, start, share):
+    """The part that a symmetry leaves free, completed, is the whole orbit by integration."""
+    model, period = chain(1), pendulum_period(1.2)
+    if start[1] is None:
+        start = [0.0, np.sqrt(2 * 9.8 * 0.5 * (1 - np.cos(1.2)) / (1 / 3))]
+    field = vector_field(model, (), ())
+    steps = 200
+    whole = march(field, np.array(start), period, steps, np.zeros(0))
+    part = march(field, np.array(start), share * period, int(steps * share), np.zeros(0))
+    assert np.abs(completed(part, symmetry) - whole).max() < 1e-8
+
+
+def test_symmetry_of_a_running_orbit_keeps_its_turns():
+    model, speed = chain(1), 12.0
+    field = vector_field(model, (), ())
+    times = np.linspace(0, 1, 401)
+    path = march(field, np.array([0.0, speed]), 1.0, 400, np.zeros(0))
+    period = float(np.interp(2 * np.pi, path[:, 0], times))
+    part = march(field, np.array([0.0, speed]), period / 2, 100, np.zeros(0))
+    made = completed(part, "reversal")
+    assert made[-1, 0] == pytest.approx(2 * np.pi, abs=1e-3) and made[-1, 1] == pytest.approx(speed, abs=1e-3)
+
+
+def test_family_members_move(material):
+    family = json.loads(next(material.glob("families/*/family.json")).read_text())
+    motion = Films().member(family["system"], family["points"][-1])
+    assert motion is not None
+    assert np.abs(motion.states[0] - motion.states[-1]).max() < 1e-6
+    energies = [point["energy"] for point in family["points"]]
+    _, payload = embedded_site(material)
+    assert payload["columns"]["energy"] == energies
+    assert sum(not item["event"] for item in payload["items"]) == len(energies)
+    assert all(item["motion"] for item in payload["items"])
+
+
+def embedded_site(material: Path) -> tuple[str, dict]:
+    made, _ = build_site(gather([material / "families"]))
+    text = next(data for path, data in made.files.items() if path.startswith("data/families/")).decode()
+    found = re.fullmatch(r'orbitfinder\.put\("([^"]+)",(.*)\);\n', text)
+    return found.group(1), json.loads(found.group(2))
+
+
+def test_a_motion_that_does_not_join_is_not_drawn():
+    broken = document() | {"nodes": None, "state": [2.0, -1.0, 0.5, 3.0, 1.0, -2.0]}
+    assert Films().orbit(broken) is None
+    unknown = document() | {"system": {"kind": "custom"}}
+    assert Films().orbit(unknown) is None
+    dense = load_orbit(SHIPPED / "triple-1" / "orbit.json")
+    motion = Films().orbit(unknown, (dense.times, dense.samples))
+    assert motion.drawn == "plane" and motion.names[0] == "q1"
+
+
+def test_an_orbit_that_cannot_be_drawn_still_has_a_page(tmp_path):
+    (tmp_path / "orbit.json").write_text(json.dumps(document() | {"system": {"kind": "custom"}}))
+    made, _ = build_site(gather([tmp_path]))
+    text = made.files["orbits/triple-1.html"].decode()
+    assert "cannot be drawn" in text and "no problem file describes it" in text and "1.655338988314641 s" in text
+
+
+@pytest.mark.parametrize("file", PROBLEMS, ids=lambda path: path.stem)
+def test_problem_text_loads_as_the_same_problem(file, tmp_path):
+    """The problem file on an orbit page is one that `run` takes, of the same system, at the same state."""
+    problem = load_problem(file)
+    about = {"name": problem.name, "title": problem.title, "source": problem.source, "tolerance": problem.tolerance,
+             "system": dict(problem.model.system), "state": problem.guess.state.tolist(), "period": problem.guess.period,
+             "energy": 1.0, "winding": list(problem.turns), "provenance": {"pin": {p.name: p.value for p in problem.pin}}}  # fmt: skip
+    (tmp_path / "again.toml").write_text(problem_text(about), encoding="utf-8")
+    again = load_problem(tmp_path / "again.toml")
+    assert dict(again.model.system) == dict(problem.model.system)
+    assert np.array_equal(again.guess.state, problem.guess.state) and again.guess.period == problem.guess.period
+    assert again.pin == problem.pin and again.title == problem.title and tuple(again.turns) == tuple(problem.turns)
+
+
+def test_problem_text_finds_the_orbit_again(tmp_path):
+    """The command on the page, with the file on the page, ends at the orbit on the page."""
+    (tmp_path / "triple-1.toml").write_text(problem_text(document()))
+    runner = CliRunner()
+    result = runner.invoke(cli, ["run", str(tmp_path / "triple-1.toml"), "--out", str(tmp_path), "--no-figures"])
+    assert result.exit_code == 0, result.output
+    assert load_orbit(tmp_path / "triple-1" / "orbit.json").period == pytest.approx(document()["period"], abs=1e-12)
+
+
+def test_downloaded_orbit_is_the_file(site):
+    _, payload = embedded(site / "data" / "orbits" / "triple-1.js")
+    assert json.loads(payload["json"]) == document()
+
+
+def test_pins_of_a_problem_text():
+    bare = {key: value for key, value in document().items() if key != "provenance"}
+    assert tomllib.loads(problem_text(bare))["find"]["pin"] == {"energy": bare["energy"]}
+    isolated = bare | {"provenance": {"invariants": []}}
+    assert "pin" not in tomllib.loads(problem_text(isolated))["find"]
+    assert problem_text(bare | {"system": {"kind": "custom"}}) is None
+    nasty = tomllib.loads(problem_text(bare | {"name": NASTY, "title": NASTY}))
+    assert nasty["title"] == NASTY.replace("\u2028", " ")
+
+
+def test_toml_values():
+    made = {"a": True, "b": [1, 2.5], "c": {"x y": "q\"\\\x7f"}, "d": {}}
+    assert tomllib.loads(f"v = {toml(made)}")["v"] == made
+    assert problem_name({"name": "../..//a b"}) == "a-b" and problem_name({"name": "%%%"}) == "-"
+
+
+def test_words_and_numbers():
+    assert mechanism({"kind": "chain", "links": 3}) == "triple pendulum"
+    assert mechanism({"kind": "chain", "links": 100}) == "100-link pendulum"
+    assert mechanism({"kind": "linkage", "length": [1, 1, 1]}) == "four-bar linkage"
+    assert mechanism({"kind": "python", "function": "rotating_hoop"}) == "rotating hoop"
+    assert mechanism({"kind": "custom"}) == "custom"
+    assert [plural(1, "orbit"), plural(2, "family"), plural(2, "atlas")] == ["1 orbit", "2 families", "2 atlases"]
+    assert [coordinate("theta3"), coordinate("y1"), coordinate("<x>")] == ["θ<sub>3</sub>", "y<sub>1</sub>", "x"]
+    assert number(-0.5) == "\N{MINUS SIGN}0.5" and number(None) == number(float("inf")) == "not computed"
+    assert [size(1), size(54_321), size(1_234_567)] == ["1 kB", "54 kB", "1.23 MB"]
+    make = slug_maker()
+    assert [make("A b/c"), make("a-b-c"), make("../.."), make("é")] == ["a-b-c", "a-b-c-2", "unnamed", "unnamed-2"]
+    assert evenly(5, 3) == [0, 2, 4] and evenly(2, 9) == [0, 1] and evenly(0, 3) == []
+
+
+def test_atlas_database_and_export_agree(material, tmp_path):
+    with Atlas(material / "triples.sqlite") as atlas:
+        (tmp_path / "triples.json").write_text(json.dumps(list(atlas.documents())))
+    base, export = (gather([path]).atlases[0] for path in (material / "triples.sqlite", tmp_path / "triples.json"))
+    assert base.total == export.total == 2
+    assert [(k, one.document) for k, one in base.orbits] == [(k, one.document) for k, one in export.orbits]
+
+
+def test_few_atlas_orbits_get_pages(tmp_path):
+    orbit = orbit_to_document(load_orbit(SHIPPED / "triple-1" / "orbit.json"))
+    many = [orbit | {"energy": orbit["energy"] + k} for k in range(12)]
+    (tmp_path / "big.json").write_text(json.dumps(many))
+    made, summary = build_site(gather([tmp_path / "big.json"]), Settings(atlas_pages=4))
+    assert summary.orbits == 4 and sum(path.startswith("orbits/") for path in made.files) == 4
+    text = made.files["data/atlases/big.js"].decode()
+    assert text.count('"page":"../orbits/') == 4 and text.count('"energy"') == 12
+    assert "big, orbit 1" in made.files["index.html"].decode()
+
+
+def test_resampling_follows_the_rates():
+    times = np.linspace(0, 2 * np.pi, 9)
+    states = np.column_stack([np.sin(times), np.cos(times)])
+    seen = resampled(times, states, 2 * np.pi, 50)
+    moments = np.linspace(0, 2 * np.pi, 50, endpoint=False)
+    assert np.abs(seen[:, 0] - np.sin(moments)).max() < 2e-3
+
+
+def test_vendored_library_carries_its_licence():
+    assets = ROOT / "orbitfinder" / "page" / "assets"
+    assert "MIT" in (assets / "plotly-LICENSE.txt").read_text()
+    assert (assets / "plotly-basic.min.js").read_text(encoding="utf-8").startswith("/**\n* plotly.js (basic - minified)")
+    assert "@font-face" not in (assets / "page.css").read_text()

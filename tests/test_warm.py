@@ -1,0 +1,257 @@
+"""Warm refinement: the orbits that find_orbit finds, in every formulation, compiled and interpreted."""
+
+import numpy as np
+import pytest
+from conftest import PRINTED, dop853, pendulum_period, printed_problem
+
+import orbitfinder as of
+from orbitfinder.compiled import available, compiling
+from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.model import energy
+from orbitfinder.periodic import elimination
+from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.elimination import Linearised, eliminated
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.warm import Refined, Refiner, WarmSettings
+
+
+@pytest.fixture(autouse=True)
+def interpreted():
+    """No compiler needed, except where a test asks for one."""
+    with compiling("off"):
+        yield
+
+
+def closure(refiner: Refiner, found: Refined) -> float:
+    """Largest gap round the loop by the independent integrator; for whole periods only."""
+    end = dop853(refiner.flow, found.state, [0.0, found.period], np.zeros(found.unfolding.size), found.free)[-1]
+    shift = np.concatenate([2 * np.pi * found.turns, np.zeros(found.turns.size)])
+    return float(np.abs(end - found.state - shift).max())
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_report_orbits_from_the_printed_digits(name):
+    """Period to round-off, closure at most 1e-13 by DOP853, the unfolding back at 0."""
+    refiner = Refiner(printed_problem(name))
+    found = refiner.refine()
+    assert abs(found.period - PRINTED[name].period) < 1e-13
+    assert closure(refiner, found) < 1e-13 and found.residual < 2e-14
+    assert np.abs(found.unfolding).max() < 1e-13
+    assert energy(refiner.problem.model, found.state) == pytest.approx(refiner.problem.pin[0].value, abs=1e-13)
+
+
+@pytest.mark.skipif(not available()[0], reason="no C compiler")
+def test_compiled_and_interpreted_agree(tmp_path, monkeypatch):
+    monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path))
+    plain = Refiner(printed_problem("triple-2")).refine()
+    with compiling("on"):
+        fast = Refiner(printed_problem("triple-2"))
+        found = fast.refine()
+    assert fast.marches._march.is_a("External") and fast.marches._vary.is_a("External")
+    np.testing.assert_allclose(found.state, plain.state, rtol=0, atol=1e-13)
+    assert abs(found.period - plain.period) < 1e-13
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_guesses_one_refiner(seed):
+    """The same refiner takes guess after guess, and other energies."""
+    refiner = Refiner(printed_problem("triple-1"))
+    guess = printed_problem("triple-1", noise=2e-3, seed=seed).guess
+    found = refiner.refine(guess)
+    assert abs(found.period - PRINTED["triple-1"].period) < 1e-12
+    level = refiner.problem.pin[0].value + 0.05
+    other = refiner.refine(Guess(found.state, found.period), of.pin(energy=level))
+    assert energy(refiner.problem.model, other.state) == pytest.approx(level, abs=1e-12)
+    assert closure(refiner, other) < 1e-13
+
+
+@pytest.mark.parametrize("symmetry", ["none", "brake", "reflection", "brake+reflection"])
+@pytest.mark.parametrize("segments", [1, 3])
+def test_every_formulation_has_the_exact_period(symmetry, segments):
+    """The single pendulum at 2 rad, by the elliptic integral."""
+    exact, level = pendulum_period(2.0), -4.9 * np.cos(2.0)
+    state = [0.0, np.sqrt(6 * (level + 4.9))] if symmetry == "reflection" else [2.0, 0.0]
+    problem = Problem(
+        chain(1), Guess(state, 1.02 * exact), pin=pin(energy=level), symmetry=symmetry, segments=segments
+    )
+    found = Refiner(problem).refine()
+    assert abs(found.period - exact) < 1e-13 and found.nodes.shape == (segments, 2)
+
+
+def test_running_orbit_and_its_turns():
+    """Whole turns are taken from the guess's motion where the problem does not say."""
+    speed = np.sqrt(6 * (8.0 + 4.9))
+    refiner = Refiner(Problem(chain(1), Guess([0.0, speed], 0.86), pin=pin(energy=8.0)))
+    found = refiner.refine()
+    assert found.turns.tolist() == [1] and closure(refiner, found) < 1e-13
+
+
+@pytest.mark.parametrize("name", ["gallery/van-der-pol", "gallery/forced-duffing-lower", "gallery/henon-heiles-loop"])
+@pytest.mark.parametrize("segments", [1, 4])
+def test_isolated_driven_and_foreign_systems(name, segments):
+    from dataclasses import replace
+    from pathlib import Path
+
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / f"{name}.toml")
+    value, tolerance = problem.expected["period"]
+    refiner = Refiner(replace(problem, segments=segments))
+    assert abs(refiner.refine().period - value) < tolerance
+
+
+def test_two_invariants():
+    """Without gravity angular momentum is conserved too: two unfoldings, a second phase condition, one pin."""
+    model = chain(2, gravity=0.0)
+    guess = Guess([-0.28, 0.44, -0.79, 2.41], 2.65)
+    refiner = Refiner(Problem(model, guess, pin=pin(period=2.65), winding=(0, 1)))
+    found = refiner.refine()
+    assert found.unfolding.shape == (2,) and np.abs(found.unfolding).max() < 1e-14
+    assert closure(refiner, found) < 1e-12 and found.turns.tolist() == [0, 1]
+
+
+def test_freed_parameter_reaches_a_prescribed_period():
+    free = Problem(chain(1), Guess([1.0, 0.0], 1.8), pin=pin(theta1=1.0, period=2.0), free=("length1",))
+    found = Refiner(free).refine()
+    assert found.period == pytest.approx(2.0, abs=1e-14)
+    assert found.free.shape == (1,) and closure(Refiner(free), found) < 1e-13
+    with pytest.raises(InputError, match="free: an Orbit carries no freed parameters"):
+        Refiner(free).orbit(found)
+
+
+def test_unstable_orbit_gets_more_segments():
+    """A multiplier of some 1e5: the coarse march is far off and the Jacobian is renewed at a finer one."""
+    from pathlib import Path
+
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / "examples" / "triple-mode-2-strong.toml")
+    refiner = Refiner(problem)
+    assert refiner.segments > 1
+    assert abs(refiner.refine().period - problem.expected["period"][0]) < problem.expected["period"][1]
+
+
+def test_orbit_is_certified():
+    refiner = Refiner(printed_problem("quadruple-2"))
+    found = refiner.refine()
+    orbit = refiner.orbit(found)
+    assert orbit.certificate is not None and orbit.certificate.passed and orbit.closure < 1e-13
+    assert orbit.period == found.period and refiner.orbit(found, with_certificate=False).certificate is None
+
+
+def test_guess_with_a_trajectory():
+    """Nodes are sampled from it."""
+    plain = Refiner(printed_problem("triple-1"))
+    found = plain.refine()
+    times = np.linspace(0, found.period, 201)
+    states = dop853(plain.flow, found.state, times, [0.0])
+    problem = Problem(
+        plain.problem.model, Guess(found.state, found.period, times, states), plain.problem.pin, segments=5
+    )
+    assert abs(Refiner(problem).refine().period - found.period) < 1e-13
+
+
+# ---- derivatives and the linear system -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["gallery/forced-duffing-lower", "report/triple-1"])
+def test_derivatives_of_the_march(name):
+    """Ends by nodes, period (the clock of a driven system included) and unfolding, against central differences."""
+    from dataclasses import replace
+    from pathlib import Path
+
+    from orbitfinder.periodic.marches import Path as Nodes
+
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / f"{name}.toml")
+    marches = Refiner(replace(problem, segments=3)).marches
+    path = marches.start(problem.guess)
+    _, system = marches.linearised(path)
+    for k in range(path.tail.size):
+        step = np.zeros(path.tail.size)
+        step[k] = 1e-5
+        ends = [marches.ends(Nodes(path.nodes, path.tail + sign * step), 1) for sign in (1, -1)]
+        np.testing.assert_allclose(system.columns[:, :, k], (ends[0] - ends[1]) / 2e-5, atol=2e-7)
+    for k in range(path.nodes.shape[1]):
+        step = np.zeros_like(path.nodes)
+        step[:, k] = 1e-5
+        ends = [marches.ends(Nodes(path.nodes + sign * step, path.tail), 1) for sign in (1, -1)]
+        np.testing.assert_allclose(system.transitions[:, :, k], (ends[0] - ends[1]) / 2e-5, atol=2e-7)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_elimination_solves_the_whole_system(count, monkeypatch):
+    """Condensed and whole, the step satisfies every equation."""
+    random = np.random.default_rng(count)
+    system = Linearised(
+        random.normal(size=(count, 4, 4)), random.normal(size=(count, 4, 2)),
+        random.normal(size=(6, 4)), random.normal(size=(6, 4)), random.normal(size=(6, 2)),
+    )  # fmt: skip
+    defects, rows = random.normal(size=(count - 1, 4)), random.normal(size=6)
+    steps = [eliminated(system)(defects, rows)]
+    monkeypatch.setattr(elimination, "LARGEST_PRODUCT", 0.0)
+    steps.append(eliminated(system)(defects, rows))
+    for nodes, tail in steps:
+        ends = np.einsum("kij,kj->ki", system.transitions, nodes) + system.columns @ tail
+        np.testing.assert_allclose(ends[:-1] - nodes[1:], -defects, atol=1e-10)
+        np.testing.assert_allclose(
+            system.first @ nodes[0] + system.last @ ends[-1] + system.tail @ tail, -rows, atol=1e-10
+        )
+    np.testing.assert_allclose(steps[0][0], steps[1][0], atol=1e-9)
+
+
+# ---- what it refuses -------------------------------------------------------------------------------
+
+
+def test_without_a_pin_it_says_what_is_missing():
+    with pytest.raises(CountError, match=r"leave 1 to choose; warm refinement needs as many pins"):
+        Refiner(Problem(chain(1), Guess([1.0, 0.0], 1.8)))
+
+
+def test_bounds_are_for_find_orbit():
+    problem = Problem(chain(1), Guess([1.0, 0.0], 1.8), pin=pin(theta1=1.0), bounds={"period": (1.0, 2.0)})
+    with pytest.raises(InputError, match="bounds: warm refinement knows pins only; use find_orbit"):
+        Refiner(problem)
+
+
+def test_other_pins_need_another_refiner():
+    refiner = Refiner(Problem(chain(1), Guess([1.0, 0.0], 1.8), pin=pin(theta1=1.0)))
+    with pytest.raises(InputError, match="pin: this refiner was built for pins of theta1, got energy"):
+        refiner.refine(pin=pin(energy=-1.0))
+
+
+@pytest.mark.parametrize(
+    ("state", "period", "said"),
+    [
+        ([1.0], 1.8, "guess.state: need 2 finite numbers"),
+        ([1.0, np.nan], 1.8, "guess.state: need 2 finite numbers"),
+        ([1.0, 0.0], -1.0, "guess.period: must be positive and finite, got -1.0"),
+        ([1.0, 0.0], np.inf, "guess.period: must be positive and finite, got inf"),
+    ],
+)
+def test_bad_guesses(state, period, said):
+    refiner = Refiner(Problem(chain(1), Guess([1.0, 0.0], 1.8), pin=pin(theta1=1.0)))
+    with pytest.raises(InputError, match=said):
+        refiner.refine(Guess(state, period))
+
+
+def test_hopeless_guess():
+    """No swing of this pendulum has so short a period."""
+    refiner = Refiner(Problem(chain(1), Guess([1.0, 0.0], 0.3), pin=pin(period=0.3)))
+    with pytest.raises(ConvergenceError, match=r"does not converge from this guess|ended at an equilibrium"):
+        refiner.refine()
+
+
+def test_equilibrium_is_no_orbit():
+    refiner = Refiner(Problem(chain(1), Guess([1e-9, 0.0], 1.5), pin=pin(period=1.5)))
+    with pytest.raises(ConvergenceError, match="ended at an equilibrium"):
+        refiner.refine()
+
+
+def test_motion_that_cannot_be_integrated():
+    refiner = Refiner(printed_problem("triple-1"))
+    with pytest.raises(IntegrationError, match=r"segment 0.*the state is not finite"):
+        refiner.refine(Guess(1e9 * np.ones(6), 1.6))
+
+
+def test_stalled():
+    """Settings that allow no accuracy are named as such."""
+    refiner = Refiner(printed_problem("triple-1"), WarmSettings(converged=1e-20))
+    with pytest.raises(ConvergenceError, match="stalled at a residual of"):
+        refiner.refine()
