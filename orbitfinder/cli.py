@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder import completion, doctor, exporting, following, interrupt, paging, pictures, searching
+from orbitfinder import completion, doctor, exporting, following, guessing, interrupt, paging, pictures, searching
 from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.version import __version__
@@ -253,6 +253,7 @@ for command in (
     pictures.animate,
     paging.page,
     following.follow,
+    guessing.guess,
     searching.search,
     searching.atlas,
     exporting.export,

@@ -191,7 +191,7 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
     from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.startpoint import guess_from_table
 
-    name = table.name or _checked_name(source.stem)
+    name = table.name or checked_name(source.stem)
     model = build_model(table.system.model_dump(exclude_none=True), source.parent if trust else None)
     problem = None
     if table.guess is not None:
@@ -269,11 +269,12 @@ def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.nda
     return np.asarray(table.simulate.state, float)
 
 
-def _checked_name(name: str) -> str:
+def checked_name(name: str, where: str = "name") -> str:
+    """A name that is safe as a folder, or `InputError`."""
     try:
         return check_name(name)
     except PydanticCustomError as error:
-        raise InputError(f"name: {error.message()}, got {name!r}; rename it or give a name") from error
+        raise InputError(f"{where}: {error.message()}, got {name!r}; rename it or give a name") from error
 
 
 def _load_python(source: Path, trust: bool) -> ProblemFile:
@@ -296,7 +297,7 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
         raise InputError(f"{source}: problem() failed with {type(error).__name__}: {error}; fix the file") from error
     if not isinstance(made, Problem):
         raise InputError(f"{source}: problem() returned {type(made).__name__}; return an orbitfinder Problem")
-    _at(str(source), lambda: (_checked_name(made.name), made.check_count()))
+    _at(str(source), lambda: (checked_name(made.name), made.check_count()))
     return ProblemFile(source, made.name, made.model, made, start=made.guess.state)
 
 

@@ -71,18 +71,16 @@ Hessian. `orbitfinder.Constraint` adds equations (which count) and inequalities 
 ```python
 import orbitfinder as of
 
-rods = of.chain(3)
-guess = of.normal_mode(rods, 2, 0.9)
-uniform = of.Constraint(lambda v: v["inertia3"] - v["mass3"] * v["length3"] ** 2 / 12, name="uniform rod")
+system = of.chain(3)
+limit = of.Constraint(lambda v: v["length2"] + v["length3"], 1.8, 2.2, name="reach")
 problem = of.Problem(
-    rods,
-    guess,
+    system,
+    of.normal_mode(system, 2, 0.9),
     pin=of.pin(period=1.5),
     symmetry="brake",
-    free=("length3", "inertia3"),
-    bounds={"length3": (0.5, 2.5)},
-    constraints=(uniform,),
-    objective=lambda v: (v["length3"] - 1.2) ** 2 + (v.start[2] - 1.0) ** 2,
+    free=("length2", "length3"),
+    constraints=(limit,),
+    objective=lambda v: (v.start[0] + 0.5) ** 2 + (v.start[2] - 1.0) ** 2 + (v["length2"] - 1.0) ** 2,
 )
 orbit = of.find_orbit(problem)
 print(orbit.period, orbit.provenance["free"])

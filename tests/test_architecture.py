@@ -23,7 +23,7 @@ FLOORS = (
     ("page",),
     ("report", "validation"),
     ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation", "startlinkage",
-     "choosing"),
+     "choosing", "proposing"),
     (
         "console", "runner", "pictures", "following", "searching", "guessing", "proving", "paging",
         "exporting", "doctor", "completion", "compileoption", "cli", "__main__",
@@ -43,6 +43,8 @@ SOLVING = (
     "dae_evidence",
     "tangent",
     "linkage_guesses",
+    "quarter",
+    "long_chain",
     "closing",
     "marches",
     "freedom",

@@ -163,7 +163,7 @@ def test_lock_that_is_never_released(fresh, monkeypatch):
     fresh.mkdir(parents=True)
     monkeypatch.setattr(rooms, "expected_seconds", lambda size: -0.99)  # patience of 0.1 s
     with monkeypatch.context() as patched:
-        handles = [open(fresh / f"lock-{k:02x}", "w") for k in range(256)]
+        handles = [(fresh / f"lock-{k:02x}").open("w") for k in range(256)]
         for handle in handles:
             fcntl.flock(handle, fcntl.LOCK_EX)
         patched.setattr(cache, "PATIENCE", 0.01)

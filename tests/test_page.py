@@ -107,11 +107,15 @@ def test_every_page_is_whole(site):
 def test_page_weight_is_stated_and_true(site):
     stated = re.search(r"This page loads ([\d.]+) MB; the whole site is ([\d.]+) MB", (site / "index.html").read_text())
     assert stated is None  # the gallery itself loads no plotting library
-    stated = re.search(r"This page loads ([\d.]+) MB; the whole site is ([\d.]+) MB", (site / "orbits/triple-1.html").read_text())
+    stated = re.search(
+        r"This page loads ([\d.]+) MB; the whole site is ([\d.]+) MB", (site / "orbits/triple-1.html").read_text()
+    )
     whole = sum(path.stat().st_size for path in site.rglob("*") if path.is_file())
     assert stated and float(stated.group(2)) == pytest.approx(whole / 1e6, abs=0.02)
     own = ["orbits/triple-1.html", "data/orbits/triple-1.js"]
-    own += [f"assets/{name}" for name in ("page.css", "theme.js", "core.js", "plotly-basic.min.js", "plots.js", "orbit.js")]
+    own += [
+        f"assets/{name}" for name in ("page.css", "theme.js", "core.js", "plotly-basic.min.js", "plots.js", "orbit.js")
+    ]
     assert float(stated.group(1)) == pytest.approx(sum((site / name).stat().st_size for name in own) / 1e6, abs=0.02)
 
 
@@ -336,9 +340,18 @@ def test_an_orbit_that_cannot_be_drawn_still_has_a_page(tmp_path):
 def test_problem_text_loads_as_the_same_problem(file, tmp_path):
     """The problem file on an orbit page is one that `run` takes, of the same system, at the same state."""
     problem = load_problem(file)
-    about = {"name": problem.name, "title": problem.title, "source": problem.source, "tolerance": problem.tolerance,
-             "system": dict(problem.model.system), "state": problem.guess.state.tolist(), "period": problem.guess.period,
-             "energy": 1.0, "winding": list(problem.turns), "provenance": {"pin": {p.name: p.value for p in problem.pin}}}  # fmt: skip
+    about = {
+        "name": problem.name,
+        "title": problem.title,
+        "source": problem.source,
+        "tolerance": problem.tolerance,
+        "system": dict(problem.model.system),
+        "state": problem.guess.state.tolist(),
+        "period": problem.guess.period,
+        "energy": 1.0,
+        "winding": list(problem.turns),
+        "provenance": {"pin": {one.name: one.value for one in problem.pin}},
+    }
     (tmp_path / "again.toml").write_text(problem_text(about), encoding="utf-8")
     again = load_problem(tmp_path / "again.toml")
     assert dict(again.model.system) == dict(problem.model.system)
@@ -371,9 +384,9 @@ def test_pins_of_a_problem_text():
 
 
 def test_toml_values():
-    made = {"a": True, "b": [1, 2.5], "c": {"x y": "q\"\\\x7f"}, "d": {}}
+    made = {"a": True, "b": [1, 2.5], "c": {"x y": 'q"\\\x7f'}, "d": {}}
     assert tomllib.loads(f"v = {toml(made)}")["v"] == made
-    assert problem_name({"name": "../..//a b"}) == "a-b" and problem_name({"name": "%%%"}) == "-"
+    assert problem_name({"name": "../..//a b"}) == "a-b" and problem_name({"name": "%%%"}) == "orbit"
 
 
 def test_words_and_numbers():
@@ -421,5 +434,7 @@ def test_resampling_follows_the_rates():
 def test_vendored_library_carries_its_licence():
     assets = ROOT / "orbitfinder" / "page" / "assets"
     assert "MIT" in (assets / "plotly-LICENSE.txt").read_text()
-    assert (assets / "plotly-basic.min.js").read_text(encoding="utf-8").startswith("/**\n* plotly.js (basic - minified)")
+    assert (
+        (assets / "plotly-basic.min.js").read_text(encoding="utf-8").startswith("/**\n* plotly.js (basic - minified)")
+    )
     assert "@font-face" not in (assets / "page.css").read_text()

@@ -139,8 +139,10 @@ def rates(one: March, states: np.ndarray, s: np.ndarray) -> np.ndarray:
     return np.asarray(one.rate.map(count)(states.T, np.tile(s[:, None], (1, count))).full().T)
 
 
-def refined_ends(one: March, nodes: np.ndarray, duration: float, least: int, s: np.ndarray) -> np.ndarray:
-    """End states (N x 2n) with 2 least, 4 least, ... steps: the first that half as many confirm."""
+def refined_ends(
+    one: March, nodes: np.ndarray, duration: float, least: int, s: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """End states (N x 2n) with 2 least, 4 least, ... steps, the first that half as many confirm; how many those are."""
     steps = least
     coarse = ends(one, nodes, duration, steps, s)
     for _ in range(MOST_DOUBLINGS):
@@ -149,7 +151,7 @@ def refined_ends(one: March, nodes: np.ndarray, duration: float, least: int, s: 
         if np.abs(fine - coarse).max() <= AGREEMENT * max(1.0, float(np.abs(fine).max())):
             break
         coarse = fine
-    return fine
+    return fine, steps
 
 
 def _finite(found: np.ndarray, state: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfinder.atlas.march import March, derivatives, rates, refined_ends, rounded, states_along
+from orbitfinder.atlas.march import ends as ends_of
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.periodic.problem import Problem
 from orbitfinder.periodic.shooting import boundary_shift, phase_directions
@@ -210,14 +211,18 @@ def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float, long
     return np.asarray(step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300)))
 
 
-def polished(one: System, path: Path, jacobian: np.ndarray, settings: QuickSettings) -> Path:
-    """The path to round-off: chord Newton steps with the residual of the eighth-order integrator."""
+def polished(one: System, path: Path, jacobian: np.ndarray, settings: QuickSettings) -> tuple[Path, int]:
+    """The path to round-off, by chord Newton steps with an accurate residual, and the steps that a segment needs."""
     inverse = np.linalg.pinv(jacobian, rcond=1e-13)
-    residual = accurate(one, path)
+    duration = path.period * one.problem.boundary.fraction / len(path.nodes)
+    ends, steps = refined_ends(
+        one.march, path.nodes, duration, rounded(FINER * duration / one.step), path.unfolding
+    )
+    residual = rows(one, path, ends) / one.rows
     best = float(np.abs(residual).max())
     for _ in range(settings.polish_steps):
         trial = moved(one, path, -inverse @ residual)
-        found = accurate(one, trial)
+        found = accurate(one, trial, steps)
         size = float(np.abs(found).max())
         if not size < best:
             break
@@ -226,12 +231,10 @@ def polished(one: System, path: Path, jacobian: np.ndarray, settings: QuickSetti
             break
     if not best < 1e-10:
         raise ConvergenceError("polish stalled")
-    return path
+    return path, steps
 
 
-def accurate(one: System, path: Path) -> np.ndarray:
-    """Scaled residual with segments integrated to round-off."""
+def accurate(one: System, path: Path, steps: int) -> np.ndarray:
+    """Scaled residual with segments integrated in so many steps."""
     duration = path.period * one.problem.boundary.fraction / len(path.nodes)
-    least = rounded(FINER * duration / one.step)
-    ends = refined_ends(one.march, path.nodes, duration, least, path.unfolding)
-    return rows(one, path, ends) / one.rows
+    return rows(one, path, ends_of(one.march, path.nodes, duration, steps, path.unfolding)) / one.rows

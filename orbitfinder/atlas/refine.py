@@ -9,16 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.atlas.march import rounded, states_along
-from orbitfinder.atlas.quick import FINER, Path, QuickSettings, polished, segments_needed, shot, solve, system
+from orbitfinder.atlas.march import derivatives, ends, rounded, states_along
+from orbitfinder.atlas.quick import Path, QuickSettings, polished, segments_needed, shot, solve, system
 from orbitfinder.atlas.signature import Signature, resampled
 from orbitfinder.atlas.starts import Bench, Start, make_start, strategy_of
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.periodic.certify import certify, closest_return
+from orbitfinder.mechanics.model import energy
+from orbitfinder.periodic.certify import certify, closest_return, gap
 from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.measure import action, full_period, measure
+from orbitfinder.periodic.floquet import analyse, reduce_monodromy
+from orbitfinder.periodic.measure import action, frame, full_period
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.symmetry import recognise
 
 Numbers = tuple[float, float, float]
 LARGEST_COVER = 30
@@ -50,10 +53,11 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Loop:
-    """A converged loop before it is measured: nodes over the horizon, one whole period of states, its action."""
+    """A converged loop before it is measured: path over the horizon, nodes and states of one period, its action."""
 
     problem: Problem
     path: Path
+    nodes: np.ndarray
     times: np.ndarray
     states: np.ndarray
     action: float
@@ -143,31 +147,50 @@ def solved(one: Bench, problem: Problem, path: Path, settings: QuickSettings) ->
     motion = one.marches[problem.symmetry], one.step
     equations = system(problem, motion, path.nodes, (low / PERIOD_MARGIN, high * PERIOD_MARGIN))
     found, jacobian = solve(equations, path, settings)
-    found = polished(equations, found, jacobian, settings)
+    found, steps = polished(equations, found, jacobian, settings)
     if np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
         raise ConvergenceError("unfolding does not vanish")
     found = replace(found, nodes=centred(one, problem, found.nodes))
-    times, states = whole_period(one, problem, found)
+    nodes, times, states = whole_period(one, problem, found, steps)
     if np.ptp(states, axis=0).max() < SMALLEST:
         raise ConvergenceError("equilibrium")
-    return Loop(problem, found, times, states, action(one.model, times, states))
+    return Loop(problem, found, nodes, times, states, action(one.model, times, states))
 
 
-def whole_period(one: Bench, problem: Problem, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Equal times over one period and states there, from the nodes of a part of it."""
+def whole_period(
+    one: Bench, problem: Problem, path: Path, steps: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes of one period from those of a part of it; equal times over it and the states there, to round-off."""
     nodes = full_period(problem, one.flows[problem.symmetry], path.nodes, path.period)
     duration, march = path.period / len(nodes), one.marches["none"]
-    steps = rounded(max(FINER * duration / one.step, SAMPLES / len(nodes)))
-    pieces = [states_along(march, node, duration, steps, np.zeros(march.unfolded))[:-1] for node in nodes]
+    none = np.zeros(march.unfolded)
+    steps = max(steps, rounded(SAMPLES / len(nodes)))
+    pieces = [states_along(march, node, duration, steps, none)[:-1] for node in nodes]
     shift = np.concatenate([2 * np.pi * problem.turns, np.zeros(problem.model.degrees_of_freedom)])
     states = np.vstack([*pieces, nodes[:1] + shift])
-    return np.linspace(0.0, path.period, len(states)), states
+    return nodes, np.linspace(0.0, path.period, len(states)), states
 
 
 def measured(one: Bench, loop: Loop) -> Orbit:
-    """The Orbit of a loop: multipliers, closure, symmetry."""
-    return measure(loop.problem, one.flows[loop.problem.symmetry], loop.path.nodes, loop.path.period,
-                   loop.path.unfolding)  # fmt: skip
+    """The Orbit of a loop, as `periodic.measure` makes it, by the compiled march."""
+    model, problem, march = one.model, loop.problem, one.marches["none"]
+    period, none, n = loop.path.period, np.zeros(march.unfolded), one.model.degrees_of_freedom
+    steps = (len(loop.times) - 1) // len(loop.nodes)
+    monodromy = np.eye(2 * n)
+    for matrix in derivatives(march, loop.nodes, period / len(loop.nodes), steps, none)[1][:, :, : 2 * n]:
+        monodromy = matrix @ monodromy
+    gradients, directions = frame(model, one.flows["none"], loop.nodes[0])
+    floquet = analyse(reduce_monodromy(monodromy, gradients, directions), conservative=True)
+    end = ends(march, loop.nodes[:1], period, len(loop.times) - 1, none)[0]
+    return Orbit(
+        name=problem.name, system=model.system, state=loop.nodes[0], period=period,
+        energy=energy(model, loop.nodes[0]), action=loop.action, closure=gap(loop.nodes[0], end, problem.turns),
+        symmetry=recognise(loop.times, loop.states, np.asarray(model.angles)),
+        winding=tuple(int(k) for k in problem.turns), floquet_multipliers=floquet.multipliers,
+        pair_defect=floquet.pair_defect, stability=floquet.stability,
+        unfolding=tuple(float(s) for s in loop.path.unfolding), nodes=loop.nodes, times=loop.times,
+        samples=loop.states, tolerance=problem.tolerance,
+    )  # fmt: skip
 
 
 def centred(one: Bench, problem: Problem, nodes: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ Close returns as starting points: D. P. Lathrop, E. J. Kostelich, Physical Revie
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,9 +92,14 @@ def bench(model: Model, target: Target) -> Bench:
         marches={name: built[kinds] for name, kinds in unfolded.items()},
         flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
-        strategies=tuple(name for name, (symmetry, _) in STRATEGIES.items() if symmetry in known),
+        strategies=tuple(name for name in TURNS if possible(name, known)),
     )  # fmt: skip
     return replace(one, step=calibrated(one))
+
+
+def possible(name: str, known: Sequence[str]) -> bool:
+    """True when the model has the symmetries that a strategy relies on."""
+    return {"reversal": "brake+reflection"}.get(name, STRATEGIES[name][0]) in known
 
 
 def symmetries(model: Model) -> tuple[str, ...]:
@@ -177,6 +182,8 @@ def make_start(one: Bench, seed: int, index: int) -> Start:
     state = propose(one, random)
     if name == "recurrence":
         state, period = _recurrence(one, state, random)
+    elif name == "reversal":
+        period = _return_time(one, name, state, random)
     else:
         period = _return_time(one, symmetry, state, random)
     return Start(index, name, symmetry, state, period)
@@ -251,6 +258,17 @@ def _centre(one: Bench, random: np.random.Generator) -> np.ndarray:
     return on_shell(one, one.equilibrium, random.normal(size=one.equilibrium.size))
 
 
+def _crossing(one: Bench, random: np.random.Generator) -> np.ndarray:
+    """Passing a configuration that the reflection keeps: every angle 0 or a half turn, as the energy allows."""
+    n = one.model.degrees_of_freedom
+    angles = np.asarray(one.model.angles or (False,) * n)
+    for _ in range(ATTEMPTS):
+        q = np.where(angles, np.pi * random.integers(0, 2, n), 0.0) * (random.uniform() < 0.5)
+        if potential(one, q) < one.target.energy:
+            return on_shell(one, q, random.normal(size=n))
+    return on_shell(one, one.equilibrium, random.normal(size=n))
+
+
 STRATEGIES: Mapping[str, tuple[str, Callable[[Bench, np.random.Generator], np.ndarray]]] = {
     "brake": ("brake", _random_rest),
     "normal-modes": ("brake+reflection", _mode_rest),
@@ -260,8 +278,14 @@ STRATEGIES: Mapping[str, tuple[str, Callable[[Bench, np.random.Generator], np.nd
     "brake-modes": ("brake", _mode_rest),
     "recurrence": ("none", _random_state),
     "centre": ("reflection", _centre),
+    "reversal": ("none", _crossing),
 }
 """Name -> (symmetry imposed, proposal of a state on the energy shell)."""
+TURNS = (
+    "recurrence", "brake", "random", "reversal", "brake-modes", "recurrence", "reflection", "brake",
+    "normal-modes", "recurrence", "random", "brake-modes", "rest-symmetric", "brake", "recurrence", "centre",
+)  # fmt: skip
+"""Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
 
 
 def wrapping(model: Model) -> np.ndarray:
@@ -274,6 +298,9 @@ def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
     n = one.model.degrees_of_freedom
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
+    if symmetry == "reversal":  # every angle at a multiple of a half turn, the other coordinates at 0
+        angles = np.asarray(one.model.angles or (False,) * n)
+        return np.asarray(np.abs(np.where(angles, (states[:, :n] + np.pi / 2) % np.pi - np.pi / 2, states[:, :n])).max(axis=1))
     start, turning = states[0], wrapping(one.model)
     if symmetry == "brake":
         return np.asarray(np.abs(states[:, n:]).max(axis=1) / rate)
@@ -294,7 +321,7 @@ def simulated(one: Bench, state: np.ndarray, duration: float) -> tuple[np.ndarra
 
 def _return_time(one: Bench, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
-    fraction = SYMMETRIES[symmetry].fraction
+    fraction = 0.5 if symmetry == "reversal" else SYMMETRIES[symmetry].fraction
     low, high = one.target.periods
     times, states = simulated(one, state, fraction * high)
     gaps = boundary_gap(one, symmetry, states)

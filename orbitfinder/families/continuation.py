@@ -133,6 +133,9 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
             kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
             before = tuple(event for event in named if abs(event.arclength - where) <= reach)
             return Batch(walk.direction, _ordered([*kept, final[0]]), before, end)
+    found = end_after(curve, after.found, settings, after.shortest_period, "", stand.found)
+    if found is not None and found.kind == "equilibrium":
+        return Batch(walk.direction, (), (), found)
     for event in named:
         joined = merged(curve, _place_of(curve, event)) if (event.kind, event.detail) == ("fold", "energy") else None
         if joined is not None:
@@ -141,11 +144,8 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
             clear = [one for one in named if abs(one.arclength - where) < reach - ECHO]
             return Batch(walk.direction, _ordered(kept), (*clear, event), joined)
-    found = end_after(curve, after.found, settings, after.shortest_period, "", stand.found)
     found = found or returned(curve, stand.found, after.found, stand.heads, after.point.arclength)
     points = [point for group in extras for point in group]
-    if found is not None and found.kind == "equilibrium":
-        return Batch(walk.direction, (), (), found)
     return Batch(walk.direction, (*_ordered(points), after.point), named, found)
 
 

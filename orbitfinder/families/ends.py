@@ -17,7 +17,7 @@ SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
 SLOW_SHARE = 0.4
 """... and an orbit that spends this share of its period there is nearly homoclinic to it."""
-UNDERFLOW_GROWTH = 2.0
+UNDERFLOW_GROWTH = 1.5
 """A step underflow with the period this much above the shortest, and slow, is read as homoclinic."""
 MOST_COVERS = 6
 """A family may join another one of up to this many times shorter a period."""

@@ -23,11 +23,12 @@ from orbitfinder.families.system import (
     kernel,
     make_curve,
 )
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import Pin
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.solve import find_orbit
 from orbitfinder.periodic.symmetry import recognise
 
 FIRST_STEPS = 160
@@ -59,10 +60,30 @@ def begin(
     if free and problem.model.conservative:
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
-    start = _start(replace(problem, symmetry="none") if wanted != problem.symmetry else problem, free, held)
+    base = replace(problem, symmetry="none") if wanted != problem.symmetry else problem
+    chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest"
+    start = (_found_first if chosen else _tried)(base, free, held)
     if symmetry == "auto":
         wanted = symmetry_of(start.curve, start.found)
     return reformulated(start, wanted, free, held)
+
+
+def _tried(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+    """Newton from the guess itself, or else from the orbit that the guess leads to."""
+    try:
+        return _start(problem, free, held)
+    except (ConvergenceError, IntegrationError):
+        return _found_first(problem, free, held)
+
+
+def _found_first(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+    """From the orbit that `find_orbit` finds, at the values it gives to parameters that the Problem frees."""
+    orbit, model = find_orbit(problem), problem.model
+    if problem.free and model.system.get("kind") == "python":
+        model = with_parameters(model, {name: orbit.system["arguments"][name] for name in problem.free})
+    elif problem.free:
+        model = build_model(orbit.system)
+    return _start(as_problem(orbit, model), free, held)
 
 
 def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
@@ -146,8 +167,15 @@ def curve_at(
     values = propagator.quantities(place.nodes[0], place.free)[0].full().ravel()
     names = [one.name for one in model.invariants]
     fixed = tuple((names.index(one), float(values[names.index(one)])) for one in held if one in names)
+    fixed = _independent(propagator, fixed)
     curve = make_curve(propagator, constant, place.head, fixed)
     return replace(curve, period=place.period) if "period" in held else curve
+
+
+def _independent(propagator: Propagator, held: tuple[tuple[int, float], ...]) -> tuple[tuple[int, float], ...]:
+    """What is held without the momenta that a symmetry already makes zero."""
+    free = propagator.symmetry.name == "none"
+    return tuple(one for one in held if free or propagator.model.invariants[one[0]].generator is None)
 
 
 def _half_turns(model: Model, q: np.ndarray) -> np.ndarray:
@@ -263,7 +291,8 @@ def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple
         parts = max(1, round(len(place.nodes) * propagator.symmetry.fraction))
         chosen = begin_at + (np.arange(parts) * propagator.symmetry.fraction * (len(states) - 1) / parts).astype(int)
         fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))
-    curve = replace(curve_at(propagator, fresh), held=old.held, weights=old.weights, period=old.period)
+    kept = _independent(propagator, old.held)
+    curve = replace(curve_at(propagator, fresh), held=kept, weights=old.weights, period=old.period)
     steps = max(8, int(FIRST_STEPS * propagator.symmetry.fraction / len(fresh.nodes)))
     fresh = replace(fresh, mesh=np.linspace(0.0, propagator.symmetry.fraction, len(fresh.nodes) * steps + 1))
     unit = np.eye(old.weights.size)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from orbitfinder.page.gather import evenly
 from orbitfinder.page.motion import Films, packed
 from orbitfinder.page.orbits import Entry, player, symmetry_words
@@ -29,7 +27,9 @@ def family_items(family: Mapping[str, Any], films: Films) -> list[dict[str, Any]
     kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
     for event in kept:
         about = _nearest(points, event) | dict(event)
-        found.append((_place(event, float(event.get("index", 0)) + 0.5), _item(family, about, films, event_words(event))))
+        found.append(
+            (_place(event, float(event.get("index", 0)) + 0.5), _item(family, about, films, event_words(event)))
+        )
     return [item for _, item in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -93,9 +93,9 @@ def family_main(family: Mapping[str, Any], items: Sequence[Mapping[str, Any]], b
     """What stands inside <main> of a family page."""
     points, events = family["points"], family["events"]
     energies, periods = [p["energy"] for p in points], [p["period"] for p in points]
-    stable = sum(point["stability"] != "unstable" for point in points)
+    unstable = sum(point["stability"] == "unstable" for point in points)
     summary = (
-        f"{plural(len(points), 'orbit')} of the {mechanism(family['system'])}, {len(points) - stable} of them unstable, "
+        f"{plural(len(points), 'orbit')} of the {mechanism(family['system'])}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}. Energy {number(min(energies))} to {number(max(energies))} J, "
         f"period {number(min(periods))} to {number(max(periods))} s. Parameter: {family['parameter']}."
     )
@@ -105,7 +105,8 @@ def family_main(family: Mapping[str, Any], items: Sequence[Mapping[str, Any]], b
     ends = [Html(f"<li>{escaped(str(end.get('kind', '')))}: {escaped(str(end.get('reason', '')))}</li>")
             for end in family["ends"]]  # fmt: skip
     return fill(
-        "family", title=f"Family {family['name']}", summary=summary, events=_event_rows(items, columns), heads=joined(heads),
+        "family",
+        title=f"Family {family['name']}", summary=summary, events=_event_rows(items, columns), heads=joined(heads),
         ends=joined(ends) if ends else Html("<li>not recorded</li>"),
         axis=axis_options(family), back=back, inspector=inspector(),
     )  # fmt: skip
@@ -181,4 +182,6 @@ def inspector() -> Html:
 
 def options(values: Any) -> Html:
     """The distinct values as choices of a filter."""
-    return joined(Html(f'<option value="{escaped(v)}">{escaped(symmetry_words(v))}</option>') for v in sorted(set(values)))
+    return joined(
+        Html(f'<option value="{escaped(v)}">{escaped(symmetry_words(v))}</option>') for v in sorted(set(values))
+    )

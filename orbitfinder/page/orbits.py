@@ -14,7 +14,7 @@ from orbitfinder.page.recipe import commands, problem_name, problem_text
 from orbitfinder.page.text import Html, escaped, fill, joined, number
 from orbitfinder.page.words import coordinate, mechanism
 
-MOST_PORTRAITS = 9
+MOST_PORTRAITS = 6
 """Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
 SYMMETRIES = {"none": "no symmetry"}
 
@@ -126,9 +126,7 @@ def _portraits(motion: Motion | None) -> Html:
     if motion is None:
         return Html("")
     n = len(motion.names) // 2
-    return joined(
-        fill("portrait", component=k, name=motion.names[k], rate=motion.names[k + n]) for k in shown(motion)
-    )
+    return joined(fill("portrait", component=k, name=motion.names[k], rate=motion.names[k + n]) for k in shown(motion))
 
 
 def _source(document: Mapping[str, Any]) -> Html:

@@ -76,16 +76,19 @@ class Site:
         sources = [f"assets/{name}" for name in ("core.js", *scripts)]
         loads = [*sources[:1], data_file, *sources[1:]]
         tags = joined(Html(f'<script defer src="{root}{source}"></script>') for source in loads)
+        here = Html(' aria-current="page"') if path == "index.html" else Html("")
         whole = fill(
             "base", title=title, site=self.settings.title, about=about, root=root, scripts=tags, main=main,
-            version=__version__, weight=Html(WEIGHT), here=Html("") if path != "index.html" else Html(' aria-current="page"'),
+            version=__version__, weight=Html(WEIGHT), here=here,
         )  # fmt: skip
         self.pages.append(Page(path, whole, ("assets/page.css", "assets/theme.js", *loads)))
 
     def finish(self) -> int:
         """Turn the pages into files, each with what it and the whole site weigh; returns the latter in bytes."""
         self.files[MARK] = (json.dumps({"format": "orbitfinder/page", "version": 1}) + "\n").encode()
-        fixed = sum(map(len, self.files.values())) + sum(len(page.html.encode("utf-8", "replace")) for page in self.pages)
+        fixed = sum(map(len, self.files.values())) + sum(
+            len(page.html.encode("utf-8", "replace")) for page in self.pages
+        )
         whole = size(fixed)
         for page in self.pages:
             own = len(page.html.encode("utf-8", "replace")) + sum(len(self.files[name]) for name in page.loads)
@@ -140,14 +143,16 @@ def _add_family(site: Site, family: Mapping[str, Any], slug: str, films: Films, 
     energies = data["columns"]["energy"]
     note = f"{plural(len(energies), 'orbit')}, {number(min(energies), 4)} to {number(max(energies), 4)} J"
     words = mechanism(family["system"])
-    return fill("link", kind="Family", href=f"families/{slug}.html", title=family["name"], note=note, motion=key, words=words)
+    return fill(
+        "link", kind="Family", href=f"families/{slug}.html", title=family["name"], note=note, motion=key, words=words
+    )
 
 
 def _add_atlas(
     site: Site, atlas: AtlasFile, films: Films, slugs: tuple[str, Callable[[str], str]], motions: dict[str, Any]
 ) -> tuple[Html, list[Entry]]:
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
-    entries = []
+    entries: list[Entry] = []
     names = [str(one.document["name"]) for _, one in atlas.orbits]
     alike = len(set(names)) < len(names) or all(re.fullmatch(r"orbit[-\d]*", name) for name in names)
     for place, one in atlas.orbits:
@@ -174,7 +179,8 @@ def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], mo
     main = fill(
         "gallery",
         title=site.settings.title,
-        summary=f"{', '.join(counts) or 'No single orbits'}" + (f", {certified} of them certified." if entries else "."),
+        summary=f"{', '.join(counts) or 'No single orbits'}"
+        + (f", {certified} of them certified." if entries else "."),
         links=more,
         count=str(len(entries)),
         cards=joined(card(entry) for entry in entries),

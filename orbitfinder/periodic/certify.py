@@ -28,6 +28,8 @@ LARGEST_SCALE = 1e6
 """Tolerances grow with the largest multiplier up to this factor; beyond, closure would mean nothing."""
 LARGEST_COVER = 30
 """A recorded period is tested for being up to this many times the true one."""
+FEWEST_LINKS = 11
+"""Chains from this length on are long: Hamilton's equations as one graph take seconds to derive, later minutes."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class Evidence:
     trivial: float
     symplectic: float
     floquet: Floquet
+    formulation: str = "Hamilton's equations"
 
 
 def gather(
@@ -72,6 +75,10 @@ def gather(
         from orbitfinder.periodic.dae_evidence import gather_constrained
 
         return gather_constrained(model, state, period, turns, settings)
+    if is_long(model):
+        from orbitfinder.periodic.chain_evidence import gather_chain
+
+        return gather_chain(model, state, period, turns, settings)
     n = model.degrees_of_freedom
     equations = canonical(model)
     values = model.parameter_values
@@ -101,6 +108,11 @@ def gather(
         symplectic=_symplectic_defect(monodromy) / scale**2 if model.forces is None else 0.0,
         floquet=floquet,
     )
+
+
+def is_long(model: Model) -> bool:
+    """True for chains that are certified on Lagrange's equations in closed form (see `chain_evidence`)."""
+    return model.system.get("kind") == "chain" and model.degrees_of_freedom >= FEWEST_LINKS
 
 
 def _velocities(momenta: np.ndarray, field: object, n: int) -> np.ndarray:
@@ -170,7 +182,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     scale = min(max(1.0, float(np.abs(evidence.floquet.multipliers).max(initial=1.0))), LARGEST_SCALE)
     bound = min(orbit.tolerance, allowed.largest_closure)
     checks = [
-        _at_most("closure", evidence.closure, bound * scale, "DOP853 on Hamilton's equations"),
+        _at_most("closure", evidence.closure, bound * scale, f"DOP853 on {evidence.formulation}"),
         _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_most("energy_drift", evidence.drift, allowed.energy_drift * scale, "relative to the energy exchanged")
         if model.conservative

@@ -1,10 +1,10 @@
-"""The certificate's evidence for a long chain: Lagrange's equations in closed form, O(n^2) numbers a step.
+"""The certificate's evidence for a long chain: Lagrange's equations in closed form, dense and in NumPy.
 
-Hamilton's equations of any Model go through a dense inverse mass matrix as one CasADi graph, and their
-momenta (2000 kg m^2/s at 100 links, on which velocities depend through the inverse of a matrix of
-condition 5e4) would lose the digits that a closure of 1e-12 needs. The closed form keeps velocities, is
-derived from the energies alone, and shares neither code nor formulation with the recursion that found
-the orbit.
+Hamilton's equations of any Model go through an inverse mass matrix in one CasADi graph, and their
+momenta (thousands of kg m^2/s at 100 links, which the velocities depend on through the inverse of a
+matrix of condition 5e4) would lose the digits that a closure of 1e-12 needs. The closed form keeps the
+velocities, follows from the energies alone, and shares neither code nor formulation with the
+recursion that found the orbit. Only the monodromy is taken to canonical coordinates, at its two ends.
 """
 
 from __future__ import annotations
@@ -14,9 +14,66 @@ from scipy.integrate import trapezoid
 
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
 from orbitfinder.mechanics.model import Model, energies
-from orbitfinder.periodic.certify import SAMPLES, Evidence, gap, symplectic_defect, trivial_defect
+from orbitfinder.periodic.certify import SAMPLES, Evidence, gap
 from orbitfinder.periodic.floquet import analyse, reduce_monodromy
-from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, ReferenceSettings, integrate
+from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, integrate
 
-FEWEST_LINKS = 11
-"""Chains from this length on are long; shorter ones are quick in every formulation."""
+
+def gather_chain(
+    model: Model, state: np.ndarray, period: float, turns: np.ndarray, settings: ReferenceSettings = TIGHTEST
+) -> Evidence:
+    """`Evidence` of a state (2n) and a period of a long chain.
+
+    The motion is integrated at `settings`, its variations (2n columns) at the second tolerance, which
+    keeps eight digits of the multipliers and saves half the steps.
+    """
+    closed = chain_lagrange(model)
+    times = np.linspace(0.0, period, SAMPLES + 1)
+    states = integrate(closed.field, state, times, settings, period / STEPS_PER_PERIOD)
+    kinetic, potential = energies(model, states)
+    total = kinetic + potential
+    span = float(np.ptp(potential)) + float(kinetic.max())
+    monodromy = _monodromy(closed, state, period)
+    flow, turned = _canonical_directions(closed, model, state)
+    directions = np.vstack([flow, *turned])
+    n = turns.size
+    gradients = np.hstack([-directions[:, n:], directions[:, :n]])
+    reduced = reduce_monodromy(monodromy, gradients, directions)
+    scale = max(1.0, float(np.abs(monodromy).max()))
+    unit = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+    return Evidence(
+        times=times,
+        states=states,
+        closure=gap(states[0], states[-1], turns),
+        action=float(trapezoid(2.0 * kinetic, times)),
+        drift=float(np.abs(total - total[0]).max()) / max(span, 1e-3 * float(np.abs(potential).max()), 1e-300),
+        energy=float(total[0]),
+        trivial=max(_off(directions @ monodromy.T, directions), _off(gradients @ monodromy, gradients)) / scale,
+        symplectic=float(np.abs(monodromy.T @ unit @ monodromy - unit).max()) / scale**2,
+        floquet=analyse(reduced),
+        formulation="Lagrange's equations in closed form",
+    )
+
+
+def _off(found: np.ndarray, wanted: np.ndarray) -> float:
+    return float(np.abs(found - wanted).max() / max(np.abs(wanted).max(), 1e-300))
+
+
+def _monodromy(closed: ChainLagrange, state: np.ndarray, period: float) -> np.ndarray:
+    """Phi(T) in the canonical coordinates of `momentum_frame` (2n x 2n), started from the linear modes' shapes."""
+    modes = np.kron(np.eye(2), closed.modes)
+    extended = np.concatenate([state, modes.ravel("F")])
+    end = integrate(closed.variational, extended, np.array([0.0, period]), SECOND)[-1]
+    columns = end[state.size :].reshape(modes.shape, order="F")
+    after, before = closed.momentum_frame(end[: state.size]), closed.momentum_frame(state)
+    return np.asarray(np.linalg.solve((before @ modes).T, (after @ columns).T).T)
+
+
+def _canonical_directions(
+    closed: ChainLagrange, model: Model, state: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """The flow and, without gravity, the rotation of the whole chain as canonical vectors (2n each)."""
+    frame = closed.momentum_frame(state)
+    n = state.size // 2
+    turned = [frame @ np.concatenate([np.ones(n), np.zeros(n)]) for one in model.invariants if one.generator]
+    return frame @ closed.field(0.0, state), turned

@@ -32,7 +32,9 @@ MOST_UNKNOWNS = 3200
 FEWEST = 6
 LARGEST_CORRECTION = 0.2
 """A step is halved where Newton moves a coefficient further than this from the prediction"""
-GROWTH, SMALLEST_STEP, FIRST_STEP = 1.4, 1e-3, 0.1
+SMALLEST_STEP, FIRST_STEP, LARGEST_STEP = 1e-3, 0.1, 0.5
+QUICK = 4
+"""Newton iterations up to which the next step is larger"""
 
 
 @dataclass(frozen=True)
@@ -136,11 +138,15 @@ def resolved(series: Series, accelerations: Accelerations, pin: PinRow, tail: fl
 
 
 def follow(
-    start: Series, accelerations: Accelerations, pin: Callable[[float], PinRow], report: Callable[[float, Series], None]
+    start: Series,
+    accelerations: Accelerations,
+    pin: Callable[[float], PinRow],
+    report: Callable[[float, Series], None],
+    growth: float,
 ) -> Series | None:
     """The solution at the full pin, pin(1), from a small one predicted at pin(FIRST_STEP); None where it is lost.
 
-    Steps in the fraction of the pin grow while Newton is quick and are halved where it is slow or
+    Steps in the fraction of the pin grow by `growth` while Newton is quick and are halved where it is slow or
     goes far from its prediction, the secant through the last two solutions. Internal resonances on
     the way, where the family is a gap of exponentially small width, are stepped over.
     """
@@ -148,12 +154,12 @@ def follow(
     fraction, step, guess = FIRST_STEP, FIRST_STEP, start.padded(max(FEWEST, len(start.coefficients)))
     while step > SMALLEST_STEP:
         found = resolved(guess, accelerations, pin(fraction), TAIL)
-        if found is not None and _near(guess, found[0]):
+        if found is not None and near(guess, found[0]):
             report(fraction, found[0])
             if fraction >= 1.0:
-                return resolved_or(found[0], accelerations, pin(1.0))
+                return _finer(found[0], accelerations, pin(1.0))
             known = [*known[-1:], (fraction, found[0])]
-            step = min(step * GROWTH, 0.5) if found[1] <= 4 else step
+            step = min(step * growth, LARGEST_STEP) if found[1] <= QUICK else step
         elif not known:
             return None
         else:
@@ -163,13 +169,14 @@ def follow(
     return None
 
 
-def resolved_or(series: Series, accelerations: Accelerations, pin: PinRow) -> Series:
+def _finer(series: Series, accelerations: Accelerations, pin: PinRow) -> Series:
     """The same solution with a finer tail, itself where that fails."""
     found = resolved(series, accelerations, pin, FINE_TAIL)
     return series if found is None else found[0]
 
 
-def _near(guess: Series, found: Series) -> bool:
+def near(guess: Series, found: Series) -> bool:
+    """True when no coefficient is further than LARGEST_CORRECTION from its prediction."""
     count = len(found.coefficients)
     return bool(np.abs(found.coefficients - guess.padded(count).coefficients).max() < LARGEST_CORRECTION)
 

@@ -61,7 +61,8 @@ def measured(monodromy: np.ndarray, trivial: int, conservative: bool) -> tuple[f
 
     values, left, right = eig(monodromy, left=True, right=True)
     kept = np.argsort(-np.abs(values - 1.0))[: values.size - trivial]
-    k = int(kept[np.argmax(np.abs(values[kept]))])
+    sizes = [_size(complex(values[k]), conservative) for k in kept]
+    k = int(kept[int(np.argmax(sizes))])
     mu = complex(values[k])
     slope = np.outer(left[:, k].conj(), right[:, k]) / (left[:, k].conj() @ right[:, k])
     radius = abs(mu)
@@ -69,10 +70,22 @@ def measured(monodromy: np.ndarray, trivial: int, conservative: bool) -> tuple[f
     if not conservative:
         return radius**2, 2 * radius * growth
     index = mu + 1 / mu
-    if abs(index.imag) <= REAL * max(1.0, abs(index)):
+    if _real(index):
         return 0.25 * index.real**2, 0.5 * index.real * ((1 - 1 / mu**2) * slope).real
-    ellipse = radius + 1 / radius
-    return 0.25 * ellipse**2, 0.5 * ellipse * (1 - 1 / radius**2) * growth
+    return max(sizes), 0.5 * (radius + 1 / radius) * (1 - 1 / radius**2) * growth
+
+
+def _real(index: complex) -> bool:
+    return abs(index.imag) <= REAL * max(1.0, abs(index))
+
+
+def _size(mu: complex, conservative: bool) -> float:
+    """The measure of one multiplier: a quarter of (mu + 1/mu)^2 where that is real, of (r + 1/r)^2 elsewhere."""
+    radius = abs(mu)
+    if not conservative:
+        return radius**2
+    index = mu + 1 / mu
+    return float(0.25 * index.real**2 if _real(index) else 0.25 * (radius + 1 / radius) ** 2)
 
 
 class _Largest(ca.Callback):  # type: ignore[misc]

@@ -23,8 +23,7 @@ from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
 from orbitfinder.periodic import harmonic_balance
-from orbitfinder.periodic.certify import certify, gap
-from orbitfinder.periodic.chain_evidence import FEWEST_LINKS
+from orbitfinder.periodic.certify import certify, gap, is_long
 from orbitfinder.periodic.conditions import Pin, pin_row
 from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
 from orbitfinder.periodic.harmonic_balance import PinRow, Series
@@ -74,8 +73,7 @@ def suits(problem: Problem) -> bool:
     """True for a problem that this room solves: a symmetric mode of a long chain with one pin and nothing else."""
     model = problem.model
     return (
-        model.system.get("kind") == "chain"
-        and model.degrees_of_freedom >= FEWEST_LINKS
+        is_long(model)
         and model.acceleration.is_a("SXFunction")
         and float(model.system["gravity"]) > 0
         and problem.symmetry == "brake+reflection"

@@ -76,7 +76,7 @@ def recurrences(
     start = np.asarray(state, float)
     if start.shape != (len(model.state_names),):
         raise InputError(f"guess.state: {start.size} numbers; give {len(model.state_names)}")
-    states = sample(build_flow(model), start, float(duration), MOST_SAMPLES + 1)
+    states = sample(build_flow(model), start, float(duration), MOST_SAMPLES)
     times = np.linspace(0.0, duration, len(states))
     found = close_returns(times, states, model.angles, count, longest)
     if model.forcing_period is None:

@@ -153,7 +153,9 @@ def _objective(problem: Problem, known: Variables) -> tuple[ca.MX, ca.MX]:
 
 def _inequalities(problem: Problem, known: Variables) -> tuple[ca.MX, np.ndarray, np.ndarray]:
     """h with its limits: constraints with room, and bounds on what is not an unknown itself."""
-    rows, low, high = [ca.MX(0, 1)], [], []
+    rows: list[ca.MX] = [ca.MX(0, 1)]
+    low: list[float] = []
+    high: list[float] = []
     for name, (smallest, largest) in problem.bounds.items():
         if name != "period" and name not in problem.free:
             rows.append(known[name])

@@ -42,9 +42,13 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     integrated from the guess. The result may still fail its certificate: look at
     `orbit.certificate.passed`.
     """
+    from orbitfinder.periodic.long_chain import find_long_chain, suits
+
     settings = settings or SolveSettings()
     began = time.perf_counter()
     problem.check_count()
+    if suits(problem):
+        return find_long_chain(problem, settings, progress)
     check_invariants(problem)
     problem = at_forcing_period(problem)
     unfolded = unfolded_invariants(problem.model, problem.boundary)
@@ -130,7 +134,7 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     square = shooting.square
     if square:
         w = polish(shooting, w)
-    if square and not problem.free:
+    if square and not problem.free and not problem.constraints:
         return shooting, w
     period, unfolding, free = layout.tail(w)
     nodes = layout.nodes(w)

@@ -1,13 +1,11 @@
-"""One validated step: a box that holds the solution over the whole step, and the Taylor remainder there.
+"""One validated step: the Taylor polynomial of the flow and of its derivatives, with proven remainders.
 
-High-order enclosure: if, for the coefficients x_k(X) over the starting box X,
-
-    X + sum_{k=1..p} x_k(X) [0, h]^k + x_{p+1}(E) [0, h]^{p+1}  lies inside  E,
-
-every solution from X exists on [0, h], stays in E, and differs from its Taylor polynomial by an
-element of x_{p+1}(E) t^{p+1}. Source: N. S. Nedialkov, K. R. Jackson, J. D. Pryce, "An effective
-high-order interval method for validating existence and uniqueness of the solution of an IVP for an
-ODE", Reliable Computing 7 (2001) 449-465.
+Picard's operator on functions x(t) = sum_{k<=p} x_k t^k + t^{p+1} eta(t), |t| in [0, h]: the field along such
+a function is a Taylor model whose coefficients below p are those of x' and whose remainder r gives
+eta_new = tau r / (p + 1). When eta_new lies inside eta, the operator maps a closed convex set of
+continuous functions into itself, so by Schauder's theorem it holds the solution (and all of it: the
+field is Lipschitz there). High-order enclosures of this kind: N. S. Nedialkov, K. R. Jackson,
+J. D. Pryce, Reliable Computing 7 (2001) 449-465; in Taylor models: Makino and Berz (see `taylormodel`).
 """
 
 from __future__ import annotations
@@ -17,13 +15,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.proof.balls import Vector, arb, arb_mat, identity, inside, magnitude, up_to, widened
-from orbitfinder.proof.field import Field
+from orbitfinder.proof.balls import Vector, arb, arb_mat, inside, magnitude, radius, up_to
+from orbitfinder.proof.field import Field, Solution, slope_series
+from orbitfinder.proof.series import outputs
+from orbitfinder.proof.taylormodel import remainders, tails
 
 GRID = 2.0**-40
 """Steps are whole multiples of this part of a segment, so that their sums are exact"""
-INFLATION = 2.0**-16
-"""by which a trial box is larger than the polynomial's range, relative to its radius"""
+GUESSES = 5
+"""Remainders that are tried before a step is made shorter"""
 
 
 @dataclass(frozen=True)
@@ -44,46 +44,54 @@ class Settings:
 class Step:
     """A validated step of length h (part of a segment) from `begin`.
 
-    `series` (2n lists of p + 1 balls) holds the polynomials of all solutions from the starting box,
-    `remainder` (2n) x_{p+1}(E), `rough` (2n + 2) the box E of all states on the way.
+    Every solution from the starting box is sum_k series_k t^k + remainder t^{p+1} for 0 <= t <= h
+    (2n components); `constants` are s and tau.
     """
 
     begin: float
     h: float
     series: list[Vector]
     remainder: Vector
-    rough: Vector
+    constants: Vector
 
     def at(self, time: Any) -> Vector:
         """(q, v) (2n balls) at a time, or over a ball of times, after the beginning of the step."""
-        power = time ** len(self.series[0])
-        return [horner(one, time) + rest * power for one, rest in zip(self.series, self.remainder, strict=True)]
+        return valued(self.series, self.remainder, time)
+
+    @property
+    def reach(self) -> Vector:
+        """Extended states z (2n + 2) over the whole step."""
+        return self.at(up_to(arb(self.h))) + self.constants
+
+
+def valued(series: list[Vector], remainder: Vector, time: Any) -> Vector:
+    """Polynomials with remainder at a time or over a ball of times."""
+    power = time ** len(series[0])
+    return [horner(one, time) + rest * power for one, rest in zip(series, remainder, strict=True)]
 
 
 def horner(series: Sequence[Any], time: Any) -> Any:
-    """The value of a polynomial."""
+    """The value of a polynomial (of balls or of matrices)."""
     total = series[-1]
     for coefficient in reversed(series[:-1]):
         total = total * time + coefficient
     return total
 
 
-def find_step(
-    field: Field, hull: Vector, series: list[Vector], begin: float, trial: float, settings: Settings
-) -> tuple[Step, float]:
+def find_step(field: Field, hull: Vector, begin: float, trial: float, settings: Settings) -> tuple[Step, float]:
     """A step from `hull` whose remainder is within tolerance, and the length to try next."""
-    largest = max(magnitude([one[-1] for one in series]), 1e-300)
+    found = field.solution(hull, settings.order)
+    largest = max(magnitude([one[-1] for one in found.states]), 1e-300)
     h = min(_rounded(min(trial, (settings.tolerance / largest) ** (1.0 / settings.order))), 1.0 - begin)
     while h >= settings.shortest or (h > 0 and begin + h == 1.0):
-        found = rough_enclosure(field, hull, series, h, settings)
-        if found is None:
+        rest = state_remainder(field, found, arb(h), settings.order)
+        if rest is None:
             h = _rounded(0.6 * h)
             continue
-        rough, remainder = found
-        error = magnitude(remainder) * h ** (settings.order + 1)
+        error = radius(rest) * h ** (settings.order + 1)
         ratio = 0.9 * (settings.tolerance / max(error, 1e-300)) ** (1.0 / (settings.order + 1))
         if error <= settings.tolerance:
-            return Step(begin, h, series, remainder, rough), h * min(max(ratio, 1.0), 1.5)
+            return Step(begin, h, found.states, rest, hull[-2:]), h * min(max(ratio, 1.0), 1.5)
         h = _rounded(h * min(max(ratio, 0.3), 0.9))
     raise IntegrationError(
         "no validated step is short enough; raise the order or the precision, or prove a smaller box", time=begin
@@ -94,45 +102,81 @@ def _rounded(h: float) -> float:
     return float(int(min(h, 1.0) / GRID) * GRID)
 
 
-def rough_enclosure(
-    field: Field, hull: Vector, series: list[Vector], h: float, settings: Settings
-) -> tuple[Vector, Vector] | None:
-    """The box E and x_{p+1}(E), or None when this step is too long to be validated."""
-    span = up_to(arb(h))
-    reach = [horner(one, span) for one in series]
-    box = [widened(x, arb(x.rad()) * INFLATION + settings.tolerance) for x in reach]
-    rough = box + hull[len(box) :]
-    remainder = [one[-1] for one in field.states(rough, settings.order + 1)]
-    power = span ** (settings.order + 1)
-    inner = [x + r * power for x, r in zip(reach, remainder, strict=True)]
-    return (rough, remainder) if inside(box, inner) else None
-
-
-def transition_over(
-    field: Field, step: Step, series: Sequence[Any], settings: Settings
-) -> tuple[Any, Any]:
-    """dz(h)/dz over the starting box: of the Taylor polynomial, and of the flow itself.
-
-    The flow's is the polynomial's plus V_{p+1}(E) W h^{p+1}, where W holds dz(t)/dz on [0, h]: it
-    does when  sum_k V_k(X) [0, h]^k + V_{p+1}(E) [0, h]^{p+1} W  lies inside W.
-    """
-    order, h = settings.order, arb(step.h)
-    last = field.variations(step.rough, order + 1)[1][order + 1]
+def state_remainder(field: Field, found: Solution, h: Any, order: int) -> Vector | None:
+    """eta (2n) of a step of length h, or None when Picard's operator maps no trial into itself."""
     span = up_to(h)
-    reach, slope = _polynomial(series, span), last * span ** (order + 1)
-    first = slope * reach
-    spread = [2 * abs(x).upper() + arb(y.rad()) * INFLATION + settings.tolerance
-              for x, y in zip(first.entries(), reach.entries(), strict=True)]  # fmt: skip
-    size = identity(reach.nrows())
-    over = arb_mat(size.nrows(), size.ncols(), [widened(x, r) for x, r in zip(reach.entries(), spread, strict=True)])
-    if not inside(over.entries(), (reach + slope * over).entries()):
-        raise IntegrationError("the derivatives over a step could not be enclosed; raise the order", time=step.begin)
-    exact = _polynomial(series, h)
-    return exact, exact + last * over * h ** (order + 1)
+    trial = [arb(0)] * (2 * field.size)
+    for _ in range(GUESSES):
+        image = _state_image(field, found, span, trial, order)[0]
+        if not all(x.is_finite() for x in image):
+            return None
+        if inside(trial, image):
+            return trial
+        trial = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + 1e-300) for x in image]
+    return None
 
 
-def _polynomial(series: Sequence[Any], time: Any) -> Any:
-    total = series[-1]
-    for coefficient in reversed(series[:-1]):
-        total = total * time + coefficient
-    return total
+def _state_image(
+    field: Field, found: Solution, span: Any, trial: Vector, order: int
+) -> tuple[Vector, list[Any], Vector]:
+    """Picard's image of eta, the remainders of all values of the program, and the state's own (orders from p)."""
+    n = field.size
+    own = [one[order] + span * eta for one, eta in zip(found.states, trial, strict=True)]
+    inputs = [arb(0) if argument == 2 else own[entry + n * argument] for _, argument, entry in found.code.variables]
+    rest = remainders(found.code, found.values, order, span, inputs)
+    accelerations = outputs(found.code, rest)[0]
+    factor = found.tau / (order + 1)
+    image = [factor * x for x in own[n:]] + [factor * accelerations.get(i, arb(0)) for i in range(n)]
+    return image, rest, own
+
+
+def transition_over(field: Field, step: Step, hull: Vector, settings: Settings) -> Any:
+    """dz(h)/dz over the starting box `hull` (2n+2 square), by the same argument for the variational equations."""
+    order, n, span = settings.order, field.size, up_to(arb(step.h))
+    found = field.solution(hull, order, vary=True)
+    _, rest, own = _state_image(field, found, span, step.remainder, order)
+    series, values = found.transitions(), outputs(found.code, rest)
+    slopes = [*slope_series(n, found.results()[1], order),
+              slope_series(n, {k: [x] for k, x in values[1].items()}, 1)[0]]  # fmt: skip
+    forcing = own[n:] + [values[0].get(i, arb(0)) for i in range(n)]
+    blocks = [top(one, 2 * n + 1) for one in series]
+    trial = arb_mat(2 * n + 1, 2 * n + 2)
+    for _ in range(GUESSES + 3):
+        image = _transition_image(field, found, blocks, slopes, forcing, trial, span, order)
+        if inside(trial.entries()[: -2 * n - 2], image.entries()[: -2 * n - 2]):
+            last = arb_mat(2 * n + 2, 2 * n + 2, trial.entries() + [arb(0)] * (2 * n + 2))
+            return horner([*series, last], arb(step.h))
+        grown = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + 1e-300)
+                 for x in image.entries()[: -2 * n - 2]]  # fmt: skip
+        trial = arb_mat(2 * n + 1, 2 * n + 2, grown + [arb(0)] * (2 * n + 2))
+    raise IntegrationError("the derivatives over a step could not be enclosed; raise the order", time=step.begin)
+
+
+def top(matrix: Any, rows: int) -> Any:
+    """The first rows of a matrix."""
+    return arb_mat(rows, matrix.ncols(), matrix.entries()[: rows * matrix.ncols()])
+
+
+def _transition_image(
+    field: Field, found: Solution, blocks: list[Any], slopes: list[Any], forcing: Vector, trial: Any, span: Any,
+    order: int,
+) -> Any:  # fmt: skip
+    """Picard's image of the remainder H (2n+1 x 2n+2) of the derivatives of (q, v, s).
+
+    `blocks` their coefficients 0..p, `slopes` those of d(a + s u)/d(q, v, s) below p and its remainder,
+    `forcing` the remainders (2n) of the field, its derivative by tau.
+    """
+    n, width = field.size, 2 * field.size + 2
+    own = blocks[order] + trial * span
+    found_tails = tails(blocks[:order], own, span)
+    lower = slopes[0] * found_tails[0]
+    for slope, tail in zip(slopes[1:], found_tails[1:], strict=True):
+        lower += slope * tail
+    factor = found.tau / (order + 1)
+    rows = [factor * x for x in own.entries()[n * width : 2 * n * width]] + [factor * x for x in lower.entries()]
+    for i, x in enumerate(forcing):
+        rows[i * width + width - 1] += x / (order + 1)
+    return arb_mat(2 * n + 1, width, rows + [arb(0)] * width)
+
+
+__all__ = ["Settings", "Step", "find_step", "horner", "transition_over", "valued"]

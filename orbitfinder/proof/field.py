@@ -19,7 +19,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal
 from orbitfinder.proof.program import Program, program
-from orbitfinder.proof.series import BALLS, Recurrence, coefficients, recurrence
+from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence
 
 
 @dataclass(frozen=True)
@@ -88,13 +88,11 @@ class Field:
 
     def states(self, z: Sequence[Any], order: int) -> list[Vector]:
         """Series of (q, v) (2n lists of order + 1 balls) of the solution through z (2n + 2)."""
-        return _Solution(self, z, order).solve(self.plain)[0]
+        return self.solution(z, order).states
 
-    def variations(self, z: Sequence[Any], order: int) -> tuple[list[Vector], list[Any]]:
-        """The series of (q, v) and that of dz(t)/dz (order + 1 matrices, 2n+2 square) through z."""
-        solution = _Solution(self, z, order)
-        states, outputs = solution.solve(self.varied)
-        return states, transition_series(self.size, z, states, outputs)
+    def solution(self, z: Sequence[Any], order: int, vary: bool = False) -> Solution:
+        """The series through z with those of the program's values, of the Jacobian's too when asked for."""
+        return Solution(self, self.varied if vary else self.plain, z, order)
 
     def rates(self, z: Sequence[Any]) -> Vector:
         """The field at z: z' (2n + 2)."""
@@ -129,53 +127,55 @@ def make_field(model: Model, codes: Programs | None = None) -> Field:
     )
 
 
-class _Solution:
-    """The series of one solution while it grows: q_{k+1} = tau v_k / (k+1), v_{k+1} = tau a_k / (k+1)."""
+class Solution:
+    """The series of one solution: q_{k+1} = tau v_k / (k+1), v_{k+1} = tau a_k / (k+1).
 
-    def __init__(self, field: Field, z: Sequence[Any], order: int) -> None:
+    `states` (2n lists) has orders 0..order, `values` (of the program) 0..order - 1.
+    """
+
+    def __init__(self, field: Field, code: Recurrence, z: Sequence[Any], order: int) -> None:
         n = field.size
-        self.n, self.order, self.unfolding, self.tau = n, order, z[2 * n], z[2 * n + 1]
+        self.n, self.order, self.z, self.code = n, order, z, code
+        self.unfolding, self.tau = z[2 * n], z[2 * n + 1]
         self.states: list[Vector] = [[value] for value in z[: 2 * n]]
+        self.values = coefficients(code, order - 1, self._variables)
+        first = self.results()[0]
+        self._grow(order, [first.get(i, [arb(0)] * order) for i in range(n)])
 
-    def solve(self, code: Recurrence) -> tuple[list[Vector], list[dict[int, Vector]]]:
-        """Series of the state (orders 0..order) and of the program's outputs (0..order - 1)."""
-        places = code.variables
+    def results(self) -> list[dict[int, Vector]]:
+        """Series of the program's results (0..order - 1)."""
+        return outputs(self.code, self.values)
 
-        def variables(k: int, accelerations: list[Vector]) -> Vector:
-            if k:
-                self.grow(k, accelerations)
-            return [self.coefficient(argument, entry, k) for _, argument, entry in places]
+    def transitions(self) -> list[Any]:
+        """Series (order + 1 matrices, 2n+2 square) of dz(t)/dz; the program must be the Jacobian's."""
+        return transition_series(self.n, self.z, self.states, self.results())
 
-        outputs = coefficients(code, self.order - 1, variables)
-        n = self.n
-        self.grow(self.order, [outputs[0].get(i, [arb(0)] * self.order) for i in range(n)])
-        return self.states, outputs
+    def _variables(self, k: int, accelerations: list[Vector]) -> Vector:
+        if k:
+            self._grow(k, accelerations)
+        return [self._coefficient(argument, entry, k) for _, argument, entry in self.code.variables]
 
-    def grow(self, k: int, accelerations: list[Vector]) -> None:
+    def _grow(self, k: int, accelerations: list[Vector]) -> None:
         """Coefficients of order k of the state from those of order k - 1 of the accelerations."""
         n, factor = self.n, self.tau / k
         for i in range(n):
             self.states[i].append(factor * self.states[n + i][k - 1])
             self.states[n + i].append(factor * accelerations[i][k - 1])
 
-    def coefficient(self, argument: int, entry: int, k: int) -> Any:
+    def _coefficient(self, argument: int, entry: int, k: int) -> Any:
         """Coefficient k of an argument (q, v, s) of the programs."""
         if argument == 2:
             return self.unfolding if k == 0 else arb(0)
         return self.states[entry + self.n * argument][k]
 
 
-def transition_series(n: int, z: Sequence[Any], states: list[Vector], outputs: list[dict[int, Vector]]) -> list[Any]:
+def transition_series(n: int, z: Sequence[Any], states: list[Vector], results: list[dict[int, Vector]]) -> list[Any]:
     """Coefficients of dz(t)/dz from the series of the accelerations and of their Jacobian.
 
     V' = tau (A V) + f e_tau^T with A = d(v, a)/d(q, v, s), V(0) = 1; rows of s and tau stay unit rows.
     """
     size, order, tau = 2 * n + 2, len(states[0]) - 1, z[2 * n + 1]
-    zero = [arb(0)] * order
-    slopes = [
-        arb_mat(n, 2 * n + 1, [outputs[1].get(i + n * j, zero)[k] for i in range(n) for j in range(2 * n + 1)])
-        for k in range(order)
-    ]
+    slopes = slope_series(n, results[1], order)
     blocks = [arb_mat(2 * n + 1, size, [arb(int(i == j)) for i in range(2 * n + 1) for j in range(size)])]
     series = [arb_mat(size, size, [arb(int(i == j)) for i in range(size) for j in range(size)])]
     for k in range(order):
@@ -184,6 +184,13 @@ def transition_series(n: int, z: Sequence[Any], states: list[Vector], outputs: l
         blocks.append(arb_mat(2 * n + 1, size, rows + [arb(0)] * size))
         series.append(arb_mat(size, size, rows + [arb(0)] * (2 * size)))
     return series
+
+
+def slope_series(n: int, jacobian: dict[int, Vector], order: int) -> list[Any]:
+    """Coefficients 0..order - 1 of d(a + s u)/d(q, v, s) as matrices (n x 2n+1)."""
+    zero = [arb(0)] * order
+    columns = [jacobian.get(i + n * j, zero) for i in range(n) for j in range(2 * n + 1)]
+    return [arb_mat(n, 2 * n + 1, [one[k] for one in columns]) for k in range(order)]
 
 
 def _next_rows(n: int, k: int, tau: Any, lower: Any, block: Any, step: Vector) -> Vector:

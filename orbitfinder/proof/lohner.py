@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.proof.balls import Vector, arb, arb_mat, column, exact, floats, identity, midpoints, radii
-from orbitfinder.proof.enclosure import Settings, Step, find_step, horner, transition_over
+from orbitfinder.proof.enclosure import Settings, Step, find_step, transition_over, valued
 from orbitfinder.proof.field import Field
 
 
@@ -77,21 +77,18 @@ def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
 def advance(field: Field, old: Cloud, begin: float, trial: float, settings: Settings) -> tuple[Cloud, Step, float]:
     """The Cloud after one validated step, the step, and the length to try next."""
     hull = old.hull
-    series, transitions = field.variations(hull, settings.order)
-    step, following = find_step(field, hull, series, begin, trial, settings)
-    polynomial, flow = transition_over(field, step, transitions, settings)
-    return moved_derivatives(moved_point(field, old, step, polynomial, settings), flow), step, following
+    step, following = find_step(field, hull, begin, trial, settings)
+    flow = transition_over(field, step, hull, settings)
+    return moved_derivatives(moved_point(field, old, step, flow, settings), flow), step, following
 
 
-def moved_point(field: Field, old: Cloud, step: Step, polynomial: Any, settings: Settings) -> Cloud:
-    """The centre and its spread after a step: polynomial at the centre, its derivative on the spread, remainder."""
-    size, h = old.frame.nrows(), arb(step.h)
-    power = h ** (settings.order + 1)
-    series = field.states(old.centre, settings.order)
-    image = [horner(one, h) + rest * power for one, rest in zip(series, step.remainder, strict=True)]
+def moved_point(field: Field, old: Cloud, step: Step, flow: Any, settings: Settings) -> Cloud:
+    """The centre and its spread after a step: series at the centre, the flow's derivative on the spread."""
+    size = old.frame.nrows()
+    image = valued(field.states(old.centre, settings.order), step.remainder, arb(step.h))
     centre = midpoints(image)
     error = column([x - c for x, c in zip(image, centre, strict=True)])
-    stretched = block(polynomial, size, 0, size) * old.frame
+    stretched = block(flow, size, 0, size) * old.frame
     frame = orthogonal(stretched, radii(old.spread).ravel())
     back = frame.inv()
     return replace(

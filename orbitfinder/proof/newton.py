@@ -31,13 +31,13 @@ def flow(equations: Equations, node: Vector, settings: Settings, vary: bool) -> 
     here, begin = midpoints(node), 0.0
     total = exact(np.eye(size + 2))
     while begin < 1.0:
-        series, slopes = field.variations(here, settings.order) if vary else (field.states(here, settings.order), [])
-        h = step_length(series, 1.0 - begin, settings)
+        found = field.solution(here, settings.order, vary)
+        h = step_length(found.states, 1.0 - begin, settings)
         if not 0 < h <= 1:
             raise ConvergenceError("no orbit near: the solution leaves every bound on the way")
-        here = midpoints([horner(one, arb(h)) for one in series]) + here[size:]
+        here = midpoints([horner(one, arb(h)) for one in found.states]) + here[size:]
         if vary:
-            total = (horner(slopes, arb(h)) * total).mid()
+            total = (horner(found.transitions(), arb(h)) * total).mid()
         begin += h
     return here[:size], arb_mat(total.tolist()[:size])
 

@@ -48,15 +48,15 @@ def recurrence(code: Program, constants: dict[int, Sequence[Any]]) -> Recurrence
     fold = _Fold(code, constants)
     for name, target, a, b in code.operations:
         fold.operation(name, target, a, b)
-    outputs = tuple({entry: fold.place(value) for entry, value in one.items()} for one in code.outputs)
-    wanted = {value for one in outputs for value in one.values()}
+    results = tuple({entry: fold.place(value) for entry, value in one.items()} for one in code.outputs)
+    wanted = {value for one in results for value in one.values()}
     kept: list[Operation] = []
     for operation in reversed(fold.operations):
         targets = {operation[1], operation[3]} if operation[0] == "sincos" else {operation[1]}
         if targets & wanted:
             kept.append(operation)
             wanted |= {operation[2]} | ({operation[3]} if operation[0] != "sincos" else set())
-    return Recurrence(fold.size, fold.fixed, tuple(fold.variables), tuple(reversed(kept)), outputs)
+    return Recurrence(fold.size, fold.fixed, tuple(fold.variables), tuple(reversed(kept)), results)
 
 
 class _Fold:
@@ -156,8 +156,8 @@ class _Fold:
 
 def coefficients(
     code: Recurrence, order: int, variables: Callable[[int, list[list[Any]]], Sequence[Any]]
-) -> list[dict[int, list[Any]]]:
-    """Series of the outputs, coefficients 0..order.
+) -> list[list[Any]]:
+    """Series of every value of the program, coefficients 0..order.
 
     `variables(k, outputs)` gives the coefficients of order k of `code.variables`, from the outputs of
     order below k that it finds in the first result's series.
@@ -174,6 +174,11 @@ def coefficients(
             series.append(number)
         for kind, operands in steps:
             kind(k, *operands)
+    return values
+
+
+def outputs(code: Recurrence, values: Sequence[Any]) -> list[dict[int, Any]]:
+    """What belongs to the program's results among something given for each value."""
     return [{entry: values[value] for entry, value in one.items()} for one in code.outputs]
 
 

@@ -94,7 +94,7 @@ def monodromy(found: Tour) -> Any:
 
 def positive_mass(found: Tour) -> bool:
     """True when the mass matrix is positive definite at every state on the way (L D L^T of its enclosures)."""
-    return all(positive_definite(found.field.mass(step.rough)) for steps in found.steps for step in steps)
+    return all(positive_definite(found.field.mass(step.reach)) for steps in found.steps for step in steps)
 
 
 def positive_definite(matrix: Any) -> bool:

@@ -60,10 +60,12 @@ def orbit_html(orbit: Orbit) -> str:
     """Mechanism and phase portrait moving in real time, multipliers, and the numbers."""
     certificate = orbit.certificate
     verdict = "no certificate" if certificate is None else verdict_of(certificate)
+    sizes = np.abs(orbit.floquet_multipliers)
+    largest = f"{sizes.max():.6g}" if sizes.size else "none but the trivial ones"
     rows = [
         ("period", f"{orbit.period:.12g} s"), ("energy", f"{orbit.energy:.12g} J"),
         ("closure", f"{orbit.closure:.1e}"), ("stability", orbit.stability), ("symmetry", orbit.symmetry),
-        ("largest multiplier", f"{np.abs(orbit.floquet_multipliers).max(initial=0.0):.6g}"), ("certificate", verdict),
+        ("largest multiplier", largest), ("certificate", verdict),
     ]  # fmt: skip
     circle = unit_circle(orbit.floquet_multipliers, "Floquet multipliers and the unit circle")
     pictures = motions(orbit.system, orbit.state, orbit.period, orbit.samples)

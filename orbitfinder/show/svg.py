@@ -89,7 +89,7 @@ def moving_portrait(coordinate: np.ndarray, rate: np.ndarray, duration: float, l
     """Rate against coordinate over one period (k each), with a dot that moves in time."""
     places = stretched(np.column_stack([coordinate, rate]))
     line = places[np.unique(np.linspace(0, len(places) - 1, 240).round().astype(int))]
-    words = f'<text x="{SIZE / 2}" y="{SIZE - 1}" text-anchor="middle" font-size="10" fill="currentColor">'
+    words = f'<text x="{SIZE / 2}" y="{SIZE - 3}" text-anchor="middle" font-size="10" fill="currentColor">'
     return picture(
         f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"/>'
         f"{dot(places[frames_of(places, 1)], duration)}{words}{escape(label)}</text>",

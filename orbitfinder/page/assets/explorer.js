@@ -4,6 +4,7 @@
   var it = orbitfinder.data.explorer, plots = orbitfinder.plots, player = new orbitfinder.Player();
   var family = it.page === "family", figure = orbitfinder.figure, items = it.items, shown = [], picked = -1;
   orbitfinder.player = player;
+  orbitfinder.picked = function () { return items[picked]; };
   function part(id) { return document.getElementById(id); }
   var plot = part("plot"), slider = part("item"), scene = player.add(part("stage"), null);
   player.controls();

@@ -1,0 +1,264 @@
+// Data, moving mechanisms, and the one clock that all of a page follow.
+var orbitfinder = (function () {
+  "use strict";
+  var data = {};
+  var calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+
+  function put(key, payload) { data[key] = payload; }
+
+  function bytes(text) {
+    var raw = atob(text), out = new Uint8Array(raw.length);
+    for (var i = 0; i < raw.length; i++) out[i] = raw.charCodeAt(i);
+    return out.buffer;
+  }
+
+  // Positions of one orbit. Channel c < points is x (down) of point c, then y (right); see page/motion.py.
+  function Motion(packed) {
+    this.period = packed.period;
+    this.count = packed.count;
+    this.points = packed.points;
+    this.centre = packed.centre;
+    this.moving = packed.moving;
+    this.drawn = packed.drawn;
+    this.now = new Float32Array(2 * packed.points);
+    this.fixed = [];
+    var still = packed.still, many = packed.points, values = new Int16Array(bytes(packed.data));
+    for (var c in still) this.now[+c] = still[c];
+    for (var p = 0; p < many; p++) this.fixed.push(p in still && (p + many) in still);
+    this.values = new Float32Array(values.length);
+    for (var k = 0; k < values.length; k++) {
+      var channel = this.moving[Math.floor(k / this.count)];
+      this.values[k] = packed.centre[channel < many ? 0 : 1] + packed.half * values[k] / 32767;
+    }
+    this.tip = this.fixed.lastIndexOf(false);
+    this.spans = [this.span(0), this.span(many)];
+  }
+
+  // Extent of one axis over all points and samples, in m; `from` is its first channel.
+  Motion.prototype.span = function (from) {
+    var low = Infinity, high = -Infinity, m = this;
+    function take(value) { low = Math.min(low, value); high = Math.max(high, value); }
+    this.now.subarray(from, from + this.points).forEach(function (value, p) {
+      if (m.moving.indexOf(from + p) < 0) take(value);
+    });
+    this.moving.forEach(function (channel, row) {
+      if (channel >= from && channel < from + m.points) m.values.subarray(row * m.count, (row + 1) * m.count).forEach(take);
+    });
+    return Math.max(high - low, 1e-9);
+  };
+
+  // All positions at a time in s: Catmull-Rom between samples, periodic.
+  Motion.prototype.at = function (time) {
+    var n = this.count, place = (((time / this.period) % 1) + 1) % 1 * n;
+    var i = Math.floor(place) % n, u = place - Math.floor(place);
+    var a = (i + n - 1) % n, c = (i + 1) % n, d = (i + 2) % n;
+    var u2 = u * u, u3 = u2 * u;
+    var wa = 0.5 * (-u + 2 * u2 - u3), wb = 0.5 * (2 - 5 * u2 + 3 * u3);
+    var wc = 0.5 * (u + 4 * u2 - 3 * u3), wd = 0.5 * (u3 - u2);
+    for (var m = 0; m < this.moving.length; m++) {
+      var o = m * n, v = this.values;
+      this.now[this.moving[m]] = wa * v[o + a] + wb * v[o + i] + wc * v[o + c] + wd * v[o + d];
+    }
+    return this.now;
+  };
+
+  // One canvas that draws a motion.
+  function Scene(canvas, motion) {
+    this.canvas = canvas;
+    this.pen = canvas.getContext("2d");
+    this.motion = motion;
+    this.trace = true;
+    this.width = 0;
+  }
+
+  Scene.prototype.show = function (motion) { this.motion = motion; this.width = 0; };
+
+  Scene.prototype.fit = function () {
+    var ratio = Math.min(window.devicePixelRatio || 1, 2), m = this.motion;
+    this.width = this.canvas.clientWidth;
+    this.height = this.canvas.clientHeight;
+    this.canvas.width = Math.round(this.width * ratio);
+    this.canvas.height = Math.round(this.height * ratio);
+    this.pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    if (!m) return;
+    this.scale = 0.84 * Math.min(this.height / m.spans[0], this.width / m.spans[1]);
+    this.path = null;
+    if (m.tip < 0) return;
+    this.path = new Path2D();
+    var steps = 2 * m.count;
+    for (var k = 0; k <= steps; k++) {
+      var now = m.at(k * m.period / steps), x = this.across(now, m.tip), y = this.down(now, m.tip);
+      if (k) this.path.lineTo(x, y); else this.path.moveTo(x, y);
+    }
+  };
+
+  Scene.prototype.release = function () { this.width = 0; this.canvas.width = this.canvas.height = 0; };
+  Scene.prototype.across = function (now, p) {
+    return this.width / 2 + (now[p + this.motion.points] - this.motion.centre[1]) * this.scale;
+  };
+  Scene.prototype.down = function (now, p) {
+    return this.height / 2 + (now[p] - this.motion.centre[0]) * this.scale;
+  };
+
+  Scene.prototype.draw = function (time) {
+    if (this.canvas.clientWidth !== this.width) this.fit();
+    var pen = this.pen, m = this.motion, c = colours();
+    pen.clearRect(0, 0, this.width, this.height);
+    if (!m || !this.width) return;
+    var small = Math.min(this.width, this.height), many = m.points > 20, line = Math.max(1.5, small / (many ? 130 : 75));
+    pen.lineCap = pen.lineJoin = "round";
+    if (this.trace && this.path) {
+      pen.strokeStyle = c.trace;
+      pen.lineWidth = Math.max(1, line * 0.35);
+      pen.globalAlpha = 0.35;
+      pen.stroke(this.path);
+      pen.globalAlpha = 1;
+      this.tail(time, line);
+    }
+    var now = m.at(time), p;
+    pen.strokeStyle = c.link;
+    pen.lineWidth = line;
+    pen.beginPath();
+    for (p = 0; p < m.points; p++) pen.lineTo(this.across(now, p), this.down(now, p));
+    pen.stroke();
+    for (p = 0; p < m.points; p++) {
+      var x = this.across(now, p), y = this.down(now, p), r = line * (m.points === 1 ? 1.6 : 1.1);
+      pen.fillStyle = m.fixed[p] ? c.ground : c.joint;
+      if (m.fixed[p]) { pen.fillRect(x - r, y - r, 2 * r, 2 * r); continue; }
+      if (many && p !== m.tip) continue;
+      pen.beginPath();
+      pen.arc(x, y, r, 0, 2 * Math.PI);
+      pen.fill();
+    }
+  };
+
+  // The last quarter period of the tip's path, fading away from it.
+  Scene.prototype.tail = function (time, line) {
+    var pen = this.pen, m = this.motion, parts = 4, steps = 8, span = m.period / 4;
+    pen.strokeStyle = colours().trace;
+    pen.lineWidth = line * 0.6;
+    for (var part = 0; part < parts; part++) {
+      pen.globalAlpha = (part + 1) / parts;
+      pen.beginPath();
+      for (var k = 0; k <= steps; k++) {
+        var now = m.at(time - span * (1 - (part + k / steps) / parts));
+        pen.lineTo(this.across(now, m.tip), this.down(now, m.tip));
+      }
+      pen.stroke();
+    }
+    pen.globalAlpha = 1;
+  };
+
+  var known = null;
+  function colours() {
+    if (known) return known;
+    var style = getComputedStyle(document.documentElement);
+    function read(name) { return style.getPropertyValue("--" + name).trim(); }
+    known = { link: read("link"), joint: read("joint"), trace: read("trace"), ground: read("ground"), ink: read("ink"),
+      muted: read("muted"), line: read("line"), surface: read("surface"),
+      series: ["s1", "s2", "s3", "s4", "s5", "s6"].map(read) };
+    return known;
+  }
+
+  // Only scenes on the screen are drawn; `follow` gets the time whenever it changes.
+  function Player() {
+    var self = this;
+    this.time = 0;
+    this.speed = 1;
+    this.playing = !calm;
+    this.frames = 0;
+    this.cost = 0;
+    this.scenes = [];
+    this.visible = new Set();
+    this.followers = [];
+    this.stale = true;
+    this.watcher = new IntersectionObserver(function (changes) {
+      changes.forEach(function (change) {
+        var scene = change.target.scene;
+        if (change.isIntersecting) self.visible.add(scene);
+        else { self.visible.delete(scene); scene.release(); }
+      });
+      self.stale = true;
+    }, { rootMargin: "60px" });
+    var last = null;
+    function tick(moment) {
+      var passed = last === null ? 0 : Math.min(0.1, (moment - last) / 1000), began;
+      last = moment;
+      if (self.playing) self.time += passed * self.speed;
+      if (self.playing || self.stale) {
+        began = performance.now();
+        self.stale = false;
+        self.visible.forEach(function (scene) { scene.draw(self.time); });
+        self.followers.forEach(function (follow) { follow(self.time); });
+        self.frames++;
+        self.cost += performance.now() - began;
+      }
+      requestAnimationFrame(tick);
+    }
+    requestAnimationFrame(tick);
+    function refresh() { known = null; self.stale = true; self.scenes.forEach(function (scene) { scene.width = 0; }); }
+    document.addEventListener("orbitfinder-theme", refresh);
+    window.addEventListener("resize", refresh);
+  }
+
+  Player.prototype.add = function (canvas, motion) {
+    var scene = new Scene(canvas, motion);
+    canvas.scene = scene;
+    this.scenes.push(scene);
+    this.watcher.observe(canvas);
+    return scene;
+  };
+
+  Player.prototype.seek = function (time) { this.time = time; this.stale = true; };
+
+  // The play button, speed and trace that every page has.
+  Player.prototype.controls = function () {
+    var self = this, button = document.getElementById("play"), speed = document.getElementById("speed");
+    var trace = document.getElementById("trace");
+    function label() { button.textContent = self.playing ? "Pause" : "Play"; }
+    button.addEventListener("click", function () { self.playing = !self.playing; label(); });
+    speed.addEventListener("change", function () { self.speed = +speed.value; });
+    trace.addEventListener("change", function () {
+      self.scenes.forEach(function (scene) { scene.trace = trace.checked; });
+      self.stale = true;
+    });
+    self.speed = +speed.value;
+    self.scenes.forEach(function (scene) { scene.trace = trace.checked; });
+    label();
+  };
+
+  // The slider and clock of a page with one orbit; `period` is asked for anew, since the orbit may change.
+  Player.prototype.scrubber = function (period) {
+    var self = this, slider = document.getElementById("time"), clock = document.getElementById("clock");
+    slider.addEventListener("input", function () {
+      self.playing = false;
+      document.getElementById("play").textContent = "Play";
+      self.seek(+slider.value / 1000 * period());
+    });
+    self.followers.push(function (time) {
+      var whole = period(), within = whole ? time - whole * Math.floor(time / whole) : 0;
+      if (document.activeElement !== slider || self.playing) slider.value = Math.round(1000 * within / whole);
+      clock.textContent = within.toFixed(2) + " s";
+      slider.setAttribute("aria-valuetext", within.toFixed(2) + " seconds");
+    });
+  };
+
+  function save(name, type, text) {
+    var link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([text], { type: type }));
+    link.download = name;
+    link.click();
+    setTimeout(function () { URL.revokeObjectURL(link.href); }, 1000);
+  }
+
+  function figure(value, digits) {
+    if (value === null || value === undefined || !isFinite(value)) return "not computed";
+    var size = Math.abs(value), text;
+    if (value !== 0 && (size < 1e-4 || size >= 1e7)) text = value.toExponential(Math.max(0, (digits || 6) - 3));
+    else text = String(+value.toPrecision(digits || 6));
+    return text.replace(/-/g, "\u2212");
+  }
+
+  return { put: put, data: data, bytes: bytes, Motion: Motion, Player: Player, colours: colours, save: save,
+    figure: figure, calm: calm };
+})();

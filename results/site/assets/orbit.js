@@ -1,0 +1,98 @@
+// The page of one orbit: motion, portraits and histories follow one clock.
+(function () {
+  "use strict";
+  var it = orbitfinder.data.orbit, plots = orbitfinder.plots, player = new orbitfinder.Player();
+  orbitfinder.player = player;
+  function part(id) { return document.getElementById(id); }
+
+  plots.plot(part("circle"), function () { return plots.circle(it.multipliers); });
+  if (it.motion) moving();
+  else ["moving", "histories"].forEach(function (id) { part(id).hidden = true; });
+
+  function moving() {
+    var count = it.histories.count, states = new Float32Array(orbitfinder.bytes(it.histories.data));
+    var n = it.names.length / 2, times = [];
+    for (var k = 0; k < count; k++) times.push(it.period * k / (count - 1));
+    function row(component) { return Array.from(states.subarray(component * count, (component + 1) * count)); }
+    function value(component, time) {
+      var place = (time / it.period - Math.floor(time / it.period)) * (count - 1), i = Math.floor(place), u = place - i;
+      var o = component * count;
+      return states[o + i] * (1 - u) + states[o + Math.min(i + 1, count - 1)] * u;
+    }
+    player.add(part("stage"), new orbitfinder.Motion(it.motion));
+    player.controls();
+    player.scrubber(function () { return it.period; });
+
+    var marks = [];
+    function span(i) { var all = row(i); return [Math.min.apply(null, all), Math.max.apply(null, all)]; }
+    // A component that stands still is shown as a point, not as its round-off.
+    function range(i, others) {
+      var own = span(i), most = Math.max.apply(null, others.map(function (k) { var s = span(k); return s[1] - s[0]; }));
+      var middle = (own[0] + own[1]) / 2;
+      return own[1] - own[0] > 1e-6 * most ? {} : { range: [middle - most / 2, middle + most / 2] };
+    }
+    var rates = it.shown.map(function (i) { return i + n; });
+    it.shown.forEach(function (i) {
+      var box = part("portraits").querySelector('[data-component="' + i + '"]'), units = it.units[i];
+      var across = Object.assign({ nticks: 4, zeroline: false }, range(i, it.shown));
+      var up = Object.assign({ nticks: 5, zeroline: false }, range(i + n, rates));
+      plots.plot(box, function () {
+        return { traces: [{ x: row(i), y: row(i + n), mode: "lines", hoverinfo: "x+y",
+          line: { color: orbitfinder.colours().series[0], width: 1.6 } }],
+        layout: plots.layout(plots.axis(it.labels[i] + ", " + units, across),
+          plots.axis("rate, " + units + "/s", up), { margin: { l: 52, r: 10, t: 8, b: 40 } }) };
+      });
+      marks.push({ mark: new plots.Mark(box, "dot"), component: i });
+    });
+
+    var kinds = Array.from(new Set(it.shown.map(function (i) { return it.units[i]; }))).join(" or ");
+    var lines = [["coordinates", 0, kinds], ["velocities", n, kinds.replace(/rad|m/g, "$&/s")]].map(function (one) {
+      var box = part(one[0]);
+      plots.plot(box, function () {
+        var c = orbitfinder.colours(), dashes = ["solid", "dash", "dot"];
+        return { traces: it.shown.map(function (i, k) {
+          return { x: times, y: row(i + one[1]), mode: "lines", name: it.labels[i],
+            line: { color: c.series[k % c.series.length], width: 1.7, dash: dashes[Math.floor(k / c.series.length) % 3] } };
+        }),
+        layout: plots.layout(plots.axis("time, s", { range: [0, it.period] }), plots.axis(one[0] + ", " + one[2]),
+          { showlegend: true, hovermode: "x", legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
+            margin: { l: 60, r: 14, t: 40, b: 44 } }) };
+      });
+      box.on("plotly_click", function (event) { player.seek(event.points[0].x); });
+      return new plots.Mark(box, "line");
+    });
+    player.followers.push(function (time) {
+      var within = time - it.period * Math.floor(time / it.period);
+      marks.forEach(function (one) { one.mark.move(value(one.component, time), value(one.component + n, time)); });
+      lines.forEach(function (line) { line.move(within); });
+    });
+
+    part("save-csv").addEventListener("click", function () {
+      var out = ["t," + it.names.join(",")];
+      for (var k = 0; k < count; k++) {
+        var cells = [times[k]];
+        for (var c = 0; c < 2 * n; c++) cells.push(+states[c * count + k].toPrecision(8));
+        out.push(cells.join(","));
+      }
+      orbitfinder.save(it.name + ".csv", "text/csv", out.join("\n") + "\n");
+    });
+  }
+
+  if (!it.motion) part("save-csv").hidden = true;
+  part("save-json").addEventListener("click", function () { orbitfinder.save(it.name + ".json", "application/json", it.json + "\n"); });
+  part("save-toml").hidden = !it.problem;
+  part("save-toml").addEventListener("click", function () { orbitfinder.save(it.name + ".toml", "text/plain", it.problem); });
+  document.querySelectorAll("[data-copy]").forEach(function (button) {
+    var before = button.textContent;
+    button.addEventListener("click", function () {
+      var area = document.createElement("textarea");
+      area.value = part(button.dataset.copy).textContent;
+      document.body.appendChild(area);
+      area.select();
+      button.textContent = document.execCommand("copy") ? "Copied" : "Select and copy by hand";
+      area.remove();
+      button.focus();
+      setTimeout(function () { button.textContent = before; }, 1500);
+    });
+  });
+})();

@@ -1,0 +1,168 @@
+"""What notebooks show, and that the worked notebooks run."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import orbitfinder as of
+from orbitfinder import display
+from orbitfinder.atlas.store import Atlas
+from orbitfinder.families.command import continue_command
+from orbitfinder.families.normal_modes import mode_problem
+from orbitfinder.families.points import FamilySettings
+from orbitfinder.show import svg
+from orbitfinder.show.html import html
+
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+VOID = {"br"}
+
+
+class Tags(HTMLParser):
+    """Every element with its attributes and, in `text`, what a reader sees; unbalanced tags fail."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.found, self.text = [], [], ""
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def triple():
+    return of.load_orbit(ROOT / "results" / "orbits" / "triple-1" / "orbit.json")
+
+
+@pytest.fixture(scope="module")
+def family(tmp_path_factory):
+    settings = FamilySettings(directions="forward", events=False)
+    problem = mode_problem(of.chain(2), 1, 0.2)
+    return continue_command(problem, points=4, out=tmp_path_factory.mktemp("family"), settings=settings)
+
+
+def test_an_orbit_moves_and_says_its_numbers(triple):
+    """Two pictures move in real time; period, stability and certificate are there; small and self-contained."""
+    shown = triple._repr_html_()
+    tags = Tags(shown)
+    moving = [attributes for tag, attributes in tags.found if tag == "animate"]
+    assert len(moving) == 5 and {one["dur"] for one in moving} == {f"{triple.period:.6g}s"}
+    for words in ("Triple pendulum, periodic solution", "1.65533898831 s", "unstable", "passed, 16 checks"):
+        assert words in tags.text
+    assert len(shown) < 300_000
+    assert not re.search(r"https?:|<script|<link|<img|url\(", shown)
+    assert all(attributes.get("aria-label") for tag, attributes in tags.found if tag == "svg")
+
+
+def test_the_motion_is_the_orbit(triple):
+    """The animated polyline starts and ends at the drawn joints, to a tenth of a pixel, and scales are equal."""
+    places = of.positions(of.chain(3), triple.samples)
+    picture = svg.moving_mechanism(places, triple.period, "label")
+    values = re.search(r'attributeName="points"[^>]*values="([^"]*)"', picture).group(1).split(";")
+    frames = np.array([[pair.split(",") for pair in one.split()] for one in values], float)
+    assert np.abs(frames[0] - frames[-1]).max() < 0.15
+    lengths = np.linalg.norm(np.diff(frames, axis=1), axis=2)
+    assert np.ptp(lengths) < 0.3 and lengths.min() > 20  # three links of one length, whatever their angle
+
+
+def test_titles_are_escaped(triple):
+    """A script tag in a title is text; so are check notes and names."""
+    hostile = replace(triple, title="<script>alert(1)</script>", source='"><img src=x>')
+    shown = hostile._repr_html_()
+    assert "<script" not in shown and "<img" not in shown
+    assert "<script>alert(1)</script>" in Tags(shown).text
+
+
+def test_an_orbit_without_samples_is_sampled(triple):
+    bare = replace(triple, times=np.zeros(0), samples=np.zeros((0, 6)), certificate=None)
+    assert bare._repr_html_().count("<animate ") == 5 and "no certificate" in bare._repr_html_()
+
+
+def test_an_orbit_of_a_system_that_no_file_describes_shows_its_numbers(triple):
+    unknown = replace(triple, system={"kind": "custom"})
+    assert "<animate " not in unknown._repr_html_() and "1.65533898831 s" in unknown._repr_html_()
+
+
+def test_a_certificate_is_a_table(triple):
+    """Every check with its number and verdict, failed ones in capitals."""
+    certificate = triple.certificate
+    tags = Tags(certificate._repr_html_())
+    assert all(check.name in tags.text for check in certificate.checks) and "FAILED" not in tags.text
+    first = replace(certificate.checks[0], passed=False)
+    failing = replace(certificate, checks=(first, *certificate.checks[1:]))
+    assert "Certificate: FAILED: closure" in Tags(failing._repr_html_()).text
+
+
+def test_a_family_is_a_diagram_with_three_of_its_orbits(family):
+    shown = family._repr_html_()
+    tags = Tags(shown)
+    assert sum(tag == "svg" for tag, _ in tags.found) == 4 and shown.count("E = ") == 3
+    assert "frequency (1/s)" in tags.text and len(shown) < 300_000
+
+
+def test_an_atlas_is_a_table_with_moving_orbits(triple, pendulum_orbit, tmp_path):
+    with Atlas(tmp_path / "one.sqlite", triple.system, write=True) as atlas:
+        atlas.add(triple)
+        tags = Tags(atlas._repr_html_())
+    assert "Atlas one.sqlite: 1 orbits" in tags.text and "1.655338988" in tags.text
+    assert sum(tag == "animate" for tag, _ in tags.found) == 5
+
+
+def test_pictures_are_well_formed_xml(triple):
+    circle = svg.unit_circle(np.array([0.5 + 0.5j, 100.0, -0.01]), "a & b")
+    root = ElementTree.fromstring(circle)
+    assert root.get("aria-label") == "a & b"
+    assert [dot.get("fill") for dot in root.iter("circle")][1:] == ["#D55E00", "none", "#D55E00"]
+
+
+def test_other_things_and_failures_are_left_to_plain_text(triple, monkeypatch):
+    """None tells a notebook to show the repr."""
+    assert html(3) is None
+    monkeypatch.setattr(display, "_drawing", [])
+    assert triple._repr_html_() is None
+
+
+def test_long_mechanisms_stay_small():
+    """A hundred joints get fewer frames."""
+    places = np.random.default_rng(0).normal(size=(401, 2, 101))
+    assert len(svg.moving_mechanism(places, 1.0, "many")) < 300_000
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_carry_no_output(path):
+    """Outputs are made by running them; the repository stays small and free of machine paths."""
+    nbformat = pytest.importorskip("nbformat")
+    notebook = nbformat.read(path, 4)
+    nbformat.validate(notebook)
+    assert not any(cell.get("outputs") for cell in notebook.cells)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of Jupyter's own
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_run(path):
+    """Each cell runs, and the objects are shown as moving HTML."""
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel")
+    notebook = nbformat.read(path, 4)
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+    shown = [output["data"] for cell in notebook.cells for output in cell.get("outputs", []) if "data" in output]
+    assert sum("<animate " in one.get("text/html", "") for one in shown) >= 2

@@ -1,0 +1,316 @@
+"""The site in a real browser: it runs, moves, filters, follows clicks, and holds at both widths and themes."""
+
+import shutil
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from test_page import NASTY, material, site  # noqa: F401  (fixtures)
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed; pip install '.[browser]'")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+DRIVER = shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None or DRIVER is None, reason="no browser: install chromium and chromedriver (Debian: chromium-driver)"
+)
+KINDS = {
+    "gallery": "index.html",
+    "orbit": "orbits/triple-1.html",
+    "family": "families/mode-1.html",
+    "atlas": "atlases/triples.html",
+}
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def pages(site):  # noqa: F811
+    """The pages by kind; a family has the name that its problem gave it."""
+    family = next(path.relative_to(site).as_posix() for path in (site / "families").glob("*.html"))
+    return {kind: site / path for kind, path in (KINDS | {"family": family}).items()}
+
+
+def go(browser, page, width=1400, theme="light", motion="no-preference"):
+    """Open a page at a width and in a theme, and wait until its clock runs."""
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    features = [{"name": "prefers-color-scheme", "value": theme}, {"name": "prefers-reduced-motion", "value": motion}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    browser.get(page.as_uri())
+    wait(browser, "return orbitfinder.player.frames > (orbitfinder.player.playing ? 2 : 0)")
+
+
+def wait(browser, script, patience=15.0):
+    """Until a script returns something true; what it returned."""
+    end = time.monotonic() + patience
+    while not (found := browser.execute_script(script)):
+        assert time.monotonic() < end, f"never true: {script}"
+        time.sleep(0.03)
+    return found
+
+
+def find(browser, selector):
+    return browser.find_element("css selector", selector)
+
+
+CHECKS = (Path(__file__).parent / "data" / "page_checks.js").read_text(encoding="utf-8")
+
+
+def ask(browser, question, *arguments):
+    """The answer of a function of tests/data/page_checks.js."""
+    return browser.execute_script(f"{CHECKS}\nreturn checks.{question}(...arguments)", *arguments)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_page_loads_without_a_word_on_the_console(browser, pages, kind):
+    browser.get_log("browser")
+    go(browser, pages[kind])
+    assert browser.get_log("browser") == []
+    assert browser.title and find(browser, "h1").text
+    loaded = browser.execute_script("return performance.getEntriesByType('resource').map(one => one.name)")
+    assert not [name for name in loaded if not name.startswith(("file:", "data:"))]
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_layout_and_contrast_hold(browser, pages, kind, theme, width):
+    go(browser, pages[kind], width, theme)
+    assert ask(browser, "overflow") == []
+    found = ask(browser, "texts")
+    assert len(found) > 10
+    assert [text for text in found if text[0] < 4.5] == []
+    dark = browser.execute_script("return getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 26)"
+    assert dark == (theme == "dark")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_everything_has_a_name_and_nothing_jumps(browser, pages, kind):
+    go(browser, pages[kind])
+    assert ask(browser, "nameless") == []
+    headings = browser.execute_script(
+        "return Array.from(document.querySelectorAll('h1,h2,h3')).map(h => +h.tagName[1])"
+    )
+    assert headings.count(1) == 1 and all(b - a <= 1 for a, b in pairwise(headings))
+    ids = browser.execute_script("return Array.from(document.querySelectorAll('[id]')).map(node => node.id)")
+    assert len(ids) == len(set(ids)) or kind != "gallery"
+    shift = """const done = arguments[0]; let sum = 0;
+    new PerformanceObserver(list => list.getEntries().forEach(one => { if (!one.hadRecentInput) sum += one.value; }))
+      .observe({ type: 'layout-shift', buffered: true });
+    setTimeout(() => done(sum), 250);"""
+    assert browser.execute_async_script(shift) < 0.1
+
+
+def test_gallery_moves_pauses_and_draws_only_what_is_seen(browser, pages):
+    go(browser, pages["gallery"])
+    canvas = ".card[data-slug=triple-1] canvas"
+    first = ask(browser, "picture", canvas)
+    wait(browser, "return orbitfinder.player.time > 0.2")
+    assert ask(browser, "picture", canvas) != first
+    find(browser, "#play").click()
+    assert find(browser, "#play").text == "Play"
+    frames = browser.execute_script("return orbitfinder.player.frames")
+    held = ask(browser, "picture", canvas)
+    time.sleep(0.15)
+    assert ask(browser, "picture", canvas) == held
+    assert browser.execute_script("return orbitfinder.player.frames") - frames <= 1
+    go(browser, pages["gallery"], 390)
+    seen, every = browser.execute_script("return [orbitfinder.player.visible.size, orbitfinder.player.scenes.length]")
+    assert 0 < seen < every
+
+
+def test_speed_scales_time(browser, pages):
+    go(browser, pages["gallery"])
+    browser.execute_script(
+        "const s = document.getElementById('speed'); s.value = '4'; s.dispatchEvent(new Event('change'));"
+    )
+    assert browser.execute_script("return orbitfinder.player.speed") == 4
+
+
+def test_reduced_motion_starts_at_rest(browser, pages):
+    go(browser, pages["gallery"], motion="reduce")
+    time.sleep(0.1)
+    assert browser.execute_script("return orbitfinder.player.time") == 0
+    assert find(browser, "#play").text == "Play"
+    find(browser, "#play").click()
+    wait(browser, "return orbitfinder.player.time > 0")
+
+
+def cards(browser):
+    return browser.execute_script(
+        "return Array.from(document.querySelectorAll('.card:not([hidden])')).map(card => card.dataset.slug)"
+    )
+
+
+def choose(browser, field, value):
+    browser.execute_script(
+        "const f = document.getElementById(arguments[0]); f.value = arguments[1];"
+        "f.dispatchEvent(new Event('input', { bubbles: true }));",
+        field, value,
+    )  # fmt: skip
+
+
+def test_filters_filter_and_sorting_sorts(browser, pages):
+    go(browser, pages["gallery"])
+    everything = cards(browser)
+    choose(browser, "mechanism", "quadruple pendulum")
+    assert set(cards(browser)) == {slug for slug in everything if slug.startswith("quadruple")}
+    choose(browser, "energy-min", "-78")
+    assert all(slug.startswith("quadruple-1") for slug in cards(browser)) and cards(browser)
+    assert find(browser, "#count").text == f"{len(cards(browser))} of {len(everything)} orbits"
+    choose(browser, "search", "no such thing")
+    assert cards(browser) == [] and find(browser, "#nothing").is_displayed()
+    find(browser, "#reset").click()
+    wait(browser, "return document.querySelectorAll('.card[hidden]').length === 0")
+    choose(browser, "sort", "period")
+    periods = browser.execute_script(
+        "return Array.from(document.querySelectorAll('.card')).map(c => +c.dataset.period)"
+    )
+    assert periods == sorted(periods)
+    find(browser, "#order").click()
+    periods = browser.execute_script(
+        "return Array.from(document.querySelectorAll('.card')).map(c => +c.dataset.period)"
+    )
+    assert periods == sorted(periods, reverse=True)
+    choose(browser, "stability", "elliptic")
+    shown = browser.execute_script(
+        "return Array.from(document.querySelectorAll('.card:not([hidden])')).map(c => c.dataset.stability)"
+    )
+    assert set(shown) == {"elliptic"}
+
+
+def test_a_title_that_is_a_program_is_text(browser, pages, site):  # noqa: F811
+    go(browser, pages["gallery"])
+    titles = [one.text for one in browser.find_elements("css selector", ".card h3")]
+    shown = " ".join(NASTY.replace("\u2028", " ").split())
+    assert shown in [" ".join(title.split()) for title in titles]
+    nasty = next(path for path in (site / "orbits").glob("*.html") if "stolen" in path.read_text(encoding="utf-8"))
+    go(browser, nasty)
+    assert " ".join(find(browser, "h1").text.split()) == shown
+    assert browser.execute_script("return window.stolen === undefined && document.querySelector('main b') === null")
+
+
+def test_orbit_page_has_one_clock(browser, pages):
+    go(browser, pages["orbit"])
+    find(browser, "#play").click()
+    slider = "const s = document.getElementById('time'); s.value = arguments[0]; s.dispatchEvent(new Event('input'));"
+    dots = "return Array.from(document.querySelectorAll('.mark')).map(mark => mark.style.transform)"
+    browser.execute_script(slider, 250)
+    wait(browser, "return Math.abs(parseFloat(document.getElementById('clock').textContent) - 0.41) < 0.006")
+    first = browser.execute_script(dots)
+    browser.execute_script(slider, 600)
+    wait(browser, "return Math.abs(parseFloat(document.getElementById('clock').textContent) - 0.99) < 0.006")
+    second = browser.execute_script(dots)
+    assert len(first) == 5 and all(a != b for a, b in zip(first, second, strict=True))
+    assert len(browser.find_elements("css selector", "tbody.checks tr")) == 16
+    assert "orbitfinder run triple-1.toml" in find(browser, "#commands").text
+
+
+def test_click_on_a_history_goes_to_that_instant(browser, pages):
+    go(browser, pages["orbit"])
+    find(browser, "#play").click()
+    place = ask(browser, "instant", 1.0)
+    click(browser, *place)
+    wait(browser, "return Math.abs(parseFloat(document.getElementById('clock').textContent) - 1.0) < 0.02")
+
+
+def test_downloads_hold_the_orbit(browser, pages):
+    go(browser, pages["orbit"])
+    caught = """window.saved = []; const make = URL.createObjectURL; URL.createObjectURL = blob => {
+        blob.text().then(text => window.saved.push(text)); return make(blob); };
+        HTMLAnchorElement.prototype.click = function () {};"""
+    browser.execute_script(caught)
+    for button in ("#save-toml", "#save-json", "#save-csv"):
+        browser.execute_script("document.querySelector(arguments[0]).click()", button)
+    saved = wait(browser, "return window.saved.length === 3 && window.saved")
+    assert saved[0].startswith('name = "triple-1"') and '"period":1.655338988314641' in saved[1]
+    rows = saved[2].splitlines()
+    assert rows[0].startswith("t,theta1,") and len(rows) >= 242 and len(rows[5].split(",")) == 7
+
+
+def click(browser, x, y):
+    for kind, buttons in (("mouseMoved", 0), ("mousePressed", 1), ("mouseReleased", 1)):
+        about = {"type": kind, "x": x, "y": y, "button": "left" if buttons else "none", "clickCount": buttons}
+        browser.execute_cdp_cmd("Input.dispatchMouseEvent", about)
+
+
+@pytest.mark.parametrize("kind", ["family", "atlas"])
+def test_click_on_a_point_changes_the_orbit(browser, pages, kind):
+    go(browser, pages[kind])
+    energies = []
+    for index in (0, -1):
+        x, y, energy = ask(browser, "place", index)
+        click(browser, x, y)
+        wait(browser, f"return orbitfinder.picked().energy === {energy!r}")
+        energies.append(energy)
+        find(browser, "#play").click()  # paused, then moving again: the picture of this orbit at t = 0 and later
+        find(browser, "#play").click()
+    if kind == "family":
+        assert energies[0] != energies[1]
+    text = find(browser, "#picked").text
+    assert f"{energies[-1]:.5g}".replace("-", "\N{MINUS SIGN}")[:6] in text
+    moved = ask(browser, "picture", "#stage")
+    wait(browser, "return orbitfinder.player.playing || (document.getElementById('play').click(), false)")
+    time.sleep(0.2)
+    assert ask(browser, "picture", "#stage") != moved
+
+
+def test_family_by_keyboard_and_events(browser, pages):
+    from selenium.webdriver.common.keys import Keys
+
+    go(browser, pages["family"])
+    slider = find(browser, "#item")
+    before = browser.execute_script("return orbitfinder.picked().energy")
+    slider.send_keys(Keys.ARROW_LEFT)
+    assert browser.execute_script("return orbitfinder.picked().energy") != before
+    slider.send_keys(Keys.HOME)
+    assert find(browser, "#item-text").text.startswith("1 of ")
+    find(browser, "#next").send_keys(Keys.ENTER)
+    assert find(browser, "#item-text").text.startswith("2 of ")
+    buttons = browser.find_elements("css selector", ".pick")
+    assert buttons
+    browser.execute_script("arguments[0].click()", buttons[0])
+    assert browser.execute_script("return orbitfinder.picked().event") != ""
+    dashes = browser.execute_script(
+        "return document.getElementById('plot').data.filter(t => t.mode === 'lines').map(t => t.line.dash)"
+    )
+    assert "solid" in dashes
+
+
+def test_skip_link_theme_button_and_tab_order(browser, pages):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    go(browser, pages["gallery"])
+    ActionChains(browser).send_keys(Keys.TAB).perform()
+    focused = browser.switch_to.active_element
+    assert focused.text == "Skip to content"
+    assert wait(browser, "return document.activeElement.getBoundingClientRect().top >= 0")
+    focused.send_keys(Keys.ENTER)
+    assert browser.switch_to.active_element.get_attribute("id") == "main"
+    theme = find(browser, "#theme")
+    theme.send_keys(Keys.ENTER)
+    assert theme.text == "Theme: light"
+    theme.send_keys(Keys.SPACE)
+    assert theme.text == "Theme: dark"
+    assert browser.execute_script("return getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 26)"
+    theme.send_keys(Keys.ENTER)
+    assert theme.text == "Theme: system"
+    link = find(browser, ".card h3 a")
+    link.send_keys(Keys.ENTER)
+    wait(browser, "return location.pathname.includes('/orbits/')")
