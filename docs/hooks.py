@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,16 +12,35 @@ import click
 ROOT = Path(__file__).parents[1]
 
 
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Replace a marker by what it stands for."""
-    if "{{ commands }}" in markdown:
-        from orbitfinder.cli import cli
+MARKER = re.compile(r"<!-- made: (\w+) ?(\S*) -->")
 
-        return markdown.replace("{{ commands }}", "\n".join(described(cli)))
-    if "{{ validation }}" in markdown:
-        text = (ROOT / "results" / "validation" / "README.md").read_text(encoding="utf-8")
-        return markdown.replace("{{ validation }}", text.partition("\n")[2])
-    return markdown
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Replace a marker, `<!-- made: WHAT [FILE] -->`, by what it stands for."""
+    return MARKER.sub(lambda found: MAKERS[found.group(1)](found.group(2)), markdown)
+
+
+def commands(_: str) -> str:
+    """The help text of every command."""
+    from orbitfinder.cli import cli
+
+    return "\n".join(described(cli))
+
+
+def validation(_: str) -> str:
+    """The validation page without its heading."""
+    return (ROOT / "results" / "validation" / "README.md").read_text(encoding="utf-8").partition("\n")[2]
+
+
+def orbit(file: str) -> str:
+    """An orbit of the repository as notebooks show it, moving."""
+    from orbitfinder.periodic.orbit import load_orbit
+    from orbitfinder.show.html import orbit_html
+
+    return orbit_html(load_orbit(ROOT / file))
+
+
+MAKERS = {"commands": commands, "validation": validation, "orbit": orbit}
 
 
 def described(group: click.Group, path: tuple[str, ...] = ("orbitfinder",)) -> Iterator[str]:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from orbitfinder import errors as errors
     from orbitfinder import systems as systems
     from orbitfinder.choosing import least_unstable as least_unstable
+    from orbitfinder.atlas.api import search as search
+    from orbitfinder.atlas.store import Atlas as Atlas
+    from orbitfinder.atlas.store import Filter as Filter
     from orbitfinder.dae_flow import DaeSettings as DaeSettings
     from orbitfinder.dae_flow import simulate_dae as simulate_dae
     from orbitfinder.flow import IntegratorSettings as IntegratorSettings
@@ -84,6 +87,9 @@ if TYPE_CHECKING:
 # name -> the module that defines it; "" marks a module exported whole
 _HOMES = {
     "errors": "",
+    "search": "atlas.api",
+    "Atlas": "atlas.store",
+    "Filter": "atlas.store",
     "systems": "",
     "IntegratorSettings": "flow",
     "build_flow": "flow",

@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder import completion, doctor, exporting, following, guessing, interrupt, paging, pictures, searching
+from orbitfinder import (
+    completion,
+    doctor,
+    exporting,
+    following,
+    guessing,
+    interrupt,
+    paging,
+    pictures,
+    proving,
+    searching,
+)
 from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.version import __version__
@@ -26,6 +37,14 @@ FILES = click.Path(path_type=Path)
 
 class Commands(click.Group):
     """A group whose commands end with a sentence and an exit code, never with a traceback."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """The command that is meant; a file in its place is answered with the command that takes it."""
+        if args and args[0] not in self.commands and Path(args[0]).is_file():
+            verb = "verify" if args[0].endswith(".json") else "run"
+            meant = f"orbitfinder {verb} {args[0]}"
+            raise click.UsageError(f"{args[0]!r} is a file, not a command. Did you mean: {meant}", ctx)
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; turn the exceptions made for people into messages."""
@@ -153,12 +172,15 @@ def _print_outcome(outcome: Any) -> None:
 
 @cli.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@click.option("--proof", is_flag=True, help="Replay the recorded proof of each file too (see `orbitfinder prove`).")
+@trust_option
 @json_option
-def verify(files: tuple[Path, ...], as_json: bool) -> None:
+def verify(files: tuple[Path, ...], proof: bool, trust: bool, as_json: bool) -> None:
     """Recompute the certificate of each ORBIT.json from the file alone.
 
     Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
-    every file passed; 1: some failed, and are named.
+    every file passed; 1: some failed, and are named. The equations of a system that a Python module
+    of yours makes are that module's; it is run only with --trust.
 
     \b
     Examples:
@@ -170,12 +192,16 @@ def verify(files: tuple[Path, ...], as_json: bool) -> None:
 
     results = []
     for file in files:
-        orbit, certificate = verify_file(file)
+        orbit, certificate = verify_file(file, trust)
         interrupt.check()
         results.append({"file": str(file), "name": orbit.name} | certificate_to_document(certificate))
         if not as_json:
             _print_certificate(f"{file} ({orbit.name})", certificate)
-    passed = all(result["passed"] for result in results)
+        if proof:
+            results[-1]["proof"] = proving.verify_proof(file, trust)
+            if not as_json:
+                click.echo(f"  {results[-1]['proof']['message']}")
+    passed = all(result["passed"] and result.get("proof", result)["passed"] for result in results)
     if as_json:
         _print_json({"format": "orbitfinder/verify", "passed": passed, "results": results})
     if not passed:
@@ -201,7 +227,7 @@ def _print_certificate(heading: str, certificate: Certificate) -> None:
 @trust_option
 @json_option
 def simulate(file: Path, duration: float | None, out: Path | None, trust: bool, as_json: bool) -> None:
-    """Simulate the system of a problem FILE from its state and report the energy drift.
+    """Simulate the system of a problem FILE from its state and report what becomes of the energy.
 
     \b
     Examples:
@@ -225,8 +251,9 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool, 
         return
     click.echo(f"{result.name}: {result.times[-1]:g} s simulated")
     click.echo(f"  {'energy':<22}{document['energy']:.12g} J")
-    click.echo(f"  {'energy drift':<22}{document['energy_drift']:.2e} J")
-    click.echo(f"  {'relative to exchanged':<22}{document['relative_energy_drift']:.2e}")
+    kind, more = ("drift", "") if result.conserved else ("change", ", which this system does not conserve")
+    click.echo(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
+    click.echo(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
     click.echo(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))
     if out is not None:
         click.echo(f"  {document['written']}")
@@ -259,5 +286,7 @@ for command in (
     exporting.export,
     doctor.doctor,
     completion.completion,
+    proving.prove_command,
+    proving.refine_command,
 ):
     cli.add_command(command)

@@ -20,9 +20,9 @@ OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
 PLUGINS = {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}
 EXTRAS = {
-    "mp4": "animate -o FILE.mp4", "prove": "prove", "page": "page", "cluster": "search --scheduler",
-    "parquet": "atlas export --to parquet", "notebook": "notebooks", "docs": "building the documentation",
-    "test": "the tests",
+    "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler",
+    "parquet": "atlas export --to parquet", "notebook": "the notebooks", "docs": "building the documentation",
+    "browser": "tests of pages in a browser", "test": "the tests",
 }  # fmt: skip
 """What each optional extra is for; one that a release does not declare is not asked about."""
 

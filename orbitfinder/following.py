@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,9 +14,13 @@ from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.families.points import Batch
+    from orbitfinder.families.points import Batch, FamilySettings
+    from orbitfinder.families.switching import Branch
+    from orbitfinder.mechanics.model import Model
     from orbitfinder.periodic.orbit import Orbit
     from orbitfinder.periodic.problem import Problem
+
+    Origin = Orbit | Problem | Branch
 
 FILES = click.Path(path_type=Path)
 
@@ -31,71 +36,141 @@ def numbers(text: str) -> tuple[float, ...]:
     return tuple(found)
 
 
-def origin_of(file: Path, trust: bool) -> Orbit | Problem:
-    """The Orbit of an orbit.json, or the Problem of any other file."""
+def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
+    """The Orbit of an orbit.json, the Branch of a family.json or the Problem of any other file, with its model."""
+    from orbitfinder.families.store import FORMAT
     from orbitfinder.periodic.orbit import load_orbit
-    from orbitfinder.problemfile import load_problem
+    from orbitfinder.problemfile import load_problem, read_bytes
     from orbitfinder.schema import check_name
 
     if file.suffix != ".json":
-        return load_problem(file, trust)
+        if switch is not None:
+            raise InputError("--switch: goes with a family.json; continue the problem first, then switch there")
+        return load_problem(file, trust), None
+    if FORMAT.encode() in read_bytes(file)[:200]:
+        return _branch_of(file, trust, switch, branch), None
+    if switch is not None:
+        raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
     orbit = load_orbit(file)
     check_name(orbit.name)
-    return orbit
+    return orbit, model_of(orbit.system, file, trust)
+
+
+def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
+    from orbitfinder.families.branching import SWITCHABLE
+    from orbitfinder.families.store import load_family
+    from orbitfinder.families.switching import branches, described
+
+    if switch is None:
+        family = load_family(file)
+        known = [described(family, k) for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+        raise InputError(f"--switch: missing; give the event to leave {family.name} at: {'; '.join(known) or 'none'}")
+    found = branches(file, switch, model=model_of(load_family(file).system, file, trust))
+    if branch > len(found):
+        raise InputError(f"--branch: {branch} asked for, {len(found)} found at event {switch}; give 1 to {len(found)}")
+    return found[branch - 1]
+
+
+def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
+    """The model of a file's `system`; a trusted module is looked for beside the file, then in the working folder."""
+    from orbitfinder.mechanics.catalogue import build_model
+
+    beside = file.parent / f"{system.get('module')}.py"
+    return build_model(system, (file.parent if beside.is_file() else Path.cwd()) if trust else None)
 
 
 @click.command(name="continue")
-@click.argument("file", type=FILES, metavar="FILE|ORBIT.json")
+@click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
 @click.option("--parameter", default="energy", show_default=True, help="energy, period or a physical parameter.")
 @click.option("--until", type=float, default=None, help="Stop when the parameter reaches this value.")
 @click.option("--at", default="", metavar="V,V,...", help="Compute points exactly at these values of the parameter.")
 @click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
+@click.option(
+    "--direction", type=click.Choice(("both", "forward", "backward", "away")), default=None,
+    help="Both ways, the parameter growing or falling, or away from a branch's birth.  [default: both, or away]",
+)  # fmt: skip
+@click.option("--switch", type=click.IntRange(0), metavar="EVENT", help="Switch at the event with this index.")
+@click.option("--branch", type=click.IntRange(1), default=1, show_default=True, help="Which of the branches there.")
+@click.option(
+    "--resolve", type=click.FloatRange(1e-6, 0.15), default=None, metavar="ARCLENGTH",
+    help="Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
+)  # fmt: skip
+@click.option("--name", default=None, help="Name of the family; the problem's, orbit's or branch's when left out.")
 @click.option("--out", default="families", show_default=True, type=FILES, help="Folder for DIR/<name>/family.json.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the family.")
 @compile_option
-@click.option("--trust", is_flag=True, help="Execute Python problem files; only for files you have read.")
-def follow(
-    file: Path, parameter: str, until: float | None, at: str, points: int, out: Path, figures: bool, trust: bool
-) -> None:
-    """Follow the family of orbits through an ORBIT.json or the orbit of a problem FILE.
+@click.option("--trust", is_flag=True, help="Execute Python problem files and modules; only what you have read.")
+def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
+    """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
 
-    Both ways along the family unless --until or --at say where to go. Folds, branch points, period
-    doublings, resonances, collisions and stability changes are located. A run that was killed goes on
-    where it stopped when the same command is given again.
+    Both ways along the family unless --until or --at say where to go; a branch away from where it was born.
+    Folds, branch points, period doublings, resonances, collisions and stability changes are located. A run
+    that was killed goes on where it stopped when the same command is given again.
 
     \b
     Examples:
       orbitfinder continue problems/families/triple-mode-2.toml --until -3
       orbitfinder continue orbits/triple-1/orbit.json --at -38,-37,-36 --out families
+      orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
     """
     from orbitfinder.console import display
     from orbitfinder.families.command import continue_command
     from orbitfinder.runner import check_writable
     from orbitfinder.show.family_plot import save_family_figures
 
-    origin, values = origin_of(file, trust), numbers(at)
-    check_writable(out / origin.name)
-    began, seen = time.monotonic(), [0]
+    values, settings = numbers(at), _settings(chosen)
+    origin, model = origin_of(file, chosen["trust"], chosen["switch"], chosen["branch"])
+    label = _checked(chosen["name"] or origin.name)
+    check_writable(out / label)
     with display() as shown:
-
-        def report(batch: Batch) -> None:
-            interrupt.check()
-            seen[0] += len(batch.points)
-            for event in batch.events:
-                shown.say(f"{event.kind} {event.detail}".rstrip() + f" at {parameter} {event.parameter:.9g}")
-            if batch.points and seen[0] % 10 < len(batch.points):
-                shown.say(progress_line(batch, parameter, seen[0], time.monotonic() - began))
-            if batch.end:
-                shown.say(f"end: {batch.end.reason}")
-
-        family = continue_command(origin, parameter, until, values, points, out, report)
+        report = _reporter(shown.say, parameter)
+        family = continue_command(
+            origin, parameter, chosen["until"], values, points, out, report, name=label, settings=settings, model=model
+        )
     folder = out / family.name
-    written = save_family_figures(family, folder) if figures else []
+    written = save_family_figures(family, folder) if chosen["figures"] else []
     click.echo(f"{folder / 'family.json'}: {len(family.points)} certified orbits, {len(family.events)} events")
     for end in family.ends:
         click.echo(f"  ended: {end.kind} ({end.reason})")
     if written:
         click.echo(f"  and {len(written)} figures")
+
+
+def _checked(name: str) -> str:
+    from pydantic_core import PydanticCustomError
+
+    from orbitfinder.schema import check_name
+
+    try:
+        return check_name(name)
+    except PydanticCustomError as error:
+        raise InputError(f"name: {error.message()}, got {name!r}; give another --name") from error
+
+
+def _settings(chosen: dict[str, Any]) -> FamilySettings:
+    """Directions and resolution as asked for."""
+    from orbitfinder.families.points import FamilySettings
+
+    directions = chosen["direction"] or ("both" if chosen["switch"] is None else "away")
+    given = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
+    return FamilySettings(directions=directions, **given)
+
+
+def _reporter(say: Callable[[str], None], parameter: str) -> Callable[[Batch], None]:
+    """One line an event, one every ten points, one at an end."""
+    began, seen = time.monotonic(), [0]
+
+    def report(batch: Batch) -> None:
+        interrupt.check()
+        seen[0] += len(batch.points)
+        for event in batch.events:
+            say(f"{event.kind} {event.detail}".rstrip() + f" at {parameter} {event.parameter:.9g}")
+        if batch.points and seen[0] % 10 < len(batch.points):
+            say(progress_line(batch, parameter, seen[0], time.monotonic() - began))
+        if batch.end:
+            say(f"end: {batch.end.reason}")
+
+    return report
 
 
 def progress_line(batch: Batch, parameter: str, count: int, elapsed: float) -> str:

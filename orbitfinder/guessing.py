@@ -25,7 +25,7 @@ def _remember_json(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
 
 @click.command()
 @click.argument("file", type=FILES)
-@click.option("--duration", type=float, default=None, help="Time simulated for close returns in s; default: 12 periods.")
+@click.option("--duration", type=float, default=None, help="Simulate this long for close returns, in s.")
 @click.option("--count", default=8, show_default=True, type=click.IntRange(1, 100), help="Close returns to show.")
 @click.option("--amplitude", default=0.1, show_default=True, type=float, help="Largest angle of the modes in rad.")
 @click.option("--out", default=None, type=FILES, help="Write a problem file with one of them, the others as comments.")

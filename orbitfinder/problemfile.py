@@ -82,7 +82,9 @@ def read_bytes(source: Path) -> bytes:
     """The content of a regular file of reasonable size, or `InputError`."""
     try:
         if not source.exists():
-            raise InputError(f"{source}: no such file; check the path")
+            named = source.with_name(f"{source.name}.toml")
+            meant = f"did you mean {named}?" if named.is_file() else "check the path"
+            raise InputError(f"{source}: no such file; {meant}")
         if source.is_dir():
             raise InputError(f"{source}: a folder, not a file; name a problem file in it")
         if not source.is_file():
@@ -105,6 +107,10 @@ def read_toml(source: Path) -> dict[str, Any]:
             f"{source}: not UTF-8 text (byte {error.start}); save it as UTF-8, or give a problem file"
         ) from error
     except tomllib.TOMLDecodeError as error:
+        if source.suffix == ".json":
+            raise InputError(
+                f"{source}: not a problem file; orbits and families go to verify, continue, plot, animate or export"
+            ) from error
         raise InputError(f"{source}: not TOML: {error}; see docs/problem-file.md for the format") from error
     except RecursionError as error:
         raise InputError(f"{source}: nested too deeply to be a problem file; see docs/problem-file.md") from error

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder import interrupt
-from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
     from orbitfinder.proof.refine import Refined
@@ -30,21 +29,25 @@ json_option = click.option(
     "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
     help="Print one JSON document on standard output instead of text.",
 )  # fmt: skip
+trust_option = click.option(
+    "--trust", is_flag=True, help="Import the Python module that a system was made with; only if you have read it."
+)
 
 
 @click.command(name="prove")
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
 @click.option("--symmetry", type=click.Choice(SYMMETRIES), default=None,
-              help="Prove in this symmetry; default: the recorded one. none: unique among all orbits near.")  # fmt: skip
+              help="Prove in this symmetry; default: the recorded one. none: unique among all near.")  # fmt: skip
 @click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
 @click.option("--order", type=int, default=None, help="Order of the Taylor series.  [default: 20]")
 @click.option("--bits", type=int, default=None, help="Precision of the ball arithmetic.  [default: 106]")
 @click.option("--tolerance", type=float, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
 @click.option("--record/--no-record", default=True, show_default=True, help="Write the proof into the ORBIT.json.")
+@trust_option
 @json_option
 def prove_command(
     files: tuple[Path, ...], symmetry: str | None, segments: int | None, order: int | None, bits: int | None,
-    tolerance: float | None, record: bool, as_json: bool,
+    tolerance: float | None, record: bool, trust: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Prove that each ORBIT.json is a periodic orbit, by a theorem in ball arithmetic.
 
@@ -58,7 +61,7 @@ def prove_command(
     """
     from orbitfinder.periodic.orbit import load_orbit
     from orbitfinder.proof.record import checked, entry, write_entry
-    from orbitfinder.proof.theorem import Options, prove
+    from orbitfinder.proof.theorem import Options, provable_model, prove
 
     given = {"order": order, "bits": bits, "tolerance": tolerance}
     chosen = Options(symmetry=symmetry, segments=segments)
@@ -66,7 +69,8 @@ def prove_command(
     options, results = checked(replace(chosen, settings=settings)), []
     for file in files:
         orbit = load_orbit(file)
-        proof = prove(orbit, None, options, lambda line, name=orbit.name: _say(f"{name}: {line}"))  # type: ignore[misc]
+        model = provable_model(orbit, file.parent if trust else None)
+        proof = prove(orbit, model, options, lambda line, name=orbit.name: _say(f"{name}: {line}"))  # type: ignore[misc]
         interrupt.check()
         if proof.proved and record:
             write_entry(file, proof)
@@ -110,16 +114,19 @@ def _print_proof(heading: str, proof: Proof) -> None:
         click.echo(f"  {'multiplier':<12}{mu.str(12)}")
 
 
-def verify_proof(file: Path) -> tuple[bool, str]:
-    """Replay the proof recorded in a file: whether it holds, and one sentence."""
+def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
+    """Replay the proof recorded in a file: `passed`, and `message`, one sentence."""
     from orbitfinder.periodic.orbit import load_orbit
     from orbitfinder.proof.record import read_entry, replay
+    from orbitfinder.proof.theorem import provable_model
 
-    proof, wrong = replay(load_orbit(file), read_entry(file))
+    orbit = load_orbit(file)
+    proof, wrong = replay(orbit, read_entry(file), provable_model(orbit, file.parent if trust else None))
     if wrong:
-        return False, f"proof REJECTED: {'; '.join(wrong)}"
+        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
     assert proof.stability is not None
-    return True, f"proof replayed in {proof.wall_time:.1f} s: proved, {proof.stability.verdict}"
+    message = f"proof replayed in {proof.wall_time:.1f} s: proved, {proof.stability.verdict}"
+    return {"passed": True, "message": message}
 
 
 @click.command(name="refine")
@@ -129,10 +136,12 @@ def verify_proof(file: Path) -> tuple[bool, str]:
 @click.option("--bits", type=int, default=None, help="Precision of the arithmetic; default: by the digits.")
 @click.option("--symmetry", type=click.Choice(SYMMETRIES), default=None, help="Default: the recorded one.")
 @click.option("--enclose/--no-enclose", default=True, show_default=True, help="Prove the digits; slower.")
+@trust_option
 @json_option
 def refine_command(
-    file: Path, digits: int, order: int | None, bits: int | None, symmetry: str | None, enclose: bool, as_json: bool
-) -> None:
+    file: Path, digits: int, order: int | None, bits: int | None, symmetry: str | None, enclose: bool, trust: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Many digits of the period and of a state of an ORBIT.json, at its recorded energy.
 
     Every number in the file (energy, masses, gravity) is taken as the decimal that is written there.
@@ -145,9 +154,11 @@ def refine_command(
     """
     from orbitfinder.periodic.orbit import load_orbit
     from orbitfinder.proof.refine import refine, settings_for
+    from orbitfinder.proof.theorem import provable_model
 
-    settings = settings_for(digits, order, bits)
-    found = refine(load_orbit(file), settings, digits, None, symmetry, enclose, _say)
+    settings, orbit = settings_for(digits, order, bits), load_orbit(file)
+    model = provable_model(orbit, file.parent if trust else None)
+    found = refine(orbit, settings, digits, model, symmetry, enclose, _say)
     if as_json:
         click.echo(json.dumps(refined_document(found), indent=1, allow_nan=False))
     else:
@@ -179,6 +190,3 @@ def _print_refined(heading: str, found: Refined) -> None:
     click.echo(f"  {'period':<10}{document['period']['value']} s")
     for k, one in enumerate(document["state"]):
         click.echo(f"  {f'x{k + 1}':<10}{one['value']}")
-
-
-__all__ = ["InputError", "prove_command", "refine_command", "verify_proof"]

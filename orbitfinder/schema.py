@@ -10,39 +10,13 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-MOST_LINKS = 2000
-"""Chains longer than this are refused: their state-transition matrices alone fill the memory."""
+from orbitfinder.schemasystem import SYSTEMS as SYSTEMS
+from orbitfinder.schemasystem import Energies, Line, Positive, Table
+
 MOST_SEGMENTS = 1000
-MOST_BARS = 40
-"""Bars of a linkage; its state-transition matrix has 6 rows per bar."""
-LARGEST_NUMBER = 1e300
-
-
-def _number_or_list(value: Any) -> Any:
-    items = value if isinstance(value, list) else [value]
-    if not items or any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
-        raise PydanticCustomError("numbers", "must be a number or a list with one number per link")
-    if any(not abs(item) < LARGEST_NUMBER for item in items):
-        raise PydanticCustomError("finite_number", "must be finite")
-    return value
-
-
-def _energies(value: Any) -> Any:
-    items = value if isinstance(value, list) else [value]
-    if not items or any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
-        raise PydanticCustomError("numbers", "must be a number or a list of numbers")
-    if any(not abs(item) < LARGEST_NUMBER for item in items):
-        raise PydanticCustomError("finite_number", "must be finite")
-    return value
-
-
-def _printable(text: str) -> str:
-    if any(ord(letter) < 32 or ord(letter) == 127 for letter in text):
-        raise PydanticCustomError("printable", "must be one line without control characters")
-    return text
 
 
 def check_name(name: str) -> str:
@@ -54,81 +28,9 @@ def check_name(name: str) -> str:
     return name
 
 
-PerLink = Annotated[float | list[float], BeforeValidator(_number_or_list)]
-Energies = Annotated[float | list[float], BeforeValidator(_energies)]
-Line = Annotated[str, Field(max_length=300), AfterValidator(_printable)]
 Name = Annotated[str, AfterValidator(check_name)]
-Positive = Annotated[float, Field(gt=0)]
 Mode = Annotated[int, Field(ge=1)] | Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1, max_length=20)]
 Amplitude = Positive | Annotated[list[float], Field(min_length=1, max_length=20)]
-
-
-class Table(BaseModel):
-    """A TOML table: no unknown keys, no silent conversions, no NaN."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class ChainSystem(Table):
-    """An n-link pendulum hanging from a fixed joint, angles from the downward vertical."""
-
-    kind: Literal["chain"] = Field(description="which system this is")
-    links: int = Field(ge=1, le=MOST_LINKS, description=f"number of links, 1 to {MOST_LINKS}")
-    length: PerLink = Field(1.0, description="length of the links in m, positive, one number or one per link")
-    mass: PerLink = Field(1.0, description="mass of the links in kg, positive, one number or one per link")
-    inertia: PerLink | None = Field(
-        None, description="inertia of the links about their centres of mass in kg m^2, m l^2 / 12 when left out"
-    )
-    com: PerLink = Field(
-        0.5, description="centre of mass as a fraction of the length from the upper joint, one number or one per link"
-    )
-    gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
-    formulation: str = Field("recursive", description="how the equations are derived; the motion is the same")
-
-
-class LinkageSystem(Table):
-    """A closed planar chain of bars between two pivots on the ground, as a native DAE in maximal coordinates."""
-
-    kind: Literal["linkage"] = Field(description="which system this is")
-    length: list[Positive] = Field(
-        min_length=2, max_length=MOST_BARS,
-        description=f"length of the bars in m, positive, 2 to {MOST_BARS} of them; three and the ground are a four-bar",
-    )  # fmt: skip
-    ground: list[float] = Field(
-        min_length=2, max_length=2,
-        description="position [x, y] in m of the pivot at the end of the last bar, x down, y right; the first is at 0",
-    )  # fmt: skip
-    mass: PerLink = Field(1.0, description="mass of the bars in kg, positive, one number or one per bar")
-    inertia: PerLink | None = Field(
-        None, description="inertia of the bars about their centres of mass in kg m^2, m l^2 / 12 when left out"
-    )
-    com: PerLink = Field(
-        0.5, description="centre of mass as a fraction of the length from the upper joint, one number or one per bar"
-    )
-    gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
-    baumgarte: list[Positive] = Field(
-        [10.0, 10.0], min_length=2, max_length=2,
-        description="stabilisation [alpha, beta] of the constraints in 1/s, both positive",
-    )  # fmt: skip
-
-
-class PythonSystem(Table):
-    """A system made by a Python function: a built-in one, or with `--trust` any installed or neighbouring module's."""
-
-    kind: Literal["python"] = Field(description="which system this is")
-    module: Line = Field(
-        "orbitfinder.systems",
-        description="the function's module: orbitfinder.systems is always allowed; any other is imported from beside "
-        "the file or from what is installed, and only with `--trust`",
-    )
-    function: Line = Field(description="name of the function, such as henon_heiles; it returns a Model")
-    arguments: dict[str, float | int | bool | str | list[float]] = Field(
-        {}, description="its arguments by name: numbers (SI units), text or lists of numbers"
-    )
-
-
-SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "python": PythonSystem}
-"""The `[system]` table of each `kind`; a new kind is added here and in `mechanics.catalogue`."""
 
 
 def _system_of_its_kind(value: Any) -> Any:
@@ -233,9 +135,9 @@ class FindTable(Table):
     free: list[str] = Field([], description='physical parameters that the solver may change, such as ["length3"]')
     objective: Literal["nearest", "min_instability", "max_amplitude", "min_peak_rate"] = Field(
         "nearest",
-        description="what chooses among the orbits that the pins leave: nearest to the guess, min_instability (smallest "
-        "spectral radius of the monodromy), max_amplitude (largest value of a coordinate) or min_peak_rate (smallest "
-        "peak of its rate)",
+        description="what chooses among the orbits that the pins leave: nearest to the guess, min_instability "
+        "(smallest spectral radius of the monodromy), max_amplitude (largest value of a coordinate) or min_peak_rate "
+        "(smallest peak of its rate)",
     )
     coordinate: str | None = Field(
         None,
@@ -244,8 +146,8 @@ class FindTable(Table):
     )
     bounds: dict[str, list[float]] = Field(
         {},
-        description="ranges [smallest, largest] of the period (s), the energy (J), freed parameters or state components "
-        "at t = 0, such as { period = [1.5, 3.0], length3 = [0.5, 2.0] }",
+        description="ranges [smallest, largest] of the period (s), the energy (J), freed parameters or state "
+        "components at t = 0, such as { period = [1.5, 3.0], length3 = [0.5, 2.0] }",
     )
     starts: int = Field(
         200, ge=1, le=100_000,

@@ -255,7 +255,12 @@ def print_summary(summary: Summary) -> None:
 
 @click.group(name="atlas")
 def atlas() -> None:
-    """Look into an atlas of orbits: list, show, report, export, plot."""
+    """Look into an atlas of orbits: list, show, report, export, plot.
+
+    \b
+    Example:
+      orbitfinder atlas list triple.sqlite --stability elliptic
+    """
 
 
 @atlas.command(name="list")
@@ -350,7 +355,9 @@ def report(book: Path, as_json: bool) -> None:
 
 @atlas.command()
 @click.argument("book", type=FILES, metavar="FILE.sqlite")
-@click.option("--to", "kind", type=click.Choice(["json", "csv", "parquet"]), default="json", show_default=True)
+@click.option(
+    "--to", "kind", type=click.Choice(["json", "csv", "parquet"]), default="json", show_default=True, help="What to write."
+)  # fmt: skip
 @click.option("-o", "--out", type=FILES, default=None, help="File to write; standard output when left out.")
 @filters
 def export(book: Path, kind: str, out: Path | None, **options: Any) -> None:

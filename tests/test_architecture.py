@@ -22,8 +22,10 @@ FLOORS = (
     ("exports",),
     ("page",),
     ("report", "validation"),
-    ("schema", "schemadoc", "problemfile", "trajectory", "startpoint", "template", "simulation", "startlinkage",
-     "choosing", "proposing"),
+    (
+        "schema", "schemadoc", "schemasystem", "problemfile", "trajectory", "startpoint", "template", "simulation",
+        "startlinkage", "choosing", "proposing",
+    ),
     (
         "console", "runner", "pictures", "following", "searching", "guessing", "proving", "paging",
         "exporting", "doctor", "completion", "compileoption", "cli", "__main__",
@@ -64,6 +66,7 @@ CASADI = (
     "taylor",
     "defects",
     "families.propagate",
+    "atlas.march",
     "proof",
     "exports",
     "validation.literature",

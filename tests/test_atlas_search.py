@@ -26,7 +26,7 @@ from orbitfinder.periodic.certify import certify
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "search" / "triple.toml"
 ENERGY, PERIODS = -30.0, (0.5, 6.0)
-STARTS = 24
+STARTS = 20
 
 
 def content(path):
@@ -200,9 +200,9 @@ def test_starts_recorded_by_another_writer_are_left_alone(task, triple, one, tmp
     """Two runs of one search at once: every start is recorded once."""
     path = tmp_path / "both.sqlite"
     with Atlas(path, write=True, model=triple) as first, Atlas(path, write=True, model=triple) as second:
-        runs = [Search(atlas, task, one, Limits(starts=4)) for atlas in (first, second)]
+        runs = [Search(atlas, task, one, Limits(starts=8)) for atlas in (first, second)]
         tallies = [run.run(Inline(one, task)) for run in runs]
-    assert len(content(path)[1]) == 4 and tallies[0].new >= 1
+    assert len(content(path)[1]) == 8 and tallies[0].new >= 1
     assert tallies[1].new == tallies[1].duplicates == 0
 
 

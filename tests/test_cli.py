@@ -196,6 +196,40 @@ def test_simulate_in_words():
     assert "energy drift" in done.stdout and "theta3dot" in done.stdout
 
 
+def test_simulate_calls_a_change_of_energy_what_it_is():
+    """A dissipative system's energy does not drift, it changes; the JSON says which."""
+    van_der_pol = Path(TRIPLE).parents[1] / "gallery" / "van-der-pol.toml"
+    done = invoke("simulate", van_der_pol, "--duration", "3")
+    assert "energy change" in done.stdout and "drift" not in done.stdout and "does not conserve" in done.stdout
+    document = json.loads(invoke("simulate", van_der_pol, "--duration", "3", "--json").stdout)
+    assert document["energy_conserved"] is False and document["energy_change"] > 0.1
+    assert "energy_drift" not in document
+
+
+FOREIGN = "from orbitfinder.systems import FUNCTIONS\ndef make(cubic):\n    return FUNCTIONS['duffing'](1.0, cubic)\n"
+
+
+def test_verify_runs_foreign_systems_only_with_trust(tmp_path, monkeypatch):
+    """The module is looked for beside the orbit, then in the current folder; without --trust it is not run."""
+    (tmp_path / "mine.py").write_text(FOREIGN)
+    text = (
+        '[system]\nkind = "python"\nmodule = "mine"\nfunction = "make"\narguments = { cubic = 1.0 }\n'
+        '[guess]\nstate = [1.0, 0.0]\nperiod = 4.8\n[find]\npin = { x = 1.0 }\n'
+    )
+    done = invoke("run", problem(tmp_path, text), "--trust", "--out", tmp_path / "out", "--no-figures")
+    assert done.exit_code == 0, done.output
+    (orbit,) = (tmp_path / "out").glob("*/orbit.json")
+    refused = invoke("verify", orbit)
+    assert refused.exit_code == 2 and "'mine' is a program" in refused.stderr and "--trust" in refused.stderr
+    missing = invoke("verify", orbit, "--trust")
+    assert missing.exit_code == 2 and "cannot be imported" in missing.stderr
+    monkeypatch.chdir(tmp_path)
+    assert invoke("verify", orbit, "--trust").exit_code == 0
+    (orbit.parent / "mine.py").write_text(FOREIGN.replace("1.0, cubic", "2.0, cubic"))
+    other = invoke("verify", orbit, "--trust")
+    assert other.exit_code == 1 and "closure" in other.stdout
+
+
 def test_init_writes_a_problem_and_never_over_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert invoke("init", "mine").exit_code == 0

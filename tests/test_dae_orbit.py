@@ -228,13 +228,6 @@ def test_bad_input_is_refused(change, words):
         find_dae_orbit(model, change.get("state", [0.7, 0, 0, 1]), 1.7)
 
 
-def test_symmetry_is_refused_in_redundant_coordinates():
-    """The damped stabilisation has no time reversal, so a brake condition would be singular."""
-    problem = dae_problem(cartesian_pendulum(), [0.7, 0, 0, 1], 1.7)
-    with pytest.raises(InputError, match="under constraints"):
-        replace(problem, symmetry="brake")
-
-
 @pytest.mark.parametrize("path", sorted(FILES.glob("*.toml")), ids=lambda path: path.stem)
 def test_linkage_files_certify_and_verify(path, tmp_path):
     """`run` certifies every file in problems/linkages; `verify` agrees from orbit.json alone."""
@@ -267,3 +260,35 @@ def test_bad_linkage_files_exit_2(system, guess, words, tmp_path):
     result = CliRunner().invoke(main, ["run", str(path), "--out", str(tmp_path)])
     assert result.exit_code == 2, result.output
     assert words in result.output and "Traceback" not in result.output
+
+
+@pytest.mark.parametrize("name", ["five-bar-fast-mode", "four-bar-rocking"])
+def test_a_brake_orbit_under_constraints_on_half_its_period(name):
+    """Rest at both ends of T/2, on the tangent space: the orbit that the full formulation finds."""
+    problem = of.load_problem(FILES / f"{name}.toml")
+    half = of.find_orbit(replace(problem, symmetry="brake"))
+    assert half.certificate.passed, half.certificate.failures
+    assert half.symmetry == "brake" and np.abs(half.state[half.state.size // 2 :]).max() < 1e-12
+    whole = of.find_orbit(problem)
+    assert half.period == pytest.approx(whole.period, rel=1e-10)
+    assert half.energy == pytest.approx(whole.energy, rel=1e-12)
+    sizes = [np.sort(np.abs(one.floquet_multipliers)) for one in (half, whole)]
+    assert sizes[0] == pytest.approx(sizes[1], rel=1e-6)
+
+
+def test_a_brake_orbit_of_the_cartesian_pendulum():
+    """Its period against the elliptic integral, from a state that is 2 % off and not at rest."""
+    model = of.chain_dae(1, baumgarte=of.Baumgarte(10.0, 10.0))
+    state = of.maximal_states(model, np.array([1.2, 0.1]))
+    problem = of.dae_problem(model, state, 1.8, of.pin(energy=-4.9 * np.cos(1.2)))
+    orbit = of.find_orbit(replace(problem, symmetry="brake"))
+    exact = 4 * np.sqrt(1 / 3 / 4.9) * ellipk(np.sin(0.6) ** 2)
+    assert orbit.certificate.passed and orbit.period == pytest.approx(exact, rel=1e-11)
+
+
+def test_a_reflection_is_refused_in_redundant_coordinates():
+    """x -> -x is no symmetry of joint positions; the message says what is possible."""
+    model = of.chain_dae(1, baumgarte=of.Baumgarte(10.0, 10.0))
+    problem = of.dae_problem(model, of.maximal_states(model, np.array([1.0, 0.0])), 1.7)
+    with pytest.raises(InputError, match="redundant coordinates.*use symmetry = 'brake' or 'none'"):
+        replace(problem, symmetry="reflection")

@@ -134,8 +134,12 @@ def folder(tmp_path, monkeypatch):
     """An empty folder with the problem files of the repository."""
     shutil.copytree(ROOT / "problems", tmp_path / "problems")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["orbitfinder"])
-    return tmp_path
+    monkeypatch.syspath_prepend(str(tmp_path))  # as Python does for the current folder
+    known = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - known:
+        if str(getattr(sys.modules[name], "__file__", None) or "").startswith(str(tmp_path)):
+            del sys.modules[name]
 
 
 @pytest.mark.parametrize("page", list(parameters()))
@@ -198,7 +202,6 @@ def test_nothing_is_loaded_from_the_network():
     assert "font: false" in settings and "extra_javascript" not in settings and "http://" not in settings
 
 
-@pytest.mark.slow
 def test_the_site_builds(tmp_path):
     """mkdocs --strict: no warning, no dead link; the reference is there and the pages ask the network for nothing."""
     pytest.importorskip("mkdocs")
@@ -212,8 +215,8 @@ def test_the_site_builds(tmp_path):
     for page in pages:
         text = page.read_text(encoding="utf-8")
         loaded = re.findall(r'<(?:script|link|img|iframe)[^>]*(?:src|href)="(https?://[^"]*)"', text)
-        assert not [one for one in loaded if 'rel="canonical"' not in one], page
-    reference = (tmp_path / "site" / "reference" / "python" / "index.html").read_text(encoding="utf-8")
-    assert "find_orbit" in reference and "Minimise" not in reference and "certify" in reference
-    commands = (tmp_path / "site" / "reference" / "commands" / "index.html").read_text(encoding="utf-8")
+        assert not loaded, page
+    reference = (tmp_path / "site" / "reference" / "python.html").read_text(encoding="utf-8")
+    assert all(name in reference for name in ("find_orbit", "certify", "continue_command", "export_orbit"))
+    commands = (tmp_path / "site" / "reference" / "commands.html").read_text(encoding="utf-8")
     assert "Recompute the certificate of each ORBIT.json" in commands

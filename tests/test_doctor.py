@@ -90,12 +90,12 @@ def test_without_compiler_and_cache(monkeypatch, tmp_path):
 
 
 def test_extras_say_what_is_missing(monkeypatch):
-    required = ["casadi>=3", "pytest>=8; extra == 'test'", 'no-such-distribution; extra == "prove"']
+    required = ["casadi>=3", "pytest>=8; extra == 'test'", 'no-such-distribution; extra == "proof"']
     monkeypatch.setattr(metadata, "requires", lambda _: required)
     found = {one.name: one for one in doctor.extras()}
     assert found["extra test"].status == doctor.OK
-    assert found["extra prove"].status == doctor.MISSING
-    assert found["extra prove"].remedy == "pip install 'orbitfinder[prove]', for prove"
+    assert found["extra proof"].status == doctor.MISSING
+    assert found["extra proof"].remedy == "pip install 'orbitfinder[proof]', for prove and refine"
 
 
 def test_known_defects_are_what_the_documentation_says():

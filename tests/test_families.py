@@ -14,13 +14,13 @@ from scipy.special import ellipk
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.branching import switch
-from orbitfinder.families.command import continue_command, curve_from
+from orbitfinder.families.command import continue_command
 from orbitfinder.families.continuation import follow
 from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
 from orbitfinder.families.points import FamilySettings
 from orbitfinder.families.propagate import closure_check
 from orbitfinder.families.stability import matched
-from orbitfinder.families.start import begin
+from orbitfinder.families.start import begin, curve_of
 from orbitfinder.families.store import load_family, read_journal
 from orbitfinder.families.walk import Walk, first_point
 from orbitfinder.flow import build_flow
@@ -319,7 +319,7 @@ def test_torn_line_is_dropped(tmp_path):
     assert len(kept.steps(1)) < 6
     again = continue_command(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
     assert [p.period for p in again.points] == pytest.approx([p.period for p in first.points], abs=1e-10)
-    assert curve_from(kept, chain(1), settings).propagator.symmetry.name == "brake+reflection"
+    assert curve_of(kept.header["curve"], chain(1), settings).propagator.symmetry.name == "brake+reflection"
 
 
 @pytest.mark.slow

@@ -35,7 +35,14 @@ from orbitfinder.runge_kutta import march
 ROOT = Path(__file__).parents[1]
 SHIPPED = ROOT / "results" / "orbits"
 NASTY = '</script><script>window.stolen = 1</script>\u2028 & "quoted" <b>'
-PROBLEMS = sorted([*(ROOT / "problems" / "gallery").glob("*.toml"), *(ROOT / "problems" / "linkages").glob("*.toml")])
+SLOW_TO_START = ("four-bar-rotating",)
+"""Its guess is the first return of a long simulation."""
+PROBLEMS = [
+    path
+    for folder in ("gallery", "linkages")
+    for path in sorted((ROOT / "problems" / folder).glob("*.toml"))
+    if path.stem not in SLOW_TO_START
+]
 
 
 def document(name: str = "triple-1") -> dict:
@@ -176,6 +183,25 @@ def test_former_page_is_replaced_and_nothing_else(site, tmp_path):
         write_site(made, foreign / "thesis.txt" / "site")
 
 
+@pytest.mark.parametrize("failure", [OSError("disk full"), KeyboardInterrupt()])
+def test_a_failed_write_leaves_the_former_page(failure, tmp_path, monkeypatch):
+    made, _ = build_site(gather([SHIPPED / "triple-1"]))
+    out, rename = tmp_path / "site", Path.rename
+    write_site(made, out)
+    before = (out / "index.html").read_bytes()
+
+    def failing(self, target):
+        if self.name == "new":
+            raise failure
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    with pytest.raises((InputError, KeyboardInterrupt)):
+        write_site(made, out)
+    assert (out / "index.html").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["site"]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -186,11 +212,12 @@ def test_former_page_is_replaced_and_nothing_else(site, tmp_path):
         (json.dumps(document() | {"period": -1.0}), "not finite or not positive"),
         (json.dumps(document() | {"state": [0.1, 0.2, 0.3]}), "3 numbers; coordinates and then as many velocities"),
         (json.dumps(document() | {"state": ["x"]}), "malformed entry"),
-        ('{"format": "orbitfinder/family"}', "name: missing or of the wrong kind"),
+        ('{"format": "orbitfinder/family"}', "name: field required"),
         (json.dumps({"format": "orbitfinder/family", "name": "f", "system": {}, "parameter": "energy", "points": [],
-                     "events": [], "ends": []}), "points: empty"),
+                     "events": [], "ends": []}), "points: list should have at least 1 item"),
         (json.dumps({"format": "orbitfinder/family", "name": "f", "system": {}, "parameter": "energy",
-                     "points": [{"period": 1.0}], "events": [], "ends": []}), r"points\[0\]: malformed"),
+                     "points": [{"period": 1.0}], "events": [], "ends": []}), r"points\[0\].state: field required"),
+        (json.dumps(document()).replace("0.20781961527012896", "1e999"), "not finite"),
         ("[" * 100_000, "nested too deeply|corrupt JSON"),
     ],
 )  # fmt: skip
@@ -207,7 +234,7 @@ def test_bad_numbers_of_a_family_are_named(material, tmp_path):
     family = json.loads(next(material.glob("families/*/family.json")).read_text())
     family["points"][3]["energy"] = float("nan")
     (tmp_path / "family.json").write_text(json.dumps(family))
-    with pytest.raises(InputError, match=r"points\[3\]: a number is missing or not finite"):
+    with pytest.raises(InputError, match=r"points\[3\].energy: input should be a finite number, got nan"):
         gather([tmp_path])
 
 
@@ -336,6 +363,15 @@ def test_an_orbit_that_cannot_be_drawn_still_has_a_page(tmp_path):
     assert "cannot be drawn" in text and "no problem file describes it" in text and "1.655338988314641 s" in text
 
 
+def test_a_proof_is_shown(tmp_path):
+    proof = {"proved": True, "theorem": "<1>", "period": {"value": "1.6553389883", "radius": 2e-30}}
+    (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof}))
+    text = build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
+    assert ">proved</span>" in text and "theorem &lt;1&gt; of" in text and "1.6553389883 s within 2e" in text
+    (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof | {"proved": False}}))
+    assert ">proved<" not in build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
+
+
 @pytest.mark.parametrize("file", PROBLEMS, ids=lambda path: path.stem)
 def test_problem_text_loads_as_the_same_problem(file, tmp_path):
     """The problem file on an orbit page is one that `run` takes, of the same system, at the same state."""
@@ -379,6 +415,7 @@ def test_pins_of_a_problem_text():
     isolated = bare | {"provenance": {"invariants": []}}
     assert "pin" not in tomllib.loads(problem_text(isolated))["find"]
     assert problem_text(bare | {"system": {"kind": "custom"}}) is None
+    assert problem_text(bare | {"system": {"kind": "chain", "length": [None]}}) is None
     nasty = tomllib.loads(problem_text(bare | {"name": NASTY, "title": NASTY}))
     assert nasty["title"] == NASTY.replace("\u2028", " ")
 

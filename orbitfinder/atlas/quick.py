@@ -31,8 +31,8 @@ class QuickSettings:
 
     converged: float = 1e-6
     """scaled residual at which the polish takes over"""
-    most_evaluations: int = 30
-    hopeless: tuple[tuple[int, float], ...] = ((10, 1.0), (18, 0.2))
+    most_evaluations: int = 40
+    hopeless: tuple[tuple[int, float], ...] = ((12, 1.0), (24, 0.3))
     """(evaluations, scaled residual): given up when it is still larger after so many"""
     largest_step: float = 1.0
     """scaled length of a step, about a radian"""

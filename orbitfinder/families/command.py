@@ -11,9 +11,9 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.continuation import follow
-from orbitfinder.families.points import Batch, End, Family, FamilyPoint, FamilySettings, place_of
-from orbitfinder.families.propagate import FORMULATIONS, build_propagator, closure_check
-from orbitfinder.families.start import Start, begin, unknown_parameters
+from orbitfinder.families.points import Batch, Family, FamilyPoint, FamilySettings
+from orbitfinder.families.propagate import closure_check
+from orbitfinder.families.start import Start, begin, curve_of
 from orbitfinder.families.store import (
     FORMAT,
     VERSION,
@@ -26,8 +26,10 @@ from orbitfinder.families.store import (
     save_family,
     start_journal,
 )
-from orbitfinder.families.system import Curve, boundary_matrices
+from orbitfinder.families.switching import Branch
+from orbitfinder.families.system import Curve
 from orbitfinder.families.walk import Walk, first_point
+from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.orbit import Orbit, load_orbit
 from orbitfinder.periodic.problem import Problem
@@ -36,7 +38,7 @@ SAVE_EVERY = 50
 """Steps between two rewritings of family.json while a family grows."""
 
 Progress = Callable[[Batch], None]
-Origin = str | Path | Orbit | Problem | Start
+Origin = str | Path | Orbit | Problem | Start | Branch
 
 
 def continue_command(
@@ -52,41 +54,62 @@ def continue_command(
     settings: FamilySettings | None = None,
     model: Model | None = None,
 ) -> Family:
-    """Follow the family of an orbit (path of an orbit.json, Orbit, Problem or branch Start).
+    """Follow the family of an orbit (path of an orbit.json, Orbit, Problem, branch Start or Branch).
 
     Writes DIR/<name>/family.json and family.npz and resumes DIR/<name>/family.jsonl when the same was
     asked before. `at` are values of the parameter at which points are computed exactly, `until` the
-    value to stop at. A branch `Start` needs its `name`. Raises `InputError`, `ConvergenceError`.
+    value to stop at. A branch `Start` needs its `name`, and a system that no file describes its `model`.
+    Raises `InputError`, `ConvergenceError`.
     """
     settings = replace(settings or FamilySettings(), parameter=parameter, points=points)
     origin = load_orbit(origin) if isinstance(origin, (str, Path)) else origin
-    label = name or (origin.name if isinstance(origin, (Orbit, Problem)) else "")
+    label = name or getattr(origin, "name", "")
     if not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
     folder, request = Path(out) / label, _request(origin, settings, until, at)
     journal = read_journal(folder)
     if journal is None or journal.header.get("request") != request:
-        start = origin if isinstance(origin, Start) else begin(origin, settings)
-        journal = _fresh(folder, label, start, settings, request)
+        start = _started(origin, settings, model)
+        journal = _fresh(folder, label, start, settings, request, _source(origin))
         curve = start.curve
     else:
-        curve = curve_from(journal, model or _model_of(origin), settings)
+        curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
     return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
 
 
-def _model_of(origin: Orbit | Problem | Start) -> Model:
-    from orbitfinder.mechanics.catalogue import build_model
+def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, model: Model | None) -> Start:
+    if isinstance(origin, Branch):
+        return origin.start
+    return origin if isinstance(origin, Start) else begin(origin, settings, model=model)
 
-    if isinstance(origin, Start):
-        return origin.curve.propagator.model
-    return origin.model if isinstance(origin, Problem) else build_model(origin.system)
+
+def _model_of(origin: Orbit | Problem | Start | Branch, journal: Journal, model: Model | None) -> Model:
+    """The model that the journal's curve is made of: a linkage's is the minimal one that was chosen then."""
+    if isinstance(origin, (Start, Branch)):
+        return _started(origin, FamilySettings(), None).curve.propagator.model
+    model = model or (origin.model if isinstance(origin, Problem) else None)
+    system = journal.header["system"]
+    if model is None or "independent" in system or dict(model.system) != system:
+        return build_model(system)
+    return model
+
+
+def _source(origin: Orbit | Problem | Start | Branch) -> dict[str, Any]:
+    """What the family was started from, for its file."""
+    if isinstance(origin, Branch):
+        return {"kind": "branch", **origin.described()}
+    kinds = {Orbit: "orbit", Problem: "problem", Start: "start"}
+    return {"kind": kinds[type(origin)], "name": getattr(origin, "name", "")}
 
 
 def _request(
-    origin: Orbit | Problem | Start, settings: FamilySettings, until: float | None, at: Sequence[float]
+    origin: Orbit | Problem | Start | Branch, settings: FamilySettings, until: float | None, at: Sequence[float]
 ) -> dict[str, Any]:
     """What decides whether a journal answers the same question; the number of points may grow."""
-    if isinstance(origin, Start):
+    head: Any
+    if isinstance(origin, Branch):
+        head = origin.described()
+    elif isinstance(origin, Start):
         head = origin.found.place.head.tolist()
     elif isinstance(origin, Orbit):
         head = [*origin.state.tolist(), origin.period]
@@ -96,12 +119,15 @@ def _request(
     return {"origin": plain(head), "settings": chosen, "until": until, "at": [float(value) for value in at]}
 
 
-def _fresh(folder: Path, name: str, start: Start, settings: FamilySettings, request: dict[str, Any]) -> Journal:
+def _fresh(
+    folder: Path, name: str, start: Start, settings: FamilySettings, request: dict[str, Any], source: dict[str, Any]
+) -> Journal:
     curve = start.curve
     origin = first_point(start, settings, closure_check(curve.propagator.model) if settings.certify else None)
     header = {
         "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.propagator.model.system),
-        "parameter": settings.parameter, "request": request, "origin": plain(origin),
+        "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
+        "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
         "curve": {
             "symmetry": curve.propagator.symmetry.name, "free": list(curve.propagator.free),
             "constant": curve.constant, "held": [list(one) for one in curve.held],
@@ -114,27 +140,15 @@ def _fresh(folder: Path, name: str, start: Start, settings: FamilySettings, requ
     return found
 
 
-def curve_from(journal: Journal, model: Model, settings: FamilySettings) -> Curve:
-    """The very curve that a journal was computed on."""
-    entry = journal.header["curve"]
-    if entry["symmetry"] not in FORMULATIONS:
-        raise InputError(f"{journal.header['name']}: unknown symmetry {entry['symmetry']!r}; delete the journal")
-    unknown_parameters(model, settings)
-    propagator = build_propagator(model, entry["symmetry"], tuple(entry["free"]))
-    held = tuple((int(k), float(value)) for k, value in entry["held"])
-    constant, weights = (np.asarray(entry[name], float) for name in ("constant", "weights"))
-    return Curve(propagator, *boundary_matrices(propagator), constant, held, weights, entry["period"])
-
-
 def directions(
-    origin: FamilyPoint, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]]
+    origin: FamilyPoint, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]], away: int = 1
 ) -> Iterator[tuple[int, float | None, tuple[float, ...]]]:
     """(direction, stop, exact values) of every walk that is wanted: towards the goals, else as set."""
     until, at = goals
     if until is None and not at:
-        signs = {"both": (1, -1), "forward": (1,), "backward": (-1,)}.get(settings.directions)
+        signs = {"both": (1, -1), "forward": (1,), "backward": (-1,), "away": (away,)}.get(settings.directions)
         if signs is None:
-            raise InputError(f"directions: must be both, forward or backward, got {settings.directions!r}")
+            raise InputError(f"directions: must be both, forward, backward or away, got {settings.directions!r}")
         yield from ((sign, None, ()) for sign in signs)
         return
     for sign in (1, -1):
@@ -159,7 +173,7 @@ def _finish(
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
     check = closure_check(curve.propagator.model) if settings.certify else None
     batches = list(journal.batches)
-    for sign, stop, exact in directions(origin, settings, goals):
+    for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1))):
         done, end = journal.steps(sign), journal.end(sign)
         if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
             continue
@@ -175,6 +189,3 @@ def _finish(
     family = assemble(Journal(journal.header, tuple(batches)))
     save_family(family, folder)
     return family
-
-
-__all__ = ["End", "continue_command", "curve_from", "place_of"]

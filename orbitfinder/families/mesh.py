@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import rates, step_errors, variation_errors
 from orbitfinder.families.system import Aim, Curve, Place, Solution, correct
 
@@ -21,6 +22,8 @@ SPARE = 5.0
 GROWTH = 30.0
 """Segments are added until each one's state-transition matrix is below this."""
 MOST_SEGMENTS = 60
+MOST_STEPS = 6000
+"""A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
 
 
 def needs_mesh(curve: Curve, found: Solution) -> bool:
@@ -62,6 +65,8 @@ def remeshed(curve: Curve, found: Solution) -> Place:
     density = np.maximum(wanted_steps(curve, found), 0.15)
     growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
     count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
+    if not density.sum() < MOST_STEPS:
+        raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each = int(np.ceil(1.1 * density.sum() / count)) + 2
     each += -each % 4  # few distinct sizes, so that compiled marches are used again
     work = np.concatenate([[0.0], np.cumsum(density)])

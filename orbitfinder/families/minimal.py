@@ -53,10 +53,10 @@ def minimal_problem(problem: Problem) -> Problem:
     model, picked = chosen
     state = np.concatenate([theta[picked], rates[picked]])
     turns = None if problem.winding is None else tuple(problem.turns[3 * k + 2] for k in picked)
-    return replace(
-        problem, model=model, guess=Guess(state, problem.guess.period), winding=turns, symmetry="none",
-        pin=tuple(one for one in problem.pin if one.name in ("energy", "period")) or (Pin("energy", energy(model, state)),),
-    )  # fmt: skip
+    pins = tuple(one for one in problem.pin if one.name in ("energy", "period"))
+    pins = pins or (Pin("energy", energy(model, state)),)
+    guess = Guess(state, problem.guess.period)
+    return replace(problem, model=model, guess=guess, winding=turns, symmetry="none", pin=pins)
 
 
 def _bars(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -29,7 +29,7 @@ class FamilySettings:
     points: int = 300
     """accepted points in each direction"""
     directions: str = "both"
-    """both | forward (parameter increasing at the start) | backward"""
+    """both | forward (parameter increasing at the start) | backward | away (from where a branch was born)"""
     first_step: float = 0.02
     longest_step: float = 0.15
     shortest_step: float = 1e-7
@@ -127,7 +127,10 @@ class Batch:
 
 @dataclass(frozen=True)
 class Family:
-    """Orbits joined by arclength, ordered along the curve, with events and the reason of each end."""
+    """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
+
+    `curve` is what rebuilds the equations (see `store.curve_of`), `source` what the family was started from.
+    """
 
     name: str
     system: Mapping[str, Any]
@@ -135,6 +138,8 @@ class Family:
     points: tuple[FamilyPoint, ...]
     events: tuple[Event, ...]
     ends: tuple[End, ...]
+    curve: Mapping[str, Any] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict)
 
     def values(self, name: str) -> np.ndarray:
         """One number of every point as an array, in order along the family."""

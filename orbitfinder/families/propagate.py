@@ -12,7 +12,7 @@ that neighbouring orbits are integrated alike and a whole segment is one call wi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Protocol
 
@@ -266,6 +266,8 @@ def boundary_matrices(propagator: Propagator) -> tuple[np.ndarray, np.ndarray]:
     return first, np.stack([rows(zero, one) for one in unit], axis=1)
 
 
+CHECKED = replace(TIGHTEST, max_evaluations=100_000)
+"""Ten times what a tame period needs at the finest of `LONGEST_STEPS`."""
 LONGEST_STEPS = (np.inf, 1 / 400, 1 / 1600)
 """Longest steps of the check, in periods, each tried only when the one before says that the orbit does not close."""
 
@@ -297,7 +299,7 @@ def closure_check(model: Model) -> ClosureCheck:
         _, field, momentum = prepared[0]
         start, gap = np.concatenate([state[:n], momentum(state[:n], state[n:]).full().ravel()]), np.inf
         for longest in LONGEST_STEPS:
-            end = integrate(field, start, np.array([0.0, period]), TIGHTEST, longest * period)[-1]
+            end = integrate(field, start, np.array([0.0, period]), CHECKED, longest * period)[-1]
             moved = end[:n] - state[:n] - 2 * np.pi * turns
             gap = float(max(np.abs(moved).max(), np.abs(field(0.0, end)[:n] - state[n:]).max()))
             if gap <= 0.5 * allowed:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -12,7 +14,7 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.mesh import remeshed, settled
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.propagate import Propagator, build_propagator, march, rates
+from orbitfinder.families.propagate import FORMULATIONS, Propagator, boundary_matrices, build_propagator, march, rates
 from orbitfinder.families.system import (
     Aim,
     Curve,
@@ -78,11 +80,8 @@ def _tried(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> St
 
 def _found_first(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
     """From the orbit that `find_orbit` finds, at the values it gives to parameters that the Problem frees."""
-    orbit, model = find_orbit(problem), problem.model
-    if problem.free and model.system.get("kind") == "python":
-        model = with_parameters(model, {name: orbit.system["arguments"][name] for name in problem.free})
-    elif problem.free:
-        model = build_model(orbit.system)
+    orbit = find_orbit(problem)
+    model = with_parameters(problem.model, orbit.provenance.get("free", {})) if problem.free else problem.model
     return _start(as_problem(orbit, model), free, held)
 
 
@@ -176,6 +175,17 @@ def _independent(propagator: Propagator, held: tuple[tuple[int, float], ...]) ->
     """What is held without the momenta that a symmetry already makes zero."""
     free = propagator.symmetry.name == "none"
     return tuple(one for one in held if free or propagator.model.invariants[one[0]].generator is None)
+
+
+def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
+    """The very curve that the `curve` entry of a journal or family.json stands for."""
+    if entry.get("symmetry") not in FORMULATIONS:
+        raise InputError(f"curve: unknown symmetry {entry.get('symmetry')!r}; continue the family again")
+    unknown_parameters(model, settings)
+    propagator = build_propagator(model, entry["symmetry"], tuple(entry["free"]))
+    held = tuple((int(k), float(value)) for k, value in entry["held"])
+    constant, weights = (np.asarray(entry[name], float) for name in ("constant", "weights"))
+    return Curve(propagator, *boundary_matrices(propagator), constant, held, weights, entry["period"])
 
 
 def _half_turns(model: Model, q: np.ndarray) -> np.ndarray:

@@ -155,7 +155,8 @@ def assemble(journal: Journal) -> Family:
     indexed = tuple(replace(one, index=int(np.searchsorted(places, one.arclength)) - 1) for one in events)
     ends = tuple(end for end in (journal.end(-1), journal.end(1)) if end is not None)
     header = journal.header
-    return Family(header["name"], header["system"], header["parameter"], numbered, indexed, ends)
+    about = header["curve"], header.get("source", {})
+    return Family(header["name"], header["system"], header["parameter"], numbered, indexed, ends, *about)
 
 
 def family_to_document(family: Family) -> dict[str, Any]:
@@ -174,6 +175,8 @@ def family_to_document(family: Family) -> dict[str, Any]:
         "points": points,
         "events": events,
         "ends": [plain(end) for end in family.ends],
+        "curve": plain(family.curve),
+        "source": plain(family.source),
     }
 
 
@@ -208,7 +211,8 @@ def load_family(path: str | Path) -> Family:
         points = _with_dense(source, "point", FamilyPoint, document["points"], size)
         events = _with_dense(source, "event", Event, document["events"], size)
         ends = tuple(End(**end) for end in document["ends"])
-        return Family(document["name"], document["system"], document["parameter"], points, events, ends)
+        about = document.get("curve", {}), document.get("source", {})
+        return Family(document["name"], document["system"], document["parameter"], points, events, ends, *about)
     except (KeyError, TypeError, ValueError, OSError) as error:
         raise InputError(f"{source}: malformed entry ({error}); continue the family again") from error
 

@@ -126,10 +126,10 @@ def _event_rows(items: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> H
         if item["event"]:
             cells = "".join(f"<td>{number(item[name], 9)}</td>" for name in columns)
             label = escaped(item["event"])
+            attributes = f'type="button" class="pick" data-item="{k}" aria-label="Show {label}, number {k + 1}"'
             rows.append(
-                Html(f'<tr><th scope="row">{label}</th>{cells}<td><button type="button" class="pick" data-item="{k}" '
-                     f'aria-label="Show {label}, number {k + 1}">Show</button></td></tr>')
-            )  # fmt: skip
+                Html(f'<tr><th scope="row">{label}</th><td><button {attributes}>Show</button></td>{cells}</tr>')
+            )
     return joined(rows) if rows else Html(f'<tr><td colspan="{2 + len(columns)}">No event was met.</td></tr>')
 
 

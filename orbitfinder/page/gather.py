@@ -12,10 +12,11 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.store import FORMAT as FAMILY
+from orbitfinder.page.familyfile import checked_family
 from orbitfinder.periodic.orbit import FORMAT as ORBIT
 from orbitfinder.periodic.orbit import check_document, orbit_from_document
 
-MOST_ITEMS = 1000
+MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
 DATABASES = (".sqlite", ".sqlite3", ".db")
 NAMES = ("orbit.json", "family.json")
@@ -87,7 +88,7 @@ def _take(file: Path, found: Gathered) -> None:
     if isinstance(document, list):
         found.atlases.append(_from_export(document, file))
     elif isinstance(document, dict) and document.get("format") == FAMILY:
-        found.families.append(_family(document, file))
+        found.families.append(checked_family(document, str(file)))
     elif isinstance(document, dict) and document.get("format") == ORBIT:
         orbit = _orbit(document, str(file))
         found.orbits.append(OrbitFile(orbit.document, orbit.text, _dense(file, len(document["state"]))))
@@ -124,7 +125,10 @@ def _orbit(document: Any, where: str) -> OrbitFile:
     numbers = [orbit.period, orbit.energy, *orbit.state]
     if not np.all(np.isfinite(numbers)) or orbit.period <= 0:
         raise InputError(f"{where}: period, energy or state is not finite or not positive; run the problem again")
-    return OrbitFile(checked, json.dumps(checked, separators=(",", ":"), allow_nan=False))
+    try:
+        return OrbitFile(checked, json.dumps(checked, separators=(",", ":"), allow_nan=False))
+    except ValueError as error:
+        raise InputError(f"{where}: holds a number that is not finite; run the problem again") from error
 
 
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
@@ -147,29 +151,6 @@ def _dense(file: Path, size: int) -> tuple[np.ndarray, np.ndarray] | None:
         raise InputError(f"{beside}: damaged ({error}); delete it or run the problem again") from error
     fits = samples.shape == (times.size, size) and times.size > 1 and bool(np.all(np.diff(times) > 0))
     return (times, samples) if fits and bool(np.all(np.isfinite(samples))) else None
-
-
-WANTED = {"name": str, "system": dict, "parameter": str, "points": list, "events": list, "ends": list}
-NUMBERS = ("period", "energy", "action", "closure", "value")
-
-
-def _family(document: dict[str, Any], file: Path) -> dict[str, Any]:
-    """A family document whose points have what the pages show."""
-    for name, kind in WANTED.items():
-        if not isinstance(document.get(name), kind):
-            raise InputError(f"{file}: {name}: missing or of the wrong kind; continue the family again")
-    if not document["points"]:
-        raise InputError(f"{file}: points: empty; continue the family again")
-    for k, point in enumerate(document["points"]):
-        try:
-            values = [float(point[name]) for name in NUMBERS] + [float(x) for x in point["state"]]
-            known = isinstance(point["stability"], str) and len(point["state"]) == len(document["points"][0]["state"])
-            pairs = [complex(re, im) for re, im in point["floquet_multipliers"]]
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{file}: points[{k}]: malformed ({error}); continue the family again") from error
-        if not known or not np.all(np.isfinite(values)) or values[0] <= 0 or not np.all(np.isfinite(pairs)):
-            raise InputError(f"{file}: points[{k}]: a number is missing or not finite; continue the family again")
-    return document
 
 
 def _from_database(file: Path) -> AtlasFile:

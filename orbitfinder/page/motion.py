@@ -100,6 +100,8 @@ class Films:
         if found is None:
             return None
         model, field = found
+        if len(entry["state"]) != len(model.state_names):
+            return None
         symmetry = str(entry.get("symmetry", "none"))
         share = {"none": 1.0, "brake+reflection": 0.25}.get(symmetry, 0.5)
         path = _path(field, np.asarray(entry["state"], float), share * period)

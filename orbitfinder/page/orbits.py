@@ -51,7 +51,7 @@ class Entry:
         """The recorded verdict; None when the document carries no certificate."""
         recorded = self.document.get("certificate")
         checks = recorded.get("checks") if isinstance(recorded, Mapping) else None
-        return bool(recorded["passed"]) if checks and isinstance(recorded, Mapping) else None
+        return recorded.get("passed") is True if checks and isinstance(recorded, Mapping) else None
 
     @property
     def largest(self) -> float:
@@ -75,7 +75,7 @@ def verdict(certified: bool | None) -> Html:
 
 def stability_badge(stability: str) -> Html:
     """A badge for the stability; a sign beside the word, so that colour is not needed to tell them apart."""
-    style = {"unstable": "bad", "stable": "good", "elliptic": "good"}.get(stability, "plain")
+    style = {"unstable": "bad", "asymptotically stable": "good", "elliptic": "good"}.get(stability, "plain")
     sign = "\N{BLACK DIAMOND}" if stability == "unstable" else "\N{BLACK CIRCLE}"
     return Html(f'<span class="badge {style}"><span aria-hidden="true">{sign}</span> {escaped(stability)}</span>')
 
@@ -99,13 +99,14 @@ def orbit_main(entry: Entry) -> Html:
     return fill(
         "orbit",
         title=entry.title, mechanism=entry.mechanism, source=_source(document),
-        verdict=verdict(entry.certified), stability=stability_badge(document["stability"]),
+        verdict=Html(f"{verdict(entry.certified)} {proved(document)}"),
+        stability=stability_badge(document["stability"]),
         symmetry=symmetry_words(document["symmetry"]), facts=_facts(entry),
         player=player(f"Moving picture of {entry.title}", entry.motion),
         portraits=_portraits(entry.motion),
         missing=Html("") if entry.motion else _missing(), note=_chosen_note(entry.motion),
-        multipliers=_multiplier_rows(document["floquet_multipliers"]), pair_defect=_pair_note(document),
-        certificate=_certificate(document), name=problem_name(document),
+        multipliers=_multipliers(document),
+        certificate=_certificate(document), proof=_proof(document), name=problem_name(document),
         problem=problem or "This system was built in Python; no problem file describes it.",
         commands=commands(document) if problem else f"orbitfinder verify {problem_name(document)}.json\n",
     )  # fmt: skip
@@ -151,8 +152,10 @@ def _facts(entry: Entry) -> Html:
         ("Closure", number(document["closure"], 2)),
         ("Largest multiplier", number(entry.largest, 6)),
     ]
-    if any(document.get("winding") or ()):
-        rows.append(("Winding", ", ".join(str(k) for k in document["winding"])))
+    turns = list(document.get("winding") or ())
+    if any(turns):
+        names = entry.motion.names if entry.motion else [f"q{k + 1}" for k in range(len(turns))]
+        rows.append(("Turns", ", ".join(f"{name} {k}" for name, k in zip(names, turns, strict=False) if k)))
     return fact_list(rows)
 
 
@@ -178,22 +181,20 @@ def _chosen_note(motion: Motion | None) -> str:
     return "" if n == some else f"{some} of {n} coordinates are plotted; the CSV holds all."
 
 
-def _multiplier_rows(pairs: list[list[float]]) -> Html:
+def _multipliers(document: Mapping[str, Any]) -> Html:
+    """The unit circle and the table of the multipliers, or a sentence where there are none."""
+    pairs, defect = document["floquet_multipliers"], document.get("pair_defect")
+    if not pairs:
+        return Html("<p>None besides the trivial ones.</p>")
     rows = []
     for re, im in sorted(pairs, key=lambda pair: (-abs(complex(*pair)), pair[1])):
-        size, angle = abs(complex(re, im)), float(np.degrees(np.angle(complex(re, im))))
-        cells = (number(re, 8), number(im, 8), number(size, 8), number(angle, 5))
+        angle = float(np.degrees(np.angle(complex(re, im))))
+        cells = (number(re, 8), number(im, 8), number(abs(complex(re, im)), 8), number(angle, 5))
         rows.append(Html("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"))
-    if not rows:
-        return Html('<tr><td colspan="4">none besides the trivial ones</td></tr>')
-    return joined(rows)
-
-
-def _pair_note(document: Mapping[str, Any]) -> str:
-    defect = document.get("pair_defect")
-    if not isinstance(defect, (int, float)) or not document["floquet_multipliers"]:
-        return ""
-    return f"Defect of the reciprocal pairs, their error bar: {number(float(defect), 2)}."
+    note = ""
+    if isinstance(defect, (int, float)) and len(pairs) > 1:
+        note = f"Defect of the reciprocal pairs, their error bar: {number(float(defect), 2)}."
+    return fill("multipliers", rows=joined(rows), defect=note)
 
 
 def _certificate(document: Mapping[str, Any]) -> Html:
@@ -203,12 +204,31 @@ def _certificate(document: Mapping[str, Any]) -> Html:
     return joined(_check(check) for check in recorded["checks"])
 
 
+def _proof(document: Mapping[str, Any]) -> Html:
+    """What `orbitfinder prove` recorded, where it proved something."""
+    proof = document.get("proof")
+    if not isinstance(proof, Mapping) or proof.get("proved") is not True:
+        return Html("")
+    period, enclosed = proof.get("period"), ""
+    radius = period.get("radius") if isinstance(period, Mapping) else None
+    if isinstance(period, Mapping) and isinstance(radius, (int, float)):
+        enclosed = f"Its period is {period.get('value')} s within {number(float(radius), 2)} s."
+    return fill("proof", theorem=str(proof.get("theorem", "")), period=enclosed)
+
+
+def proved(document: Mapping[str, Any]) -> Html:
+    """A badge for an orbit whose existence is proved, else nothing."""
+    return Html('<span class="badge good">proved</span>') if _proof(document) else Html("")
+
+
 def _check(check: Mapping[str, Any]) -> Html:
-    value = check.get("value")
+    def figure(name: str) -> str:
+        value = check.get(name)
+        return number(float(value) if isinstance(value, (int, float)) else None, 3)
+
     cells = [
-        str(check.get("name", "")).replace("_", " "), number(None if value is None else float(value), 3),
-        number(float(check.get("tolerance", 0.0)), 3), "passed" if check.get("passed") else "FAILED",
-        check.get("note", ""),
+        str(check.get("name", "")).replace("_", " "), figure("value"), figure("tolerance"),
+        "passed" if check.get("passed") else "FAILED", check.get("note", ""),
     ]  # fmt: skip
     style = "good" if check.get("passed") else "bad"
     inner = "".join(f"<td>{escaped(cell)}</td>" for cell in cells[1:3])

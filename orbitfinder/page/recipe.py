@@ -24,6 +24,13 @@ def problem_text(document: Mapping[str, Any]) -> str | None:
     system = document["system"]
     if system.get("kind") not in KINDS:
         return None
+    try:
+        return _written(document, system)
+    except TypeError:
+        return None
+
+
+def _written(document: Mapping[str, Any], system: Mapping[str, Any]) -> str:
     lines = [f"name = {toml(problem_name(document))}"]
     lines += [f"{key} = {toml(_line(document[key]))}" for key in ("title", "source") if document.get(key)]
     lines += ["", "[system]", *(f"{key} = {toml(value)}" for key, value in system.items() if value is not None)]
@@ -63,7 +70,9 @@ def toml(value: Any) -> str:
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_key(str(key))} = {toml(entry)}" for key, entry in value.items())
         return f"{{ {inner} }}" if inner else "{}"
-    return f"[{', '.join(toml(entry) for entry in value)}]"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(toml(entry) for entry in value)}]"
+    raise TypeError(f"{value!r} has no form in TOML")
 
 
 def _key(name: str) -> str:

@@ -221,8 +221,8 @@ def write_site(site: Site, out: Path) -> None:
             out.rename(temporary / "old")
         fresh.rename(out)
     except OSError as error:
-        if (temporary / "old").exists() and not out.exists():
-            (temporary / "old").rename(out)
         raise InputError(f"--out: cannot write {out} ({error}); free some space or choose another folder") from error
     finally:
+        if (temporary / "old").exists() and not out.exists():  # stopped between the two renames
+            (temporary / "old").rename(out)
         shutil.rmtree(temporary, ignore_errors=True)

@@ -18,6 +18,10 @@ from orbitfinder.periodic.certify import SAMPLES, Evidence, gap
 from orbitfinder.periodic.floquet import analyse, reduce_monodromy
 from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, integrate
 
+LONGEST_PHASE = 0.15
+"""Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
+8e-13."""
+
 
 def gather_chain(
     model: Model, state: np.ndarray, period: float, turns: np.ndarray, settings: ReferenceSettings = TIGHTEST
@@ -29,7 +33,8 @@ def gather_chain(
     """
     closed = chain_lagrange(model)
     times = np.linspace(0.0, period, SAMPLES + 1)
-    states = integrate(closed.field, state, times, settings, period / STEPS_PER_PERIOD)
+    longest = min(period / STEPS_PER_PERIOD, LONGEST_PHASE / float(np.sqrt(max(closed.squared[-1], 1e-300))))
+    states = integrate(closed.field, state, times, settings, longest)
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     span = float(np.ptp(potential)) + float(kinetic.max())

@@ -97,6 +97,17 @@ def boundary_rows(symmetry: Symmetry, start: Any, end: Any, shift: np.ndarray) -
     return ca.vertcat(start[n:], end[:n] - shift / 2)
 
 
+def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, basis: np.ndarray) -> Any:
+    """The rows (2n) of a brake orbit under m constraints: v(0), phi(q(0)), B^T v(T/2).
+
+    `basis` B (n x n-m) spans the velocities that the constraints allow at the guess's far rest; on the manifold
+    J v = 0 says the rest.
+    """
+    n = start.numel() // 2
+    assert model.native is not None
+    return ca.vertcat(start[n:], model.native.constraint(start[:n], parameters), basis.T @ end[n:])
+
+
 def pin_row(model: Model, one: Pin, state: Any, period: Any, parameters: Any) -> Any:
     """The residual of one pin at the start of the orbit."""
     return quantity(model, one.name, state, period, parameters) - one.value

@@ -88,7 +88,7 @@ def correct(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
             return None
         try:
-            step = solve(matrix, -rows, overwrite_a=True, check_finite=False)
+            step = solve(matrix.T, -rows, overwrite_a=True, check_finite=False, transposed=True)
         except (LinAlgError, LinAlgWarning):
             return None
         shape = found.coefficients.shape

@@ -31,10 +31,9 @@ from orbitfinder.periodic.measure import action
 from orbitfinder.periodic.nlp import Callback, Progress, SolveSettings
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Problem
-from orbitfinder.periodic.quarter import Quarter
+from orbitfinder.periodic.quarter import CHUNK, Quarter
 from orbitfinder.periodic.solve import provenance
 from orbitfinder.periodic.symmetry import recognise
-from orbitfinder.runge_kutta import refined_march
 
 SAMPLES = 512
 """Intervals of the dense samples over a period."""
@@ -64,9 +63,15 @@ class Chain:
         """The highest linear frequency in rad/s."""
         return float(np.sqrt(self.closed.squared[-1]))
 
-    def steps(self, period: float, phase: float, multiple: int = 1) -> int:
-        """Steps of a quarter period in which the fastest mode turns by at most `phase` (rad), a multiple."""
-        return multiple * int(np.ceil(self.fastest * period / 4 / phase / multiple))
+    def chunks(self, period: float, phase: float, samples: int = 1) -> int:
+        """Chunks of steps between `samples` equal times over a quarter period, the fastest mode turning by at most
+        `phase` (rad) in a step."""
+        return int(np.ceil(self.fastest * period / 4 / phase / (CHUNK * samples)))
+
+    def end(self, start: np.ndarray, period: float) -> np.ndarray:
+        """State (2n) a quarter of the period after rest at `start` (n), to round-off."""
+        state = np.concatenate([start, np.zeros(start.size)])
+        return np.asarray(self.quarter.refined(state, period / 4, 1, self.chunks(period, 2 * PATH_PHASE))[-1])
 
 
 def suits(problem: Problem) -> bool:
@@ -167,9 +172,9 @@ def _from_guess(chain: Chain) -> Series | None:
     """The guess corrected, where its motion passes near q = 0 after a quarter of its period."""
     guess, n = chain.problem.guess, chain.quarter.links
     start = np.asarray(guess.state, float)[:n]
-    steps = chain.steps(guess.period, PATH_PHASE)
+    state, count = np.concatenate([start, np.zeros(n)]), SAMPLES // 4
     try:
-        states = chain.quarter.path(start, guess.period / 4, steps)
+        states = chain.quarter.path(state, guess.period / 4, count, chain.chunks(guess.period, PATH_PHASE, count))
     except IntegrationError:
         return None
     if not np.abs(states[-1, :n]).max() < DIRECT * np.abs(start).max():
@@ -229,11 +234,11 @@ def shot(
     The residual is integrated to round-off; the matrix needs n columns of the variations over a
     quarter period at a few digits. Raises `ConvergenceError` when the residual does not shrink.
     """
-    pin, least = chain.pin(chain.problem.pin[0]), chain.steps(period, 2 * PATH_PHASE)
+    pin = chain.pin(chain.problem.pin[0])
     place, rows = (start, period), np.zeros(0)
     best, matrices, factors = np.inf, 0, None
     for count in range(MOST_STEPS):
-        end = chain.quarter.path(place[0], place[1] / 4, least)[-1]
+        end = chain.end(*place)
         row, by_place, by_period = pin(*place)
         rows = np.append(end[: start.size], row)
         size = float(np.abs(rows).max())
@@ -258,8 +263,8 @@ def _newton_matrix(
 ) -> np.ndarray:
     """d(q(T/4), pin)/d(q0, T), n + 1 square."""
     n = chain.quarter.links
-    steps = chain.steps(place[1], NEWTON_PHASE)
-    columns = chain.quarter.columns(place[0], place[1] / 4, steps, np.eye(2 * n)[:, :n])
+    state = np.concatenate([place[0], np.zeros(n)])
+    columns = chain.quarter.columns(state, place[1] / 4, chain.chunks(place[1], NEWTON_PHASE), np.eye(2 * n)[:, :n])
     return np.block([[columns[:n], end[n:, None] / 4], [by_place[None, :], np.array([[by_period]])]])
 
 
@@ -272,12 +277,10 @@ def multipliers(chain: Chain, start: np.ndarray, period: float) -> Floquet:
     """
     n, closed = chain.quarter.links, chain.closed
     modes = np.kron(np.eye(2), closed.modes)
-    steps = chain.steps(period, MULTIPLIER_PHASE)
-    columns = chain.quarter.columns(start, period / 4, steps, modes)
     first = np.concatenate([start, np.zeros(n)])
-    last = chain.quarter.path(start, period / 4, steps)[-1]
-    before = closed.momentum_frame(first)
-    matrix = np.linalg.solve((before @ modes).T, (closed.momentum_frame(last) @ columns).T).T
+    columns = chain.quarter.columns(first, period / 4, chain.chunks(period, MULTIPLIER_PHASE), modes)
+    before, after = closed.momentum_frame(first), closed.momentum_frame(chain.end(start, period))
+    matrix = np.linalg.solve((before @ modes).T, (after @ columns).T).T
     unit = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
     signs = np.concatenate([-np.ones(n), np.ones(n)])
     back = -unit @ matrix.T @ unit
@@ -292,9 +295,8 @@ def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
     """The Orbit (without certificate) that starts at rest at `start` (n)."""
     problem, model = chain.problem, chain.problem.model
     state = np.concatenate([start, np.zeros(start.size)])
-    least = chain.steps(4 * period, 2 * PATH_PHASE, SAMPLES)
-    path = refined_march(chain.quarter.field, state, period, least, np.zeros(0))
-    states, times = path[:: (len(path) - 1) // SAMPLES], np.linspace(0.0, period, SAMPLES + 1)
+    states = chain.quarter.refined(state, period, SAMPLES, chain.chunks(4 * period, PATH_PHASE, SAMPLES))
+    times = np.linspace(0.0, period, SAMPLES + 1)
     floquet = multipliers(chain, start, period)
     turns = np.zeros(start.size, int)
     return Orbit(

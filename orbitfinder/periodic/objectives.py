@@ -63,6 +63,10 @@ def _peak(
     flow, count, free = near[0].flow, near[0].layout.segments, near[0].layout.tail(near[1])[2]
     times, states = _orbit(*near)
     place = _component(problem, states)
+    if problem.objective == "max_amplitude" and problem.turns[place]:
+        raise InputError(
+            f"coordinate: {problem.model.state_names[place]} turns over and over, so it has no amplitude; choose another"
+        )
     heights: list[float] = []
     for _ in range(ROUNDS):
         ready = _at_peak(problem, place, times, states)

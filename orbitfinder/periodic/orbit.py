@@ -220,6 +220,8 @@ def read_document(source: Path) -> dict[str, Any]:
     except RecursionError as error:
         raise InputError(f"{source}: nested too deeply to be an orbit.json; run the problem again") from error
     except ValueError as error:
+        if source.suffix in (".toml", ".py"):
+            raise InputError(f"{source}: a problem file; run it, then give the orbit.json that was written") from error
         raise InputError(f"{source}: truncated or corrupt JSON ({error}); run the problem again") from error
     return check_document(document, str(source))
 

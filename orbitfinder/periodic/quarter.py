@@ -7,8 +7,9 @@ grows with more than n times the block. The march is the eighth-order one of `ru
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -17,10 +18,12 @@ from scipy.integrate import DOP853
 from orbitfinder.errors import IntegrationError
 from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.model import Model
-from orbitfinder.runge_kutta import refined_march
+from orbitfinder.runge_kutta import AGREEMENT, MOST_DOUBLINGS
 
 BLOCK = 20
 """Columns that share one evaluation of the state: 3.7 us a column at 20 links, 19 us at 100."""
+CHUNK = 8
+"""Steps in one call of a compiled-once function: few, so that its memory stays in the cache"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +51,20 @@ class Quarter:
         return ca.Function("slopes", [x, columns], [rate, ca.jtimes(rate, x, columns)])
 
     @cached_property
-    def step(self) -> ca.Function:
-        """(z, h) -> z after one Runge-Kutta step, z = (x, vec Y)."""
+    def march(self) -> ca.Function:
+        """(x, h) -> x after CHUNK Runge-Kutta steps."""
+        return _step(lambda x: self.field(0.0, x, ca.MX(0, 1), ca.MX(0, 1)), 2 * self.links).fold(CHUNK)
+
+    @cached_property
+    def variations(self) -> ca.Function:
+        """(z, h) -> z = (x, vec Y) after CHUNK Runge-Kutta steps."""
         size = 2 * self.links
-        z, h = ca.MX.sym("z", size * (1 + BLOCK)), ca.MX.sym("h")
-        stages: list[ca.MX] = []
-        for row in DOP853.A:
-            y = z + h * _combined(row, stages) if stages else z
-            rate, slope = self.slopes(y[:size], ca.reshape(y[size:], size, BLOCK))
-            stages.append(ca.vertcat(rate, ca.vec(slope)))
-        return ca.Function("step", [z, h], [z + h * _combined(DOP853.B, stages)])
+
+        def rate(z: ca.MX) -> ca.MX:
+            slopes = self.slopes(z[:size], ca.reshape(z[size:], size, BLOCK))
+            return ca.vertcat(slopes[0], ca.vec(slopes[1]))
+
+        return _step(rate, size * (1 + BLOCK)).fold(CHUNK)
 
     def linearised(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Accelerations a(q, v) (n) and their slopes da/dq and da/dv (n x n each)."""
@@ -69,30 +76,54 @@ class Quarter:
         assert rate is not None
         return rate.full().ravel()[n:], slopes[n:, :n], slopes[n:, n:]
 
-    def path(self, q: np.ndarray, duration: float, least: int) -> np.ndarray:
-        """States (k + 1 x 2n) at equal times from rest at q, at least 2 `least` steps, to round-off."""
-        start = np.concatenate([q, np.zeros(q.size)])
-        return refined_march(self.field, start, duration, least, np.zeros(0))
+    def path(self, state: np.ndarray, duration: float, count: int, inner: int = 1) -> np.ndarray:
+        """States (count + 1 x 2n) at equal times from `state` (2n), CHUNK `inner` steps between two of them."""
+        states, h = [np.asarray(state, float)], duration / (count * CHUNK * inner)
+        for _ in range(count):
+            x: object = states[-1]
+            for _ in range(inner):
+                x = self.march(x, h)
+            states.append(x.full().ravel())  # type: ignore[attr-defined]
+        found = np.asarray(states)
+        if not np.all(np.isfinite(found)):
+            raise IntegrationError("the state is not finite", time=0.0, state=found[0])
+        return found
 
-    def columns(self, q: np.ndarray, duration: float, steps: int, directions: np.ndarray) -> np.ndarray:
-        """Phi(duration) times `directions` (2n x k) along the motion from rest at q, in `steps` steps.
+    def refined(self, state: np.ndarray, duration: float, count: int, inner: int = 1) -> np.ndarray:
+        """`path` with steps halved until half the steps confirm the end, as in `refined_march`."""
+        coarse = self.path(state, duration, count, inner)
+        for _ in range(MOST_DOUBLINGS):
+            inner *= 2
+            fine = self.path(state, duration, count, inner)
+            if np.abs(fine[-1] - coarse[-1]).max() <= AGREEMENT * max(1.0, float(np.abs(fine[-1]).max())):
+                break
+            coarse = fine
+        return fine
+
+    def columns(self, state: np.ndarray, duration: float, chunks: int, directions: np.ndarray) -> np.ndarray:
+        """Phi(duration) times `directions` (2n x k) from `state` (2n), in CHUNK `chunks` steps.
 
         Raises `IntegrationError` when the result is not finite.
         """
-        start, marched = np.concatenate([q, np.zeros(q.size)]), _fold(self.step, steps)
-        found = np.zeros_like(directions, float)
+        found, size = np.zeros_like(directions, float), state.size
         for place, part in _blocks(directions):
-            z = marched(np.concatenate([start, part.ravel("F")]), duration / steps).full().ravel()
-            found[:, place] = z[start.size :].reshape(part.shape, order="F")[:, : place.stop - place.start]
+            z: object = np.concatenate([state, part.ravel("F")])
+            for _ in range(chunks):
+                z = self.variations(z, duration / (CHUNK * chunks))
+            end = z.full().ravel()[size:].reshape(part.shape, order="F")  # type: ignore[attr-defined]
+            found[:, place] = end[:, : place.stop - place.start]
         if not np.all(np.isfinite(found)):
-            raise IntegrationError("the variations are not finite", time=0.0, state=start)
+            raise IntegrationError("the variations are not finite", time=0.0, state=np.asarray(state))
         return found
 
 
-@lru_cache(maxsize=8)
-def _fold(step: ca.Function, steps: int) -> ca.Function:
-    """The step taken `steps` times, keeping only the end."""
-    return step.fold(steps)
+def _step(rate: Callable[[ca.MX], ca.MX], size: int) -> ca.Function:
+    """(z, h) -> z after one Runge-Kutta step of z' = rate(z)."""
+    z, h = ca.MX.sym("z", size), ca.MX.sym("h")
+    stages: list[ca.MX] = []
+    for row in DOP853.A:
+        stages.append(rate(z + h * _combined(row, stages) if stages else z))
+    return ca.Function("step", [z, h], [z + h * _combined(DOP853.B, stages)])
 
 
 def _combined(weights: np.ndarray, stages: list[ca.MX]) -> ca.MX:

@@ -12,10 +12,11 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.flow import Flow, build_flow, end_state
-from orbitfinder.periodic.conditions import boundary_rows, pin_row, unfolded_invariants
+from orbitfinder.periodic.conditions import boundary_rows, constrained_brake_rows, pin_row, unfolded_invariants
 from orbitfinder.periodic.freedom import Variables
 from orbitfinder.periodic.problem import Problem
 from orbitfinder.periodic.second_variation import transition_function
+from orbitfinder.periodic.tangent import allowed_velocities
 
 PERIOD_RANGE = 5.0
 """The period may change by this factor either way; keeps it away from 0, where every state closes."""
@@ -109,9 +110,10 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     tail = [ca.MX.sym("period"), ca.MX.sym("unfolding", layout.unfolding), ca.MX.sym("free", layout.free)]
     w = ca.vertcat(*parts, *tail)
     given = ca.MX.sym("ends", size, layout.segments)
-    shift = boundary_shift(problem, nodes, _quarter_end(problem, nodes, flow))
+    far = _far_end(problem, nodes, flow)
+    shift = boundary_shift(problem, nodes, far)
     known = _variables(problem, flow, parts, tail, given)
-    rows = ca.Function("rows", [w, given], [_rows(problem, (nodes[0], shift), known)])
+    rows = ca.Function("rows", [w, given], [_rows(problem, (nodes[0], shift, far), known)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
     ends = _ends(problem, flow, parts, tail)
@@ -174,12 +176,18 @@ def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -
     return ca.horzcat(*[flow.end(k * duration, node, duration, s, free) for k, node in enumerate(parts)])
 
 
-def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray], known: Variables) -> ca.MX:
-    """All rows of g: continuity, boundary, phase conditions, pins, equations; from the guess its state and shift."""
-    state, shift = guess
+def _rows(
+    problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | None], known: Variables
+) -> ca.MX:
+    """All rows of g: continuity, boundary, phase conditions, pins, equations; the guess's state, shift and far end."""
+    state, shift, far = guess
     model, parts, ends = problem.model, known.nodes, known.ends
     rows = [end - node for end, node in zip(ends, parts[1:], strict=False)]
-    rows.append(boundary_rows(problem.boundary, parts[0], ends[-1], shift))
+    if model.native is not None and far is not None:
+        basis = allowed_velocities(model.native, far)
+        rows.append(constrained_brake_rows(model, parts[0], ends[-1], known.parameters, basis))
+    else:
+        rows.append(boundary_rows(problem.boundary, parts[0], ends[-1], shift))
     directions = phase_directions(problem, state)
     if problem.phase_condition is not None:
         rows.append(ca.MX(problem.phase_condition(known)))
@@ -192,9 +200,13 @@ def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray], known: Variabl
     return ca.vertcat(*rows)
 
 
-def _quarter_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
-    """The guess's state after a quarter period, at the centre of its swing, where the symmetry has one."""
-    if problem.symmetry != "brake+reflection":
+def _far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
+    """The guess's state at the end of the horizon, where the boundary rows need it.
+
+    Of brake+reflection that is the centre of the swing, of a brake orbit under constraints the other rest.
+    """
+    constrained = problem.model.native is not None and problem.symmetry == "brake"
+    if problem.symmetry != "brake+reflection" and not constrained:
         return None
     duration = problem.guess.period * problem.boundary.fraction / len(nodes)
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)

@@ -8,6 +8,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
+from orbitfinder.periodic.tangent import allowed_velocities
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -123,10 +124,10 @@ def check_symmetry(model: Model, state: np.ndarray, symmetry: str, cycles: int =
     Brake needs a(-t, q, -v) = a(t, q, v); reflection needs a(t + T/2, -q, -v) = -a(t, q, v), where
     T is `cycles` periods of the forcing.
     """
-    if model.native is not None and symmetry != "none":
+    if model.native is not None and "reflection" in symmetry:
         raise InputError(
-            f"symmetry: {symmetry!r} cannot be imposed on a system under constraints, whose stabilisation is damped; "
-            "use symmetry = 'none' (symmetric orbits are recognised)"
+            f"symmetry: {symmetry!r} cannot be imposed in redundant coordinates, where x -> -x moves the joints; "
+            "use symmetry = 'brake' or 'none' (symmetric orbits are recognised)"
         )
     half = 0.0
     if model.forcing_period is not None:
@@ -147,6 +148,9 @@ def _broken(model: Model, state: np.ndarray, signs: tuple[int, int, float]) -> b
     direction = -1.0 if places > 0 else 1.0
     for _ in range(4):
         place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(), v.size)
+        if model.native is not None:  # off the constraints the stabilisation is damped
+            basis = allowed_velocities(model.native, q)
+            place, rate = q, basis @ (basis.T @ rate)
         t = float(random.uniform(0, 1 + 2 * shift))
         here = places * model.acceleration(t, place, rate, model.parameter_values).full()
         there = model.acceleration(direction * t + shift, places * place, rates * rate, model.parameter_values).full()

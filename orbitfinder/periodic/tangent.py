@@ -29,3 +29,8 @@ def tangent_space(model: ConstrainedModel, state: np.ndarray) -> np.ndarray:
     x = ca.MX.sym("x", 2 * n)
     level = ca.vertcat(model.constraint(x[:n], p), model.constraint_rate(x[:n], x[n:], p))
     return tangent_basis(ca.Function("rows", [x], [ca.jacobian(level, x)])(state).full())
+
+
+def allowed_velocities(model: ConstrainedModel, state: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (n x n - m) of the velocities with J v = 0 at a state (2n)."""
+    return tangent_basis(model.constraint_jacobian(state[: model.coordinates], model.parameter_values).full())

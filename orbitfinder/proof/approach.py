@@ -105,7 +105,7 @@ def _multiples(
     zero = (0,) * n
 
     def nearest(x: np.ndarray) -> tuple[int, ...]:
-        return tuple(int(round(a / np.pi)) if angle else 0 for a, angle in zip(x[:n], angles, strict=True))
+        return tuple(round(a / np.pi) if angle else 0 for a, angle in zip(x[:n], angles, strict=True))
 
     if symmetry == "none":
         return zero, tuple(2 * int(k) for k in winding)

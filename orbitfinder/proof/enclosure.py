@@ -111,7 +111,7 @@ def state_remainder(field: Field, found: Solution, h: Any, order: int) -> Vector
         if not all(x.is_finite() for x in image):
             return None
         if inside(trial, image):
-            return trial
+            return image
         trial = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + 1e-300) for x in image]
     return None
 
@@ -177,6 +177,3 @@ def _transition_image(
     for i, x in enumerate(forcing):
         rows[i * width + width - 1] += x / (order + 1)
     return arb_mat(2 * n + 1, width, rows + [arb(0)] * width)
-
-
-__all__ = ["Settings", "Step", "find_step", "horner", "transition_over", "valued"]

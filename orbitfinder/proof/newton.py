@@ -20,7 +20,8 @@ MOST_ITERATIONS = 30
 def step_length(series: list[Vector], left: float, settings: Settings) -> float:
     """A step whose last term is below the tolerance."""
     order = len(series[0]) - 1
-    largest = max(magnitude([one[-1] for one in series]), magnitude([one[-2] for one in series]) ** (order / (order - 1)))
+    last, before = (magnitude([one[k] for one in series]) for k in (-1, -2))
+    largest = max(last, before ** (order / (order - 1)))
     h = 0.9 * (settings.tolerance / max(largest, 1e-300)) ** (1.0 / order)
     return min(left, float(int(min(h, 1.0) * 2.0**40) * 2.0**-40))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.orbit import Orbit, read_document, write_atomically
 from orbitfinder.proof.balls import arb, flint, precision
 from orbitfinder.proof.enclosure import Settings
@@ -110,10 +111,12 @@ def checked(options: Options) -> Options:
     return options
 
 
-def replay(orbit: Orbit, found: Mapping[str, Any], progress: Progress | None = None) -> tuple[Proof, list[str]]:
+def replay(
+    orbit: Orbit, found: Mapping[str, Any], model: Model | None = None, progress: Progress | None = None
+) -> tuple[Proof, list[str]]:
     """The proof done again with the recorded settings, and every recorded claim that it contradicts."""
     options = options_of(found)
-    proof = prove(orbit, None, options, progress)
+    proof = prove(orbit, model, options, progress)
     if not proof.proved:
         return proof, [proof.reason]
     fresh = entry(proof)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.proof.approach import approach
@@ -93,6 +93,3 @@ def refine(
             node[-1] * form.segments * form.parts, node[: 2 * form.size],
             Fraction(start.phase), settings, time.perf_counter() - began,
         )  # fmt: skip
-
-
-__all__ = ["ConvergenceError", "Refined", "refine", "settings_for"]

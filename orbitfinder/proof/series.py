@@ -7,7 +7,7 @@ Validated Numerics (2011), chapter 4; A. Griewank, A. Walther, Evaluating Deriva
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from operator import mul
@@ -43,7 +43,7 @@ class Recurrence:
     outputs: tuple[dict[int, int], ...]
 
 
-def recurrence(code: Program, constants: dict[int, Sequence[Any]]) -> Recurrence:
+def recurrence(code: Program, constants: Mapping[int, Sequence[Any]]) -> Recurrence:
     """The recurrence of a program, some of whose arguments are constant balls."""
     fold = _Fold(code, constants)
     for name, target, a, b in code.operations:
@@ -62,7 +62,7 @@ def recurrence(code: Program, constants: dict[int, Sequence[Any]]) -> Recurrence
 class _Fold:
     """A program being specialised: constants evaluated, trivial operations removed, sines paired with cosines."""
 
-    def __init__(self, code: Program, constants: dict[int, Sequence[Any]]) -> None:
+    def __init__(self, code: Program, constants: Mapping[int, Sequence[Any]]) -> None:
         self.size = code.size
         self.fixed: dict[int, Any] = {value: arb(number) for value, number in code.constants}
         self.alias: dict[int, int] = {}
@@ -165,8 +165,10 @@ def coefficients(
     values: list[list[Any]] = [[] for _ in range(code.size)]
     for value, ball in code.fixed.items():
         values[value] = [ball] + [arb(0)] * order
-    steps = [(KINDS[name], (values[target], values[a], values[b] if b >= 0 else None, constant, {}))
-             for name, target, a, b, constant in code.operations]  # fmt: skip
+    steps: list[tuple[Callable[..., None], tuple[Any, ...]]] = [
+        (KINDS[name], (values[target], values[a], values[b] if b >= 0 else None, constant, {}))
+        for name, target, a, b, constant in code.operations
+    ]
     inputs = [values[value] for value, _, _ in code.variables]
     first = [values[value] for _, value in sorted(code.outputs[0].items())]
     for k in range(order + 1):

@@ -35,10 +35,10 @@ def stability(reduced: Any) -> Stability:
         found = list(reduced.eig(algorithm="rump"))
     except (ValueError, ZeroDivisionError):
         return Stability("open", "two multipliers could not be separated", [])
-    for one in found:
-        size = abs(one)
-        if size > 1 or size < 1:
-            return Stability("unstable", f"a multiplier of absolute value {_text(size)} is off the unit circle", found)
+    found.sort(key=lambda one: (-round(float(abs(one).mid()), 6), float(one.imag.mid())))
+    largest = abs(found[0])
+    if largest > 1:
+        return Stability("unstable", f"a multiplier of absolute value {_text(largest)} is off the unit circle", found)
     for k, one in enumerate(found):
         mirrored = 1 / one.conjugate()
         for j, other in enumerate(found):

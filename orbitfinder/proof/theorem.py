@@ -9,9 +9,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.orbit import Orbit
@@ -27,7 +28,7 @@ from orbitfinder.proof.tour import Tour, minimal_period, monodromy, moves, posit
 
 STATEMENT = 1
 """version of the theorem in docs/proof.md that a record refers to"""
-RADII = (1e-10, 1e-12, 1e-14)
+RADII = (1e-11, 1e-13, 1e-15)
 """of the boxes that are tried; the smaller ones are for very unstable orbits"""
 CENTRE = 1e-22
 """Newton's last correction before the box is set"""
@@ -82,7 +83,7 @@ class Options:
     `nearness` is the largest distance allowed between the record and the proved orbit (rad, rad/s, s).
     """
 
-    settings: Settings = Settings()
+    settings: Settings = field(default_factory=Settings)
     symmetry: str | None = None
     segments: int | None = None
     nearness: float = 1e-9
@@ -105,12 +106,12 @@ def prove(
         return Proof(**{**found, "wall_time": time.perf_counter() - began})
 
 
-def provable_model(orbit: Orbit) -> Model:
+def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
     """The Model of an orbit; of a chain in the formulation with the fewest operations."""
     system = dict(orbit.system)
     if system.get("kind") == "chain":
         system["formulation"] = "recursive"
-    return build_model(system)
+    return build_model(system, trusted)
 
 
 def _prove(
@@ -164,7 +165,8 @@ def enclosed(equations: Equations, centre: Vector, settings: Settings, say: Prog
         except IntegrationError as error:
             reasons.append(f"radius {size:g}: {error}")
             continue
-        say(f"box of radius {size:g}: contraction {found.contraction:.2g}, {'inside' if found.proved else 'not inside'}")
+        verdict = "inside" if found.proved else "not inside"
+        say(f"box of radius {size:g}: contraction {found.contraction:.2g}, {verdict}")
         if found.proved:
             return found
         reasons.append(f"radius {size:g}: contraction {found.contraction:.3g}")
@@ -224,6 +226,3 @@ def gaps(orbit: Orbit, path: Tour, start: Approach) -> tuple[float, float]:
         if speed > 0:
             phase -= Fraction(sum(a * b for a, b in zip(apart, flow, strict=True)) / speed / float(path.period.mid()))
     return magnitude(difference(phase)), magnitude([path.period - arb(float(orbit.period))])
-
-
-__all__ = ["InputError", "NotProved", "Options", "Proof", "prove"]

@@ -153,8 +153,8 @@ def minimal_period(found: Tour, angles: Sequence[bool]) -> tuple[bool, int, str]
     most = int(1 / left[0])
     start = found.state(Fraction(0))
     for k in range(2, most + 1):
-        there = found.state(Fraction(1, k))
-        if not any(_apart(a - b, i < len(angles) and angles[i]) for i, (a, b) in enumerate(zip(there, start, strict=True))):
+        apart = [a - b for a, b in zip(found.state(Fraction(1, k)), start, strict=True)]
+        if not any(_apart(x, i < len(angles) and angles[i]) for i, x in enumerate(apart)):
             return False, k, f"the state at T/{k} could not be told from the first"
     return True, most, ""
 

@@ -11,7 +11,7 @@
   player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; });
 
   var NAMES = { energy: "energy, J", frequency: "frequency, 1/s", period: "period, s", action: "action, J s",
-    largest: "largest multiplier", value: it.parameter };
+    largest: "largest multiplier", value: safe(it.parameter) };
   var SYMBOLS = { fold: "triangle-down", branch_point: "circle-open", period_doubling: "square", resonance: "circle",
     collision: "x", stability_change: "diamond" };
 
@@ -62,7 +62,7 @@
     items.forEach(function (one, k) { if (one.event) (kinds[one.kind] = kinds[one.kind] || []).push(k); else plain.push(k); });
     traces.push(points(chosen, plain, { name: "orbit", showlegend: false, marker: { size: 6, color: c.series[0] } }));
     Object.keys(kinds).forEach(function (kind) {
-      traces.push(points(chosen, kinds[kind], { name: kind.replace(/_/g, " "), marker: { symbol: SYMBOLS[kind] || "star",
+      traces.push(points(chosen, kinds[kind], { name: safe(kind).replace(/_/g, " "), marker: { symbol: SYMBOLS[kind] || "star",
         size: kind === "resonance" ? 6 : 10, color: kind === "resonance" ? c.series[3] : c.series[1],
         line: kind === "resonance" ? { width: 0 } : { width: 1.5, color: c.series[1] } } }));
     });
@@ -73,7 +73,7 @@
     var kinds = Array.from(new Set(items.map(function (one) { return one.stability; }))).sort();
     return kinds.map(function (kind, n) {
       var which = shown.filter(function (k) { return items[k].stability === kind; });
-      return points(chosen, which, { name: kind, marker: { size: 8, color: c.series[(kind === "unstable" ? 1 : n === 1 ? 2 : n) % 6],
+      return points(chosen, which, { name: safe(kind), marker: { size: 8, color: c.series[(kind === "unstable" ? 1 : n === 1 ? 2 : n) % 6],
         symbol: kind === "unstable" ? "diamond-open" : "circle", line: { width: kind === "unstable" ? 1.4 : 0.8, color: kind === "unstable" ? c.series[1] : c.surface } } });
     });
   }

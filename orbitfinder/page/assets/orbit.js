@@ -5,7 +5,7 @@
   orbitfinder.player = player;
   function part(id) { return document.getElementById(id); }
 
-  plots.plot(part("circle"), function () { return plots.circle(it.multipliers); });
+  if (part("circle")) plots.plot(part("circle"), function () { return plots.circle(it.multipliers); });
   if (it.motion) moving();
   else ["moving", "histories"].forEach(function (id) { part(id).hidden = true; });
 

@@ -1,0 +1,71 @@
+"""From an event of a family on disk to the families that leave there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.families.branching import SWITCHABLE, switch
+from orbitfinder.families.points import Event, Family, FamilySettings
+from orbitfinder.families.start import Start, curve_of
+from orbitfinder.families.store import load_family
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
+
+
+@dataclass(frozen=True)
+class Branch:
+    """The start of a family that leaves another one: which family, which of its events, which of the branches there."""
+
+    start: Start
+    family: str
+    event: Event
+    number: int
+    branch: int
+    name: str
+
+    def described(self) -> dict[str, Any]:
+        """The same in plain numbers."""
+        return {
+            "family": self.family, "event": self.number, "branch": self.branch, "kind_of_event": self.event.kind,
+            "order": self.event.order, "energy": self.event.energy, "period": self.event.period,
+        }  # fmt: skip
+
+
+def branches(
+    path: str | Path, event: int, settings: FamilySettings | None = None, model: Model | None = None
+) -> list[Branch]:
+    """Every branch that leaves a family.json at its event with this index, named <family>-<event>-<branch>.
+
+    `model` is the family's where no file describes it. Raises `InputError` (also for events that nothing
+    leaves from, with a list of those that something does) and `ConvergenceError` when no branch was found.
+    """
+    family = load_family(path)
+    chosen = _event(family, event, str(path))
+    settings = replace(settings or FamilySettings(), parameter=family.parameter)
+    curve = curve_of(family.curve, model or build_model(family.system), settings)
+    starts = switch(curve, chosen, settings)
+    if not starts:
+        raise ConvergenceError(f"{family.name}: no branch was found at event {event} ({described(family, event)})")
+    return [
+        Branch(start, family.name, chosen, event, k, f"{family.name}-{event}-{k}") for k, start in enumerate(starts, 1)
+    ]
+
+
+def _event(family: Family, number: int, where: str) -> Event:
+    if not family.curve:
+        raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
+    known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+    if number in known:
+        return family.events[number]
+    listed = "; ".join(described(family, k) for k in known) or "this family has none"
+    raise InputError(f"--switch: no branch leaves at event {number}; choose one of {listed}")
+
+
+def described(family: Family, number: int) -> str:
+    """An event in a few words."""
+    one = family.events[number]
+    detail = f" {one.detail}" if one.detail else ""
+    return f"{number}: {one.kind}{detail} at {family.parameter} {one.parameter:.6g}"

@@ -1,0 +1,299 @@
+"""Long chains: harmonic balance and a quarter period against the ordinary search, and their certificate."""
+
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import pendulum_period
+
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.flow import build_flow, transition
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.chain_lagrange import chain_lagrange
+from orbitfinder.mechanics.model import energies
+from orbitfinder.periodic import harmonic_balance
+from orbitfinder.periodic.certify import certify, gather, is_long
+from orbitfinder.periodic.chain_evidence import gather_chain
+from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.guesses import normal_mode
+from orbitfinder.periodic.harmonic_balance import Series
+from orbitfinder.periodic.long_chain import balanced, build_chain, find_long_chain, shot, suits
+from orbitfinder.periodic.nlp import SolveSettings
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.quarter import Quarter
+from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.systems import henon_heiles
+
+PROBLEMS = Path(__file__).parents[1] / "problems" / "chains"
+UNEQUAL = {"length": np.linspace(0.5, 1.5, 6), "mass": np.linspace(2.0, 0.7, 6), "com": np.linspace(0.3, 0.6, 6)}
+BARE = SolveSettings(with_certificate=False)
+
+
+def mode_problem(links: int, amplitude: float, **pins: float) -> Problem:
+    """The first mode of uniform links in the quarter-period formulation, pinned at its tip unless said otherwise."""
+    model = chain(links)
+    chosen = pin(**(pins or {f"theta{links}": amplitude}))
+    return Problem(model, normal_mode(model, 1, amplitude), chosen, symmetry="brake+reflection", name=f"chain-{links}")
+
+
+def largest_difference(found: np.ndarray, wanted: np.ndarray) -> float:
+    """Of two sets of complex numbers, matched one to one."""
+    from scipy.optimize import linear_sum_assignment
+
+    distance = np.abs(found[:, None] - wanted[None, :])
+    return float(distance[linear_sum_assignment(distance)].max())
+
+
+@pytest.fixture(scope="module")
+def twelve():
+    """Twelve links let go with 0.5 rad at the tip, found by the ordinary command of the library."""
+    return find_orbit(mode_problem(12, 0.5))
+
+
+# --- the closed form -------------------------------------------------------------------------------
+
+
+def test_closed_form_agrees_with_the_recursion():
+    """Accelerations and energies of unequal links, at random states."""
+    model = chain(6, **UNEQUAL)
+    closed, random = chain_lagrange(model), np.random.default_rng(1)
+    for x in random.normal(0, 2, (5, 12)):
+        wanted = model.acceleration(0, x[:6], x[6:], model.parameter_values).full().ravel()
+        assert np.abs(closed.field(0.0, x)[6:] - wanted).max() <= 1e-12 * np.abs(wanted).max()
+        kinetic, potential = closed.energies(x)
+        rest = float(closed.energies(np.zeros(12))[1][0] - model.potential(np.zeros(6), model.parameter_values))
+        assert kinetic[0] == pytest.approx(energies(model, x[None])[0][0], rel=1e-13)
+        assert potential[0] - rest == pytest.approx(energies(model, x[None])[1][0], rel=1e-12)
+
+
+def test_closed_form_variations_agree_with_automatic_differentiation():
+    model = chain(6, **UNEQUAL)
+    closed, quarter, random = chain_lagrange(model), Quarter(model), np.random.default_rng(2)
+    x, columns = random.normal(0, 1, 12), random.normal(0, 1, (12, 7))
+    found = closed.variational(0.0, np.concatenate([x, columns.ravel("F")]))
+    a, by_place, by_rate = quarter.linearised(x[:6], x[6:])
+    wanted = np.vstack([columns[6:], by_place @ columns[:6] + by_rate @ columns[6:]])
+    assert np.abs(found[12:].reshape(12, 7, order="F") - wanted).max() <= 1e-11 * np.abs(wanted).max()
+    assert found[:12] == pytest.approx(np.concatenate([x[6:], a]), rel=1e-11, abs=1e-11)
+
+
+def test_momentum_frame_is_canonical():
+    """d(eta, pi)/d(q, v) against finite differences of q = U eta, pi = U^T dT/dv."""
+    model = chain(6, **UNEQUAL)
+    closed, random = chain_lagrange(model), np.random.default_rng(3)
+    x = random.normal(0, 1, 12)
+
+    def canonical(x: np.ndarray) -> np.ndarray:
+        places = np.linalg.solve(closed.modes, x[:6])
+        return np.concatenate([places, closed.modes.T @ closed.mass_matrix(x[:6]) @ x[6:]])
+
+    step = 1e-6
+    wanted = np.column_stack([(canonical(x + step * e) - canonical(x - step * e)) / (2 * step) for e in np.eye(12)])
+    assert np.abs(closed.momentum_frame(x) - wanted).max() <= 1e-7 * np.abs(wanted).max()
+
+
+def test_closed_form_refuses_what_is_no_chain():
+    with pytest.raises(InputError, match="not those of an open planar chain"):
+        chain_lagrange(henon_heiles())
+
+
+# --- the parts -------------------------------------------------------------------------------------
+
+
+def test_columns_agree_with_the_variational_equations_of_the_flow():
+    """More columns than a block holds, along a motion that does not start at rest."""
+    model = chain(12)
+    state = np.random.default_rng(4).normal(0, 0.2, 24)
+    end, matrix = transition(build_flow(model), state, 0.5)
+    quarter = Quarter(model)
+    assert np.abs(quarter.columns(state, 0.5, 20, np.eye(24)) - matrix).max() <= 1e-9 * np.abs(matrix).max()
+    assert np.abs(quarter.refined(state, 0.5, 2, 4)[-1] - end).max() <= 1e-11 * np.abs(end).max()
+
+
+def test_harmonic_balance_converges_spectrally_to_the_pendulum():
+    """The period of one link at 1 rad is an elliptic integral; its error falls by decades with each harmonic."""
+    quarter = Quarter(chain(1))
+
+    def at_one(place: np.ndarray, _: float) -> tuple[float, np.ndarray, float]:
+        return float(place[0] - 1.0), np.ones(1), 0.0
+
+    errors = []
+    for count in (2, 3, 4, 5):
+        first = Series(np.ones((1, 1)), 3.8).padded(count)
+        found = harmonic_balance.correct(first, quarter.linearised, at_one)
+        assert found is not None
+        errors.append(abs(found[0].period - pendulum_period(1.0)))
+    assert errors[-1] < 1e-8
+    assert all(later < earlier / 20 for earlier, later in itertools.pairwise(errors))
+
+
+def test_harmonic_balance_gives_up_on_nonsense():
+    """A frequency of the wrong sign, numbers that are not finite and a singular matrix are no solutions."""
+    quarter = Quarter(chain(1))
+
+    def nowhere(place: np.ndarray, _: float) -> tuple[float, np.ndarray, float]:
+        return float("nan"), np.ones(1), 0.0
+
+    def singular(place: np.ndarray, _: float) -> tuple[float, np.ndarray, float]:
+        return 1.0, np.zeros(1), 0.0
+
+    for row in (nowhere, singular):
+        assert harmonic_balance.correct(Series(np.ones((1, 1)), 3.8), quarter.linearised, row) is None
+
+
+# --- against the ordinary search -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("links", "amplitude"), [(8, 0.5), (10, 0.6)])
+def test_agrees_with_the_ordinary_search(links, amplitude):
+    """Chains short enough for multiple shooting by IPOPT: the same orbit and the same multipliers."""
+    problem = mode_problem(links, amplitude)
+    assert not suits(problem)
+    ordinary, found = find_orbit(problem), find_long_chain(problem, SolveSettings())
+    assert ordinary.certificate.passed and found.certificate.passed, found.certificate.failures
+    assert found.period == pytest.approx(ordinary.period, abs=1e-10)
+    assert np.abs(found.state - ordinary.state).max() <= 1e-10
+    assert found.energy == pytest.approx(ordinary.energy, rel=1e-12)
+    assert found.action == pytest.approx(ordinary.action, rel=1e-11)
+    assert (found.symmetry, found.stability) == (ordinary.symmetry, ordinary.stability)
+    assert largest_difference(found.floquet_multipliers, ordinary.floquet_multipliers) <= 1e-7
+    assert found.pair_defect <= 1e-8
+
+
+def test_evidence_agrees_with_hamiltons_equations():
+    """Closed form and generic Hamiltonian certificate say the same of one orbit of eight links."""
+    problem = mode_problem(8, 0.5)
+    orbit = find_long_chain(problem, BARE)
+    turns = np.zeros(8, int)
+    generic = gather(problem.model, orbit.state, orbit.period, turns)
+    found = gather_chain(problem.model, orbit.state, orbit.period, turns)
+    assert max(generic.closure, found.closure) <= 1e-12
+    assert found.action == pytest.approx(generic.action, rel=1e-11)
+    assert found.energy == pytest.approx(generic.energy, rel=1e-13)
+    assert largest_difference(found.floquet.multipliers, generic.floquet.multipliers) <= 1e-7
+    assert found.symplectic <= 1e-10 and found.trivial <= 1e-10
+    assert "Lagrange" in found.formulation and "Hamilton" in generic.formulation
+
+
+def test_evidence_without_gravity_knows_the_angular_momentum():
+    """Four trivial multipliers are removed, two where the flow is the rotation itself."""
+    model, turning = chain(11, gravity=0.0), np.concatenate([np.zeros(11), np.full(11, 0.7)])
+    rigid = gather_chain(model, turning, 0.1, np.zeros(11, int))
+    assert rigid.trivial <= 1e-9 and rigid.symplectic <= 1e-10
+    assert rigid.floquet.multipliers.size == 20
+    bent = gather_chain(model, turning + np.linspace(0, 0.3, 22), 0.1, np.zeros(11, int))
+    assert bent.floquet.multipliers.size == 18 and bent.symplectic <= 1e-10
+
+
+# --- the whole -------------------------------------------------------------------------------------
+
+
+def test_long_chain_is_certified(twelve):
+    """find_orbit takes the long way by itself and says in the certificate on which equations it was judged."""
+    assert is_long(chain(12)) and twelve.certificate.passed, twelve.certificate.failures
+    assert twelve.state[11] == pytest.approx(0.5, abs=1e-14) and twelve.symmetry == "brake+reflection"
+    assert twelve.floquet_multipliers.size == 22 and twelve.stability == "elliptic"
+    assert twelve.pair_defect <= 1e-8 and twelve.closure <= 1e-12
+    assert "harmonic balance" in twelve.provenance["method"]
+    note = {check.name: check.note for check in twelve.certificate.checks}["closure"]
+    assert "Lagrange's equations" in note
+    assert len(twelve.samples) == 513 and len(twelve.nodes) == 8
+
+
+@pytest.mark.parametrize("name", ["energy", "period"])
+def test_other_pins_find_the_same_orbit(twelve, name):
+    """The orbit's own energy or period, from the linear mode."""
+    found = find_orbit(mode_problem(12, 0.5, **{name: getattr(twelve, name)}), BARE)
+    assert found.period == pytest.approx(twelve.period, abs=1e-9)
+    assert np.abs(found.state - twelve.state).max() <= 1e-7
+
+
+def test_a_good_guess_is_corrected_without_following_the_family(twelve):
+    stages = []
+    guess = Guess(twelve.state * 1.002, twelve.period * 1.001)
+    problem = Problem(chain(12), guess, pin(theta12=0.5), symmetry="brake+reflection")
+    found = find_orbit(problem, BARE, lambda event: stages.append(event.stage))
+    assert found.period == pytest.approx(twelve.period, abs=1e-11)
+    assert stages and not any("harmonic" in stage for stage in stages)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"symmetry": "none"}, {"symmetry": "brake"}, {"pin": ()}, {"bounds": {"period": (1.0, 9.0)}}],
+    ids=["none", "brake", "nearest", "bounds"],
+)
+def test_other_problems_go_the_ordinary_way(change):
+    problem = mode_problem(12, 0.5)
+    assert suits(problem)
+    assert not suits(replace(problem, **change))
+
+
+# --- what fails ------------------------------------------------------------------------------------
+
+
+def test_a_pin_on_a_rate_is_refused():
+    with pytest.raises(InputError, match="theta12dot is 0 where a brake orbit starts"):
+        find_orbit(mode_problem(12, 0.5, theta12dot=0.3))
+
+
+def test_a_lost_family_is_said_to_be_lost():
+    """The tip of four links cannot swing in the first mode to 3.3 rad, beyond upright."""
+    known = build_chain(mode_problem(4, 3.3))
+    with pytest.raises(ConvergenceError, match=r"could not be followed to theta4 = 3.3; give a smaller value"):
+        balanced(known, lambda *_: None)
+
+
+def test_shooting_that_stalls_is_an_error():
+    """Far from any orbit the residual grows and the message says what to do."""
+    known = build_chain(mode_problem(12, 0.5))
+    with pytest.raises(ConvergenceError, match="stalled with"):
+        shot(known, np.linspace(0.0, 2.0, 12), 2.0, lambda *_: None)
+
+
+def test_states_that_overflow_are_an_integration_error():
+    quarter = Quarter(chain(12))
+    wild = np.concatenate([np.zeros(12), np.full(12, 1e200) * np.arange(12)])
+    with pytest.raises(IntegrationError, match="the state is not finite"):
+        quarter.path(wild, 1.0, 1)
+    with pytest.raises(IntegrationError, match="the variations are not finite"):
+        quarter.columns(wild, 1.0, 1, np.eye(24)[:, :2])
+
+
+def test_a_falsified_long_orbit_fails_its_certificate(twelve):
+    """Each falsified number is caught by the check that is about it."""
+    model = chain(12)
+    late = certify(replace(twelve, period=twelve.period + 1e-9), model)
+    assert not late.passed and "closure" in late.failures
+    claims = {
+        "floquet_multipliers": twelve.floquet_multipliers * 1.001,
+        "action": twelve.action * (1 + 1e-8),
+        "energy": twelve.energy + 1e-6,
+        "stability": "unstable",
+        "symmetry": "none",
+    }
+    assert set(certify(replace(twelve, **claims), model).failures) == claims.keys()
+
+
+# --- the issue's sizes -----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("links", [20, 50, 100])
+def test_problem_file_of_a_long_chain(links, tmp_path):
+    """`orbitfinder run` on the shipped file, then `verify` on what it wrote: all 2n - 2 multipliers."""
+    from click.testing import CliRunner
+
+    from orbitfinder.cli import main
+
+    done = CliRunner().invoke(main, ["run", str(PROBLEMS / f"chain-{links}.toml"), "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    file = tmp_path / f"chain-{links}" / "orbit.json"
+    document = json.loads(file.read_text())
+    assert document["certificate"]["passed"] and len(document["floquet_multipliers"]) == 2 * links - 2
+    assert document["state"][links - 1] == pytest.approx(1.0, abs=1e-14)
+    assert document["pair_defect"] <= 1e-8
+    assert file.stat().st_size < 200_000 and file.with_suffix(".npz").stat().st_size < 2_000_000
+    assert CliRunner().invoke(main, ["verify", str(file)]).exit_code == 0

@@ -1,0 +1,289 @@
+"""The validated integrator: exact solutions, another integrator, containment, and enclosures broken on purpose."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.special import ellipj, ellipk
+
+pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+
+from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.proof import enclosure, lohner
+from orbitfinder.proof.balls import arb, decimal, floats, precision, radii, radius
+from orbitfinder.proof.enclosure import Settings
+from orbitfinder.proof.field import make_field, programs
+from orbitfinder.proof.invariance import has_symmetry, turns_leave
+from orbitfinder.proof.lohner import cloud
+from orbitfinder.proof.program import Ring, program
+from orbitfinder.proof.series import coefficients, outputs, recurrence
+from orbitfinder.proof.taylormodel import remainders
+from orbitfinder.reference import TIGHTEST, integrate, vector_field
+
+FAST = Settings(order=14, bits=96, tolerance=1e-14)
+FLOATS = Ring(
+    float,
+    {
+        "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "div": lambda a, b: a / b,
+        "neg": lambda a: -a, "sq": lambda a: a * a, "sin": np.sin, "cos": np.cos, "sqrt": np.sqrt, "exp": np.exp,
+        "log": np.log, "pow": lambda a, b: a**b,
+    },
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def bits():
+    with precision(FAST.bits):
+        yield
+
+
+def oscillator(potential=lambda q: q**2 / 2):
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    return lagrange(v**2 / 2, potential(q), Symbols(q, v))
+
+
+def extended(state, duration, spread=0.0):
+    return [arb(float(x), spread) for x in state] + [arb(0), arb(duration)]
+
+
+def plain(model):
+    n = model.degrees_of_freedom
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", 2 * n)
+    rate = ca.vertcat(x[n:], model.acceleration(t, x[:n], x[n:], ca.DM(model.parameter_values)))
+    return vector_field(ca.Function("plain", [t, x], [rate]))
+
+
+@pytest.mark.parametrize("links", [1, 2, 3])
+@pytest.mark.parametrize("formulation", ["recursive", "lagrange"])
+def test_program_agrees_with_casadi(links, formulation):
+    """The straight-line program in floats is CasADi's own evaluation."""
+    model = chain(links, formulation=formulation)
+    code = program(model.acceleration)
+    random = np.random.default_rng(links)
+    q, v = random.normal(size=(2, links))
+    found = code.run([[0.0], q, v, model.parameter_values], FLOATS)[0]
+    expected = model.acceleration(0.0, q, v, model.parameter_values).full().ravel()
+    assert np.allclose([found[i] for i in range(links)], expected, rtol=1e-13)
+
+
+def elementary():
+    """A function with every operation that proofs know."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    a, b = x[0], x[1]
+    rows = [
+        ca.tan(a) * ca.exp(b), ca.log(2 + a) / (3 - b), ca.sqrt(2 + a * b), (2 + a) ** 3, (2 + b) ** 1.5, 1 / (a + 2),
+        p**a, ca.sin(a - b) - 2 * ca.cos(b) + 4, -a + p, 5 - a, (1 + a) ** -2,
+    ]  # fmt: skip
+    return ca.Function("elementary", [x, p], [ca.vertcat(*rows)])
+
+
+def test_series_and_remainders_of_every_operation():
+    """Taylor models of all operations contain the function along a path, at times over the step."""
+    function, order, h = elementary(), 8, 0.25
+    code = recurrence(program(function), {1: [decimal(0.7)]})
+    path = [[arb(0.3), arb(0.5), arb(-0.2)], [arb(-0.4), arb(1), arb(0.1)]]
+    span = arb(h / 2, h / 2)
+
+    def variables(k, _):
+        return [path[entry][k] if k < 3 else arb(0) for _, _, entry in code.variables]
+
+    values = coefficients(code, order - 1, variables)
+    rest = remainders(code, values, order, span, [arb(0)] * len(code.variables))
+    series, balls = outputs(code, values)[0], outputs(code, rest)[0]
+    for time in np.linspace(0, h, 11):
+        x = [sum(float(c) * time**k for k, c in enumerate(one)) for one in path]
+        expected = function(x, 0.7).full().ravel()
+        for i, exact in enumerate(expected):
+            ball = sum((c * arb(time) ** k for k, c in enumerate(series[i][:order])), balls[i] * arb(time) ** order)
+            assert abs(float(ball.mid()) - exact) <= 1e-13 + float(ball.rad())
+            assert ball.rad() < 1e-2
+
+
+def test_unknown_operation_is_named():
+    """An operation without a power series is refused by name, and a graph of solvers as such."""
+    x = ca.SX.sym("x")
+    with pytest.raises(InputError, match=r"OP_FABS has no power series"):
+        program(ca.Function("f", [x], [ca.fabs(x)]))
+    y = ca.MX.sym("y")
+    with pytest.raises(InputError, match="only scalar graphs"):
+        program(ca.Function("g", [y], [y]))
+
+
+def test_parameters_are_decimals():
+    """9.8 means 49/5, and the ball of a float contains both readings' difference."""
+    with precision(200):
+        assert (decimal(9.8) * 5 - 49).contains(0)
+        assert not (arb(9.8) * 5 - 49).contains(0)
+        assert (decimal(1.25e-7) * 8 - decimal(1e-6)).contains(0)
+        assert (decimal(-3.0) + 3).contains(0)
+    with pytest.raises(InputError, match="finite"):
+        decimal(float("nan"))
+
+
+def test_harmonic_oscillator_over_a_hundred_periods():
+    """The enclosure contains the truth after 100 periods, and has not grown."""
+    field = make_field(oscillator())
+    period = 2 * arb.pi()
+    spread = 1e-6
+    here = cloud([arb(1, spread), arb(0, spread), arb(0), period.mid()])
+    for _ in range(100):
+        here, _ = lohner.integrate(field, here, FAST)
+    late = 100 * (2 * arb.pi() - period.mid())
+    for x, v in ((1.0, 0.0), (1.0 + spread, -spread), (1.0 - spread, spread)):
+        truth = [x * late.cos() - v * late.sin(), x * late.sin() + v * late.cos()]
+        assert all(ball.contains(exact) for ball, exact in zip(here.hull, truth, strict=False))
+    assert radius(here.point[:2]) < 1e-11
+    assert radius(here.hull[:2]) < 1.01 * spread * np.sqrt(2)
+
+
+def test_wrapping_is_what_frames_prevent(monkeypatch):
+    """Without the turning frames the same integration blows up."""
+    monkeypatch.setattr(lohner, "orthogonal", lambda matrix, weights: lohner.identity(matrix.nrows()))
+    field = make_field(oscillator())
+    here = cloud([arb(1), arb(0), arb(0), arb(6.25)])
+    turned = []
+    for _ in range(8):
+        here, _ = lohner.integrate(field, here, FAST)
+        turned.append(radius(here.point[:2]))
+    monkeypatch.undo()
+    there = cloud([arb(1), arb(0), arb(0), arb(6.25)])
+    for _ in range(8):
+        there, _ = lohner.integrate(field, there, FAST)
+    assert turned[-1] > 100 * radius(there.point[:2])
+
+
+def test_pendulum_against_elliptic_functions():
+    """theta = 2 arcsin(k sn(K - w t)) from rest at 2 rad lies in the enclosure, T = 4 K / w closes it."""
+    model = chain(1)
+    frequency = np.sqrt(1.5 * 9.8)
+    modulus = np.sin(1.0)
+    quarter = ellipk(modulus**2) / frequency
+    field = make_field(model)
+    here, _ = lohner.integrate(field, cloud(extended([2.0, 0.0], 0.7)), FAST)
+    sn, cn, dn, _ = ellipj(frequency * (quarter - 0.7), modulus**2)
+    angle = 2 * np.arcsin(modulus * sn)
+    rate = -2 * modulus * frequency * cn * dn / np.sqrt(1 - (modulus * sn) ** 2)
+    assert radius(here.point[:2]) < 1e-12
+    assert abs(float(here.point[0].mid()) - angle) < 1e-12
+    assert abs(float(here.point[1].mid()) - rate) < 1e-11
+    with precision(150):  # K by the arithmetic-geometric mean, in balls
+        exact = arb.pi() / 2 / arb(1).agm(arb(1).cos()) / (arb(3) / 2 * arb(49) / 5).sqrt()
+    closing, _ = lohner.integrate(make_field(model), cloud([arb(2), arb(0), arb(0), exact.mid()]), FAST)
+    assert closing.point[0].contains(0)
+
+
+def test_against_another_integrator():
+    """Chain(2): the enclosures of state and derivatives contain what DOP853 says, to its own error."""
+    model, state, duration = chain(2), np.array([0.4, -0.9, 1.1, 0.3]), 0.6
+    here, steps = lohner.integrate(make_field(model), cloud(extended(state, duration)), FAST)
+    field = plain(model)
+    end = integrate(field, state, np.array([0.0, duration]), TIGHTEST)[-1]
+    assert np.abs([float(x.mid()) for x in here.point[:4]] - end).max() < 1e-12
+    assert radius(here.point[:4]) < 1e-12
+    derivatives = floats(here.derivatives)
+    assert radii(here.derivatives).max() < 1e-9
+    for j in range(4):
+        nudge = 1e-5 * np.eye(4)[j]
+        ends = [integrate(field, state + sign * nudge, np.array([0.0, duration]), TIGHTEST)[-1] for sign in (1, -1)]
+        assert np.abs((ends[0] - ends[1]) / 2e-5 - derivatives[:, j]).max() < 1e-7
+    assert np.abs(derivatives[:, 5] - field(0.0, end)).max() < 1e-11
+    middle = steps[1].at(arb(steps[1].h) / 2)
+    time = duration * (steps[1].begin + steps[1].h / 2)
+    inside = integrate(field, state, np.array([0.0, time]), TIGHTEST)[-1]
+    assert all(abs(float(a.mid()) - b) < 1e-12 for a, b in zip(middle, inside, strict=True))
+
+
+STATE, SPREAD, DURATION = np.array([0.5, -0.4, 0.8, 1.2]), 1e-3, 0.4
+
+
+def escaped(samples, unfolding=0.0):
+    """How many of the solutions from random points of a box leave its enclosure at the end."""
+    model = chain(2)
+    box = [*extended(STATE, DURATION, SPREAD)[:4], arb(0, unfolding) if unfolding else arb(0), arb(DURATION)]
+    here, _ = lohner.integrate(make_field(model), cloud(box), FAST)
+    low, high = (np.array([float(getattr(x, side)()) for x in here.hull[:4]]) for side in ("lower", "upper"))
+    random = np.random.default_rng(1)
+    starts = STATE + SPREAD * random.choice([-1.0, 1.0, 2.0], size=(samples, 4), p=[0.4, 0.4, 0.2]) * (
+        random.uniform(0, 1, size=(samples, 4)) ** 0.2
+    ).clip(0, 1)
+    starts = np.clip(starts, STATE - SPREAD, STATE + SPREAD)
+    ends = many(model, starts)
+    return int(np.sum(np.any((ends < low - 1e-12) | (ends > high + 1e-12), axis=1)))
+
+
+def many(model, starts):
+    """Ends of many solutions at once, by 400 steps of the classical method of fourth order."""
+    n, count = model.degrees_of_freedom, len(starts)
+    acceleration = model.acceleration.map(count)
+    p = np.tile(model.parameter_values[:, None], (1, count))
+
+    def field(x):
+        return np.vstack([x[n:], acceleration(np.zeros((1, count)), x[:n], x[n:], p).full()])
+
+    x, h = starts.T.copy(), DURATION / 400
+    for _ in range(400):
+        a = field(x)
+        b = field(x + h / 2 * a)
+        c = field(x + h / 2 * b)
+        d = field(x + h * c)
+        x = x + h / 6 * (a + 2 * b + 2 * c + d)
+    return x.T
+
+
+def test_containment():
+    """1000 random points of a box, its corners among the likeliest: none of their solutions is outside."""
+    assert escaped(1000) == 0
+
+
+def test_broken_enclosure_is_caught(monkeypatch):
+    """Derivatives shrunk by a quarter let solutions escape, and the containment test sees it."""
+    whole = enclosure.transition_over
+    monkeypatch.setattr(lohner, "transition_over", lambda *arguments: whole(*arguments) * arb(0.75))
+    assert escaped(1000) > 0
+
+
+def test_dropped_remainder_is_caught(monkeypatch):
+    """At a low order, an enclosure without its remainder misses the exact solution."""
+    coarse = Settings(order=4, bits=96, tolerance=1e-7)
+
+    def contains():
+        here, _ = lohner.integrate(make_field(oscillator()), cloud([arb(1), arb(0), arb(0), arb(1)]), coarse)
+        return here.point[0].contains(arb(1).cos()) and here.point[1].contains(-arb(1).sin())
+
+    assert contains()
+    whole = enclosure.state_remainder
+    monkeypatch.setattr(
+        enclosure, "state_remainder", lambda *a: None if (r := whole(*a)) is None else [arb(0) for _ in r]
+    )
+    assert not contains()
+
+
+def test_hopeless_step_is_reported():
+    """A solution that leaves every bound ends in a message, not in an enclosure."""
+    field = make_field(oscillator(lambda q: -(q**4)))
+    with pytest.raises(IntegrationError, match="no validated step is short enough"):
+        lohner.integrate(field, cloud([arb(3), arb(30), arb(0), arb(5)]), Settings(10, 80, 1e-12, 1e-5))
+
+
+def test_symmetries_are_read_off_the_graph():
+    """A chain has all of them; a charge in a field from one side has none but reversal of time."""
+    codes = programs(chain(2))
+    for symmetry in ("brake", "reversal", "reflection", "brake+reflection", "none"):
+        assert has_symmetry(codes.rates, codes.energy, symmetry)
+    assert turns_leave(codes.rates, (True, True)) and turns_leave(codes.energy, (True, True))
+    lopsided = programs(oscillator(lambda q: q**2 + q**3))
+    assert has_symmetry(lopsided.rates, lopsided.energy, "brake")
+    assert not has_symmetry(lopsided.rates, lopsided.energy, "reflection")
+    assert not has_symmetry(lopsided.rates, lopsided.energy, "reversal")
+    assert not turns_leave(lopsided.rates, (True,))
+
+
+def test_what_cannot_be_proved_is_refused():
+    """Two integrals, a forced system: the message says why."""
+    with pytest.raises(InputError, match="conserves energy, angular_momentum"):
+        programs(chain(2, gravity=0.0))
+    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
+    driven = lagrange(v**2 / 2, q**2 / 2, Symbols(q, v, time=t, forcing_period=1.0), forces=ca.sin(2 * np.pi * t))
+    with pytest.raises(InputError, match="forced and dissipative"):
+        programs(driven)
