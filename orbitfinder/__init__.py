@@ -21,10 +21,10 @@ _display.drawn_by("orbitfinder.show.html")
 if TYPE_CHECKING:
     from orbitfinder import errors as errors
     from orbitfinder import systems as systems
-    from orbitfinder.choosing import least_unstable as least_unstable
     from orbitfinder.atlas.api import search as search
     from orbitfinder.atlas.store import Atlas as Atlas
     from orbitfinder.atlas.store import Filter as Filter
+    from orbitfinder.choosing import least_unstable as least_unstable
     from orbitfinder.dae_flow import DaeSettings as DaeSettings
     from orbitfinder.dae_flow import simulate_dae as simulate_dae
     from orbitfinder.flow import IntegratorSettings as IntegratorSettings

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder import (
+    cataloguing,
     completion,
     doctor,
     exporting,
@@ -282,7 +283,7 @@ for command in (
     following.follow,
     guessing.guess,
     searching.search,
-    searching.atlas,
+    cataloguing.atlas,
     exporting.export,
     doctor.doctor,
     completion.completion,

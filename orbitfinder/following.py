@@ -14,7 +14,7 @@ from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.families.points import Batch, FamilySettings
+    from orbitfinder.families.points import Batch, Family, FamilySettings
     from orbitfinder.families.switching import Branch
     from orbitfinder.mechanics.model import Model
     from orbitfinder.periodic.orbit import Orbit
@@ -128,12 +128,24 @@ def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen
             origin, parameter, chosen["until"], values, points, out, report, name=label, settings=settings, model=model
         )
     folder = out / family.name
-    written = save_family_figures(family, folder) if chosen["figures"] else []
+    drawn = model_in(origin, model, family) if chosen["figures"] else None
+    written = save_family_figures(family, folder, drawn) if chosen["figures"] else []
     click.echo(f"{folder / 'family.json'}: {len(family.points)} certified orbits, {len(family.events)} events")
     for end in family.ends:
         click.echo(f"  ended: {end.kind} ({end.reason})")
     if written:
         click.echo(f"  and {len(written)} figures")
+
+
+def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
+    """The model that a family's points belong to: a linkage's is minimal."""
+    from orbitfinder.families.switching import Branch
+    from orbitfinder.mechanics.catalogue import build_model
+
+    if isinstance(origin, Branch):
+        return origin.start.curve.propagator.model
+    known = model or getattr(origin, "model", None)
+    return known if known is not None and known.native is None else build_model(family.system)
 
 
 def _checked(name: str) -> str:

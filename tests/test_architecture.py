@@ -27,7 +27,7 @@ FLOORS = (
         "startlinkage", "choosing", "proposing",
     ),
     (
-        "console", "runner", "pictures", "following", "searching", "guessing", "proving", "paging",
+        "console", "runner", "pictures", "following", "searching", "cataloguing", "guessing", "proving", "paging",
         "exporting", "doctor", "completion", "compileoption", "cli", "__main__",
     ),
 )

@@ -4,6 +4,7 @@ import os
 import signal
 
 import pytest
+from test_atlas_search import ENERGY, PERIODS, content
 
 from orbitfinder.atlas import api, cluster
 from orbitfinder.atlas.search import Limits, Search
@@ -12,7 +13,6 @@ from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.task import Task
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.mechanics.chain import chain
-from test_atlas_search import ENERGY, PERIODS, content
 
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 pytestmark = [pytest.mark.filterwarnings("default"), pytest.mark.filterwarnings("ignore:unclosed")]

@@ -115,7 +115,7 @@ def test_parquet(book, triples):
 
 def test_another_system_is_refused(book):
     """By name; all formulations and spellings of one system are the same."""
-    with pytest.raises(InputError, match=r"triple.sqlite: system: holds orbits of chain \(links = 3, .*, not of chain \(links = 4"):
+    with pytest.raises(InputError, match=r"system: holds orbits of chain \(links = 3, .*, not of chain \(links = 4"):
         Atlas(book, chain(4).system, write=True)
     with pytest.raises(InputError, match=r"of chain \(gravity = 9.8\), not of chain \(gravity = 9.81\); give another"):
         Atlas(book, chain(3, gravity=9.81).system)

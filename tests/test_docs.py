@@ -7,7 +7,8 @@ A page runs from top to bottom in one folder (which has `problems/`) and one Pyt
     ```toml title="x"  written to x first
     ```text            what the block before it prints: `...` stands for anything, as a line or within one
 
-`<!-- slow -->` on a page moves it to the slow tests. Lines of shell that are not ours are listed in `NOT_RUN`.
+`<!-- slow -->` on a page moves it to the slow tests; pages in `PARSED_ONLY` are checked without being run.
+Lines of shell that are not ours are listed in `NOT_RUN`.
 """
 
 import fnmatch
@@ -28,6 +29,8 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 GENERATED = {"problem-file.md"}
+PARSED_ONLY = {"cluster.md"}
+"""Pages whose blocks need a cluster: Python is compiled, the options of our commands are parsed, nothing runs."""
 FENCE = re.compile(r"^( *)```(\w*)([^\n]*)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 NOT_RUN = (
     "python3 -m venv",  # makes an environment and installs
@@ -72,7 +75,7 @@ def is_slow(page):
 def parameters():
     for page in PAGES:
         runs = [block for block in blocks(page) if block.language in ("python", "sh")]
-        if page.name not in GENERATED and runs:
+        if page.name not in GENERATED | PARSED_ONLY and runs:
             marks = [pytest.mark.slow] if is_slow(page) else []
             yield pytest.param(page, id=str(page.relative_to(DOCS).with_suffix("")), marks=marks)
 
@@ -158,6 +161,25 @@ def test_page_runs(page, folder):
         elif block.language == "text" and printed is not None:
             assert_printed(block.text, printed, where)
             printed = None
+
+
+@pytest.mark.parametrize("name", sorted(PARSED_ONLY))
+def test_pages_that_need_a_cluster_are_correct_as_far_as_can_be_told(name):
+    """Names that they use of ours exist, and our commands take the options that they give."""
+    import ast
+
+    import orbitfinder as of
+
+    for block in blocks(DOCS / name):
+        if block.language == "python":
+            for node in ast.walk(ast.parse(block.text)):
+                if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "of":
+                    assert hasattr(of, node.attr), node.attr
+        for line in joined(block.text) if block.language == "sh" else ():
+            words = shlex.split(line.removesuffix("&"), comments=True)
+            if words[:1] == ["orbitfinder"]:
+                command = cli.commands[words[1]]
+                command.make_context(words[1], words[2:])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))

@@ -29,6 +29,7 @@ from orbitfinder.exports.write import export_orbit
 from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.trajectory import read_trajectory
+from orbitfinder.validation.literature import EIGHT_PERIOD, three_bodies
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "orbits"
@@ -254,12 +255,46 @@ def test_names_of_parameters_that_auto_uses_itself_are_kept_apart(triple):
     assert "F(2) = F(2) + s(1) * U(2)" in files["orbit_2_pol.f90"]
 
 
-def test_auto_refuses_two_first_integrals(triple):
+@needs_auto
+def test_auto_continues_a_system_with_two_first_integrals(tmp_path):
+    """A pendulum on a free cart, as a boundary-value problem: the period at the energy reached is ours."""
+    orbit = of.find_orbit(of.load_problem(ROOT / "problems" / "gallery" / "pendulum-on-cart.toml"))
+    export_orbit(orbit, "auto", tmp_path)
+    branch, _, _ = run_auto(tmp_path, "pendulum_on_cart")
+    energy, period = branch[-1][-1], branch[-1][-3]
+    model, amplitude = build_model(orbit.system), branch[-1][6]
+    guess = of.Guess([0.0, amplitude, 0.0, 0.0], period)
+    again = of.find_orbit(of.Problem(model, guess, of.pin(energy=energy)))
+    assert branch[0][-3] == pytest.approx(orbit.period, rel=1e-8) and abs(period - orbit.period) > 0.1
+    assert again.period == pytest.approx(period, abs=1e-6)
+
+
+@needs_auto
+def test_auto_follows_the_figure_eight_along_keplers_third_law(tmp_path):
+    """Three bodies conserve energy and angular momentum, and T |E|^(3/2) is the same for every size."""
+    model, period = three_bodies(), float(EIGHT_PERIOD)
+    x1, v3 = np.array([0.97000436, -0.24308753]), np.array([-0.93240737, -0.86473146])
+    state = np.concatenate([-2 * x1, np.zeros(4), 1.5 * v3])
+    orbit = of.find_orbit(of.Problem(model, of.Guess(state, period), of.pin(period=period), name="eight"))
+    export_orbit(orbit, "auto", tmp_path, model)
+    branch, _, _ = run_auto(tmp_path, "eight")
+    law = [row[-3] * abs(row[-1]) ** 1.5 for row in branch]
+    assert abs(branch[-1][-3] / branch[0][-3] - 1) > 0.1
+    assert np.ptp(law) < 1e-6 * law[0]
+
+
+def test_what_the_auto_files_cannot_state_is_refused(triple, monkeypatch):
     x = np.ones(4)
     samples, times = np.vstack([x, x]), np.arange(2.0)
-    orbit = replace(triple, system=SYSTEMS["pendulum_on_cart"], state=x, samples=samples, times=times)
-    with pytest.raises(InputError, match=r"--to auto: this system has 2 first integrals \(energy, momentum_y\)"):
-        auto_files(source_of(orbit))
+    cart = replace(triple, system=SYSTEMS["pendulum_on_cart"], state=x, samples=samples, times=times)
+    source = source_of(cart)
+    assert "IPS = 4" in auto_files(source)["c.triple_1"]
+    many = replace(source, model=replace(source.model, invariants=source.model.invariants * 5))
+    with pytest.raises(InputError, match="--to auto: more than 9 first integrals have no place in PAR"):
+        auto_files(many)
+    forced = replace(source, model=replace(source.model, forcing_period=ca.Function("P", [ca.SX.sym("p", 4)], [1.0])))
+    with pytest.raises(InputError, match="--to auto: a forced system that keeps a momentum is not covered"):
+        auto_files(forced)
 
 
 def invoke(*arguments):

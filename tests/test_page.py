@@ -22,8 +22,9 @@ from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
+from orbitfinder.page.explorers import span
 from orbitfinder.page.gather import evenly, gather
-from orbitfinder.page.motion import Films, completed, histories, packed, resampled
+from orbitfinder.page.motion import Films, completed, histories, packed, path_completed, resampled
 from orbitfinder.page.recipe import problem_name, problem_text, toml
 from orbitfinder.page.site import MARK, Settings, build_site, check_target, write_site
 from orbitfinder.page.text import Html, fill, number, script_data, size, slug_maker
@@ -339,6 +340,32 @@ def test_family_members_move(material):
     assert all(item["motion"] for item in payload["items"])
 
 
+def test_family_motions_start_from_the_nodes(material, tmp_path):
+    """With family.npz each segment starts from its own node; and the motion is the same."""
+    source = next(material.glob("families/*/family.json"))
+    shutil.copy(source, tmp_path / "family.json")
+    bare, full = (gather([path]).families[0] for path in (tmp_path / "family.json", source))
+    assert "nodes" not in bare["points"][-1] and len(full["points"][-1]["edges"]) > len(full["points"][-1]["nodes"])
+    first, second = (Films().member(one["system"], one["points"][-1]) for one in (bare, full))
+    assert np.abs(first.at(60) - second.at(60)).max() < 1e-5
+    many = dict(full["points"][-1])
+    middle = len(first.times) // 8  # cut the quarter that is free into two segments
+    many |= {"nodes": first.states[[0, middle]], "edges": [0.0, first.times[middle] / first.period, 0.25]}
+    assert many["symmetry"] == "brake+reflection"
+    assert np.abs(Films().member(full["system"], many).at(60) - first.at(60)).max() < 1e-5
+    (tmp_path / "family.npz").write_bytes(b"no zip")
+    with pytest.raises(InputError, match="family.npz: damaged"):
+        gather([tmp_path / "family.json"])
+
+
+@pytest.mark.parametrize("symmetry", ["none", "brake", "reflection", "reversal", "brake+reflection"])
+def test_completed_times_reach_the_period(symmetry):
+    share = {"none": 1.0, "brake+reflection": 0.25}.get(symmetry, 0.5)
+    times = share * np.array([0.0, 0.1, 0.5, 1.0]) * 3.0
+    made, states = path_completed(times, np.zeros((4, 2)), symmetry)
+    assert made[0] == 0.0 and made[-1] == pytest.approx(3.0) and np.all(np.diff(made) > 0) and len(states) == len(made)
+
+
 def embedded_site(material: Path) -> tuple[str, dict]:
     made, _ = build_site(gather([material / "families"]))
     text = next(data for path, data in made.files.items() if path.startswith("data/families/")).decode()
@@ -458,6 +485,16 @@ def test_few_atlas_orbits_get_pages(tmp_path):
     text = made.files["data/atlases/big.js"].decode()
     assert text.count('"page":"../orbits/') == 4 and text.count('"energy"') == 12
     assert "big, orbit 1" in made.files["index.html"].decode()
+
+
+def test_an_atlas_at_one_energy_is_in_order_of_period(tmp_path):
+    """Round-off in the energies of a search at one energy must not decide the order, nor show as a range."""
+    orbit = document()
+    many = [orbit | {"energy": -30.0 + 1e-14 * (k % 3), "period": 5.0 - k} for k in range(4)]
+    (tmp_path / "one.json").write_text(json.dumps(many))
+    periods = [one.document["period"] for _, one in gather([tmp_path / "one.json"]).atlases[0].orbits]
+    assert periods == [2.0, 3.0, 4.0, 5.0]
+    assert span([-30.0, -30.0 + 1e-13]) == number(-30.0) and span([1.0, 2.5]) == "1 to 2.5"
 
 
 def test_resampling_follows_the_rates():

@@ -15,8 +15,9 @@ def exported(atlas: Atlas, kind: str, chosen: Filter | None = None) -> bytes:
     """The content of a file of that kind: json (orbit documents), csv or parquet (one row an orbit)."""
     if kind == "json":
         return (json.dumps(list(atlas.documents(chosen)), indent=1, allow_nan=False) + "\n").encode()
-    rows = [flat(row.id, row.instability, atlas.document(row.id), atlas.model.state_names) for row in atlas.rows(chosen)]
-    names = list(flat_names(atlas.model.state_names)) if not rows else list(rows[0])
+    states = atlas.model.state_names
+    rows = [flat(row.id, row.instability, atlas.document(row.id), states) for row in atlas.rows(chosen)]
+    names = list(flat_names(states))
     return as_csv(names, rows) if kind == "csv" else as_parquet(names, rows)
 
 

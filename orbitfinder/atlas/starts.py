@@ -300,7 +300,8 @@ def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
     if symmetry == "reversal":  # every angle at a multiple of a half turn, the other coordinates at 0
         angles = np.asarray(one.model.angles or (False,) * n)
-        return np.asarray(np.abs(np.where(angles, (states[:, :n] + np.pi / 2) % np.pi - np.pi / 2, states[:, :n])).max(axis=1))
+        folded = np.where(angles, (states[:, :n] + np.pi / 2) % np.pi - np.pi / 2, states[:, :n])
+        return np.asarray(np.abs(folded).max(axis=1))
     start, turning = states[0], wrapping(one.model)
     if symmetry == "brake":
         return np.asarray(np.abs(states[:, n:]).max(axis=1) / rate)

@@ -77,9 +77,8 @@ class Atlas:
         self.connection = connect(self.path, write)
         try:
             with explained(self.path):
-                self.system = self._claim(dict(system if model is None else model.system), write) if (
-                    system is not None or model is not None
-                ) else self._recorded()
+                asked = system if model is None else model.system
+                self.system = self._recorded() if asked is None else self._claim(dict(asked), write)
         except BaseException:
             self.connection.close()
             raise

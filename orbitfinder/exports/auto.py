@@ -3,6 +3,8 @@
 A conservative system gets AUTO's usual remedy, the fictitious damping s v with s = PAR(1) free and
 PAR(11) the period: s stays at round-off and the family is followed (Muñoz-Almaraz, Freire, Galán,
 Doedel, Vanderbauwhede, "Continuation of periodic orbits in conservative and Hamiltonian systems").
+With more first integrals than the energy the loop is stated as a boundary-value problem (IPS = 4), with
+a further unfolding and a phase condition for each symmetry, for which IPS = 2 has no room.
 A forcing of period P becomes autonomous through an oscillator (c, s) -> (cos, sin)(2 pi t / P) whose
 unit circle attracts: c' = c - w s - c (c^2 + s^2), s' = s + w c - s (c^2 + s^2), t = atan2(s, c) / w.
 """
@@ -11,6 +13,7 @@ from __future__ import annotations
 
 import re
 
+import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
@@ -18,7 +21,11 @@ from orbitfinder.exports.source import Source, dense_states
 from orbitfinder.exports.straightline import FORTRAN, fortran_number, straight_line
 
 UNFOLDING, ENERGY, PERIOD, FIRST = 1, 2, 11, 15
-"""Places in PAR: the unfolding, the energy (for output), the period (AUTO's rule), physical parameters."""
+"""Places in PAR: the first unfolding, the energy (for output), the period (AUTO's rule), physical parameters."""
+MORE = 3
+"""Place in PAR of the second unfolding; further ones follow it."""
+MOST = 1 + PERIOD - MORE
+"""First integrals whose unfoldings find a place below the period."""
 ROWS = 2001
 """Rows of the .dat file; AUTO interpolates linearly between them before its first correction."""
 
@@ -28,7 +35,7 @@ FUNC = """subroutine FUNC(NDIM, U, ICP, PAR, IJAC, F, DFDU, DFDP)
   double precision, intent(in) :: U(NDIM), PAR(*)
   double precision, intent(out) :: F(NDIM)
   double precision, intent(inout) :: DFDU(NDIM, NDIM), DFDP(NDIM, *)
-  double precision :: w({work}), t(1), s(1), forcing(1), rate
+  double precision :: w({work}), t(1), s({unfoldings}), forcing(1), rate
 {body}
 end subroutine FUNC
 """
@@ -55,18 +62,39 @@ PVLS = """subroutine PVLS(NDIM, U, PAR)
   PAR({energy}) = e(1)
 end subroutine PVLS
 """
-REST = """subroutine BCND
+BOUNDARY = """subroutine BCND(NDIM, PAR, ICP, NBC, U0, U1, FB, IJAC, DBC)
+  implicit none
+  integer, intent(in) :: NDIM, ICP(*), NBC, IJAC
+  double precision, intent(in) :: PAR(*), U0(NDIM), U1(NDIM)
+  double precision, intent(out) :: FB(NBC)
+  double precision, intent(inout) :: DBC(NBC, *)
+{loop}
+end subroutine BCND
+
+subroutine ICND(NDIM, PAR, ICP, NINT, U, UOLD, UDOT, UPOLD, FI, IJAC, DINT)
+  implicit none
+  integer, intent(in) :: NDIM, ICP(*), NINT, IJAC
+  double precision, intent(in) :: PAR(*), U(NDIM), UOLD(NDIM), UDOT(NDIM), UPOLD(NDIM)
+  double precision, intent(out) :: FI(NINT)
+  double precision, intent(inout) :: DINT(NINT, *)
+  double precision :: w({work}), x({size}), along({size})
+  x = UOLD
+  FI(1) = dot_product(UPOLD, U - UOLD)
+{phases}
+end subroutine ICND
+"""
+NO_BOUNDARY = """subroutine BCND
 end subroutine BCND
 
 subroutine ICND
 end subroutine ICND
-
-subroutine FOPT
+"""
+REST = """subroutine FOPT
 end subroutine FOPT
 """
-CONSTANTS = """NDIM = {dimension}, IPS = 2, IRS = 0, ILP = {folds}
+CONSTANTS = """NDIM = {dimension}, IPS = {problem}, IRS = 0, ILP = {folds}
 ICP = [{free}]
-NTST = {intervals}, NCOL = 4, IAD = 3, ISP = 2, ISW = 1, IPLT = 0, NBC = 0, NINT = 0
+NTST = {intervals}, NCOL = 4, IAD = 3, ISP = 2, ISW = 1, IPLT = 0, NBC = {boundary}, NINT = {phases}
 NMX = 20, NPR = 20, MXBF = 0, IID = 2, ITMX = 8, ITNW = 7, NWTN = 3, JAC = 0
 EPSL = 1e-9, EPSU = 1e-9, EPSS = 1e-7
 DS = 0.01, DSMIN = 1e-06, DSMAX = 0.1, IADS = 1
@@ -79,12 +107,10 @@ dat = '{word}'
 
 def auto_files(source: Source) -> dict[str, str]:
     """The three files of an AUTO run, by name. Raises `InputError` for what AUTO's IPS = 2 cannot state."""
-    invariants = [one.name for one in source.model.invariants]
-    if len(invariants) > 1:
-        raise InputError(
-            f"--to auto: this system has {len(invariants)} first integrals ({', '.join(invariants)}) and the files "
-            "unfold one; tie the system down (a weak spring), or use --to julia or --to c"
-        )
+    if len(source.model.invariants) > MOST:
+        raise InputError(f"--to auto: more than {MOST} first integrals have no place in PAR; use --to julia or --to c")
+    if source.model.forced and source.model.invariants:
+        raise InputError("--to auto: a forced system that keeps a momentum is not covered; use --to julia or --to c")
     word = source.identifier
     return {f"{word}.f90": equations(source), f"c.{word}": constants(source), f"{word}.dat": starting_data(source)}
 
@@ -92,7 +118,35 @@ def auto_files(source: Source) -> dict[str, str]:
 def equations(source: Source) -> str:
     """The equations file: FUNC, STPNT with the parameters of the orbit, PVLS with the energy."""
     comments = "".join(f"! {line}\n" for line in [*source.heading, *_legend(source)])
-    return "\n".join([comments, _func(source), _stpnt(source), _pvls(source), REST])
+    return "\n".join([comments, _func(source), _stpnt(source), _pvls(source), _boundary(source), REST])
+
+
+def unfolding_places(source: Source) -> list[int]:
+    """Where in PAR the unfolding of each first integral is; one for the system without any."""
+    return [UNFOLDING, *range(MORE, MORE + len(source.model.invariants) - 1)]
+
+
+def _symmetries(source: Source) -> list[ca.Function]:
+    """Generators of the symmetries besides time translation: each needs a phase condition of its own."""
+    return [one.generator for one in source.model.invariants if one.generator is not None]
+
+
+def _boundary(source: Source) -> str:
+    """Closure and phase conditions (the integral of generator(old).(new - old)) where AUTO's own do not suffice."""
+    if not _symmetries(source):
+        return NO_BOUNDARY
+    n, lines, work = source.model.degrees_of_freedom, [], 1
+    x, p = ca.SX.sym("x", 2 * n), ca.SX.sym("p", len(source.model.parameter_names))
+    for k, generator in enumerate(_symmetries(source), start=2):
+        along = ca.Function("along", [x, p], [generator(x[:n], x[n:], p)])
+        body, extent = straight_line(along, FORTRAN, ["x", "p"], ["along"])
+        work = max(work, extent)
+        lines += [*body, f"FI({k}) = dot_product(along, U - UOLD)"]
+    turns = [2 * np.pi * k for k in source.orbit.winding] + [0.0] * n
+    loop = [f"FB({i}) = U1({i}) - U0({i}) - ({fortran_number(turn)})" for i, turn in enumerate(turns, start=1)]
+    return BOUNDARY.format(
+        loop=_parameters_in_par(loop), work=work, size=2 * n, phases=_parameters_in_par(lines)
+    )
 
 
 def _legend(source: Source) -> list[str]:
@@ -109,7 +163,8 @@ def _parameters_in_par(lines: list[str]) -> str:
 def _func(source: Source) -> str:
     model, n = source.model, source.model.degrees_of_freedom
     lines, work = straight_line(source.rate, FORTRAN, ["t", "U", "s", "p"], ["F"])
-    before, after = ["t(1) = 0.0d0", f"s(1) = PAR({UNFOLDING})"], []
+    places = unfolding_places(source)
+    before, after = ["t(1) = 0.0d0", *(f"s({k}) = PAR({place})" for k, place in enumerate(places, start=1))], []
     if model.forced:
         clock, extent = straight_line(model.forcing_period, FORTRAN, ["p"], ["forcing"])
         work = max(work, extent)
@@ -118,7 +173,9 @@ def _func(source: Source) -> str:
         after += _oscillator(2 * n + 1, 2 * n + 2)
     if not model.invariants:  # s must act on something to be a parameter
         after += [f"F({n + i}) = F({n + i}) + s(1) * U({n + i})" for i in range(1, n + 1)]
-    return FUNC.format(work=work, body=_parameters_in_par([*before, *lines, *after]))
+    if _symmetries(source):  # IPS = 4 does not scale time
+        after += [f"F = PAR({PERIOD}) * F"]
+    return FUNC.format(work=work, unfoldings=len(places), body=_parameters_in_par([*before, *lines, *after]))
 
 
 def _oscillator(c: int, s: int) -> list[str]:
@@ -127,7 +184,7 @@ def _oscillator(c: int, s: int) -> list[str]:
 
 
 def _stpnt(source: Source) -> str:
-    values = {UNFOLDING: 0.0, ENERGY: source.orbit.energy, PERIOD: source.orbit.period}
+    values = dict.fromkeys(unfolding_places(source), 0.0) | {ENERGY: source.orbit.energy, PERIOD: source.orbit.period}
     values |= {FIRST + k: float(value) for k, value in enumerate(source.model.parameter_values)}
     lines = [f"PAR({place}) = {fortran_number(value)}" for place, value in values.items()]
     lines += [f"U({i + 1}) = {fortran_number(value)}" for i, value in enumerate(_with_clock(source)[1][0])]
@@ -145,6 +202,8 @@ def constants(source: Source) -> str:
     model = source.model
     varied = UNFOLDING if model.invariants or not model.parameter_names else FIRST
     names = {UNFOLDING: "unfolding", ENERGY: "energy", PERIOD: "period"}
+    more = unfolding_places(source)[1:]
+    names |= {place: f"unfolding{k}" for k, place in enumerate(more, start=2)}
     taken = set(names.values())
     names |= {FIRST + k: f"{name}_" if name in taken else name for k, name in enumerate(model.parameter_names)}
     clock = ["clock_cos", "clock_sin"] if model.forced else []
@@ -152,7 +211,10 @@ def constants(source: Source) -> str:
     return CONSTANTS.format(
         dimension=len(states),
         folds=int(varied != UNFOLDING),  # the unfolding is 0 all along a family, no fold in it means anything
-        free=f"{varied}, {PERIOD}, {ENERGY}",
+        free=", ".join(map(str, (varied, PERIOD, *more, ENERGY))),
+        problem=4 if _symmetries(source) else 2,
+        boundary=len(states) if _symmetries(source) else 0,
+        phases=1 + len(_symmetries(source)) if _symmetries(source) else 0,
         intervals=50 if source.orbit.certificate is None or source.orbit.certificate.scale < 100 else 100,
         parameters=max(36, FIRST + len(model.parameter_names)),
         states=", ".join(f"{k + 1}: '{name}'" for k, name in enumerate(states)),
@@ -164,6 +226,8 @@ def constants(source: Source) -> str:
 def _with_clock(source: Source) -> tuple[np.ndarray, np.ndarray]:
     """Dense times and states, those of the added oscillator included."""
     times, states = dense_states(source, ROWS)
+    if _symmetries(source):
+        return times / source.orbit.period, states
     if source.model.forcing_period is not None:
         turn = 2 * np.pi * times / float(source.model.forcing_period(source.model.parameter_values))
         states = np.column_stack([states, np.cos(turn), np.sin(turn)])

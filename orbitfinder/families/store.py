@@ -222,6 +222,10 @@ def _with_dense(
 ) -> tuple[Any, ...]:
     """Points or events with the arrays of family.npz put back."""
     known = {one.name for one in dataclasses.fields(type_)}
+    if not source.with_suffix(".npz").is_file():  # without it an orbit is its state and period
+        empty = np.zeros(0)
+        bare = {"nodes": np.zeros((0, size)), "mesh": empty, "tangent": empty}
+        return tuple(restored(type_, {k: v for k, v in entry.items() if k in known} | bare) for entry in entries)
     with np.load(source.with_suffix(".npz"), allow_pickle=False) as data:
         dense = {name: np.split(data[f"{kind}_{name}"], np.cumsum(data[f"{kind}_{name}_sizes"])[:-1]) for name in DENSE}
     found = []

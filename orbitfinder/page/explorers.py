@@ -40,8 +40,8 @@ def _place(entry: Mapping[str, Any], default: float) -> float:
 def _nearest(points: Sequence[Mapping[str, Any]], event: Mapping[str, Any]) -> dict[str, Any]:
     """What an event does not carry itself, from the point before it."""
     before = points[min(max(int(event.get("index", 0)), 0), len(points) - 1)]
-    kept = {key: before[key] for key in ("energy", "action", "closure", "stability") if key in before}
-    return kept | {"value": event.get("parameter"), "floquet_multipliers": None, "action": None, "closure": None}
+    kept = {key: before[key] for key in ("energy", "stability", "floquet_multipliers") if key in before}
+    return kept | {"value": event.get("parameter"), "action": None, "closure": None}
 
 
 def event_words(event: Mapping[str, Any]) -> str:
@@ -85,6 +85,12 @@ def family_data(family: Mapping[str, Any], films: Films) -> dict[str, Any]:
     }
 
 
+def span(values: Sequence[float]) -> str:
+    """The least and the largest of some numbers, or the one where they read alike."""
+    low, high = number(min(values)), number(max(values))
+    return low if low == high else f"{low} to {high}"
+
+
 def _largest(pairs: Sequence[Sequence[float]]) -> float:
     return float(max((abs(complex(*pair)) for pair in pairs), default=1.0))
 
@@ -96,8 +102,8 @@ def family_main(family: Mapping[str, Any], items: Sequence[Mapping[str, Any]], b
     unstable = sum(point["stability"] == "unstable" for point in points)
     summary = (
         f"{plural(len(points), 'orbit')} of the {mechanism(family['system'])}, {unstable} of them unstable, "
-        f"and {plural(len(events), 'event')}. Energy {number(min(energies))} to {number(max(energies))} J, "
-        f"period {number(min(periods))} to {number(max(periods))} s. Parameter: {family['parameter']}."
+        f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "
+        f"Parameter: {family['parameter']}."
     )
     columns = ["energy", "period"] if family["parameter"] in UNITS else ["value", "energy", "period"]
     words = {"value": str(family["parameter"]), "energy": "energy, J", "period": "period, s"}
@@ -108,8 +114,13 @@ def family_main(family: Mapping[str, Any], items: Sequence[Mapping[str, Any]], b
         "family",
         title=f"Family {family['name']}", summary=summary, events=_event_rows(items, columns), heads=joined(heads),
         ends=joined(ends) if ends else Html("<li>not recorded</li>"),
-        axis=axis_options(family), back=back, inspector=inspector(),
+        listed=_listed(items, len(events)), axis=axis_options(family), back=back, inspector=inspector(),
     )  # fmt: skip
+
+
+def _listed(items: Sequence[Mapping[str, Any]], total: int) -> str:
+    count = sum(bool(item["event"]) for item in items)
+    return "" if count == total else f"{count} of {total} events are listed; resonances are left out first."
 
 
 def axis_options(family: Mapping[str, Any]) -> Html:
@@ -163,10 +174,7 @@ def atlas_main(name: str, entries: Sequence[Entry], total: int) -> Html:
     part = "" if total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
     summary = f"{plural(total, 'distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
-        summary += (
-            f" Energy {number(min(energies))} to {number(max(energies))} J, "
-            f"period {number(min(periods))} to {number(max(periods))} s."
-        )
+        summary += f" Energy {span(energies)} J, period {span(periods)} s."
     return fill(
         "atlas", title=f"Atlas {name}", summary=summary,
         stabilities=options(one.document["stability"] for one in entries),

@@ -88,7 +88,7 @@ def _take(file: Path, found: Gathered) -> None:
     if isinstance(document, list):
         found.atlases.append(_from_export(document, file))
     elif isinstance(document, dict) and document.get("format") == FAMILY:
-        found.families.append(checked_family(document, str(file)))
+        found.families.append(_with_nodes(checked_family(document, str(file)), file))
     elif isinstance(document, dict) and document.get("format") == ORBIT:
         orbit = _orbit(document, str(file))
         found.orbits.append(OrbitFile(orbit.document, orbit.text, _dense(file, len(document["state"]))))
@@ -134,9 +134,14 @@ def _orbit(document: Any, where: str) -> OrbitFile:
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
     """The atlas of a JSON list of orbit documents."""
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    orbits.sort(key=lambda one: (one.document["energy"], one.document["period"]))
+    orbits.sort(key=_order)
     chosen = tuple((k + 1, orbits[k]) for k in evenly(len(orbits), MOST_ITEMS))
     return AtlasFile(file.stem, len(orbits), chosen)
+
+
+def _order(one: OrbitFile) -> tuple[float, float]:
+    """Energy, its last digits (those of a search at one energy) left out, then period."""
+    return float(f"{one.document['energy']:.9g}"), float(one.document["period"])
 
 
 def _dense(file: Path, size: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -153,6 +158,37 @@ def _dense(file: Path, size: int) -> tuple[np.ndarray, np.ndarray] | None:
     return (times, samples) if fits and bool(np.all(np.isfinite(samples))) else None
 
 
+def _with_nodes(family: dict[str, Any], file: Path) -> dict[str, Any]:
+    """The same with the shooting nodes of family.npz, where it lies beside and fits, in `nodes` and `edges`.
+
+    `edges` are the times of the nodes and of the end of the last segment, in periods.
+    """
+    beside, size = file.with_suffix(".npz"), len(family["points"][0]["state"])
+    try:
+        with beside.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+            dense = {name: np.asarray(data[name]) for name in data.files}
+        for kind, members in (("point", family["points"]), ("event", family["events"])):
+            for one, flat, mesh in zip(
+                members, _split(dense, f"{kind}_nodes"), _split(dense, f"{kind}_mesh"), strict=True
+            ):
+                count = flat.size // size
+                if count and flat.size == count * size and mesh.size > count and (mesh.size - 1) % count == 0:
+                    one |= {"nodes": flat.reshape(count, size), "edges": mesh[:: (mesh.size - 1) // count]}
+    except FileNotFoundError:
+        pass
+    except Exception as error:  # zipfile.BadZipFile and others have no common base
+        raise InputError(f"{beside}: damaged ({error}); delete it or continue the family again") from error
+    return family
+
+
+def _split(dense: Mapping[str, np.ndarray], name: str) -> list[np.ndarray]:
+    return (
+        np.split(dense[name].astype(float), np.cumsum(dense[f"{name}_sizes"])[:-1])
+        if dense[f"{name}_sizes"].size
+        else []
+    )
+
+
 def _from_database(file: Path) -> AtlasFile:
     """The atlas of a database. Raises `InputError`."""
     from orbitfinder.atlas.store import Atlas
@@ -160,7 +196,7 @@ def _from_database(file: Path) -> AtlasFile:
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:
-        rows = atlas.rows()
+        rows = sorted(atlas.rows(), key=lambda row: (float(f"{row.energy:.9g}"), row.period))
         chosen = [(k + 1, rows[k].id) for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((k, _orbit(atlas.document(number), f"{file}: orbit {number}")) for k, number in chosen)
     return AtlasFile(file.stem, len(rows), orbits)

@@ -89,25 +89,26 @@ class Films:
         nodes = np.asarray(document.get("nodes") or [document["state"]], float)
         if nodes.ndim != 2 or nodes.shape[1] != len(model.state_names):
             return None
-        path = _pieces(field, nodes, period) or dense
+        path = _pieces(field, nodes, np.linspace(0.0, period, len(nodes) + 1)) or dense
         if path is None or not _closes(path[1]):
             return None
         return _motion(model, *path, period)
 
     def member(self, system: Mapping[str, Any], entry: Mapping[str, Any]) -> Motion | None:
-        """The motion of a point or event of a family from its state, completed by the family's symmetry."""
+        """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry."""
         found, period = self.model(system, entry.get("free") or None), float(entry["period"])
-        if found is None:
+        if found is None or len(entry["state"]) != len(found[0].state_names):
             return None
         model, field = found
-        if len(entry["state"]) != len(model.state_names):
-            return None
         symmetry = str(entry.get("symmetry", "none"))
         share = {"none": 1.0, "brake+reflection": 0.25}.get(symmetry, 0.5)
-        path = _path(field, np.asarray(entry["state"], float), share * period)
-        if path is None or not _closes(states := completed(path, symmetry)):
+        nodes = np.asarray(entry.get("nodes", [entry["state"]]), float)
+        edges = np.asarray(entry.get("edges", [0.0, share]), float) * period
+        path = _pieces(field, nodes, edges)
+        if path is None:
             return None
-        return _motion(model, np.linspace(0.0, period, len(states)), states, period)
+        times, states = path_completed(*path, symmetry)
+        return _motion(model, times, states, period) if _closes(states) else None
 
 
 def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray | None:
@@ -124,19 +125,33 @@ def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) ->
     return None
 
 
-def _pieces(field: Any, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times and states over the period, each segment from its own node, so that instability does not show."""
-    count, span = len(nodes), period / len(nodes)
-    times, states = [np.zeros(1)], [nodes[:1]]
+def _pieces(field: Any, nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times and states from the first of the `edges` (N + 1 times, s) to the last.
+
+    Each segment starts at its own node, so that instability does not show.
+    """
+    times, states = [edges[:1]], [nodes[:1]]
     for k, node in enumerate(nodes):
-        path = _path(field, node, span, k * span)
+        path = _path(field, node, edges[k + 1] - edges[k], edges[k])
         if path is None:
             return None
-        times.append(k * span + np.linspace(0.0, span, len(path))[1:])
+        times.append(np.linspace(edges[k], edges[k + 1], len(path))[1:])
         states.append(path[1:])
-        if k + 1 < count:
+        if k + 1 < len(nodes):
             states[-1][-1] = nodes[k + 1]
     return np.concatenate(times), np.vstack(states)
+
+
+def path_completed(times: np.ndarray, states: np.ndarray, symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states over a whole period from those over the part that a symmetry leaves free."""
+    end = times[-1]
+    if symmetry == "reflection":
+        times = np.concatenate([times, end + times[1:]])
+    elif symmetry in ("brake", "reversal", "brake+reflection"):
+        times = np.concatenate([times, 2 * end - times[-2::-1]])
+    if symmetry == "brake+reflection":
+        times = np.concatenate([times, 4 * end - times[-2::-1]])
+    return times, completed(states, symmetry)
 
 
 def completed(states: np.ndarray, symmetry: str) -> np.ndarray:

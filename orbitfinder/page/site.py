@@ -114,7 +114,7 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
     atlases = slug_maker()
     for atlas in found.atlases:
         link, shown = _add_atlas(site, atlas, films, (atlases(atlas.name), slug), motions)
-        links.append(link)
+        links.insert(found.atlases.index(atlas), link)
         entries += shown
         tell(f"atlas {atlas.name}: {plural(atlas.total, 'orbit')}")
     for entry in entries:
@@ -175,13 +175,17 @@ def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], mo
     motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
     counts = [plural(len(entries), "periodic orbit")] if entries else []
     certified = sum(entry.certified is True for entry in entries)
-    more = fill("links", links=joined(links)) if links else Html("")
+    more, jump = Html(""), Html("")
+    if links:
+        more = fill("links", links=joined(links))
+        jump = fill("jump", sets=f"Families and atlases ({len(links)})", orbits=f"Orbits ({len(entries)})")
     main = fill(
         "gallery",
         title=site.settings.title,
         summary=f"{', '.join(counts) or 'No single orbits'}"
         + (f", {certified} of them certified." if entries else "."),
         links=more,
+        jump=jump,
         count=str(len(entries)),
         cards=joined(card(entry) for entry in entries),
         mechanisms=options(entry.mechanism for entry in entries),

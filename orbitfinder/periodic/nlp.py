@@ -15,6 +15,13 @@ from orbitfinder.periodic.shooting import Shooting
 from orbitfinder.quiet import captured
 
 
+STALLED = {
+    "acceptable_tol": 1e-6, "acceptable_iter": 10, "acceptable_constr_viol_tol": 1e-9, "acceptable_compl_inf_tol": 1e-7,
+}  # fmt: skip
+"""An objective whose derivatives are right to 1e-10 cannot always be followed to 1e-9: ten steps in a row within these
+are the end of it. The orbit itself is held to its own tolerance, and polished."""
+
+
 @dataclass(frozen=True)
 class SolveSettings:
     """How to solve; the mathematics is in the Problem."""
@@ -23,8 +30,8 @@ class SolveSettings:
     ipopt_tolerance: float = 1e-9
     """IPOPT's own tolerance; the digits beyond it come from the polish"""
     max_iterations: int = 100
-    objective_iterations: int = 500
-    """the same where an objective or inequalities are followed with an approximate Hessian"""
+    objective_iterations: int = 120
+    """the same in each box where an objective or inequalities are followed with an approximate Hessian"""
     fewest_segments: int = 8
     """per period, where the problem does not say: fewer make the basin of convergence smaller"""
     growth_per_segment: float = 20.0
@@ -114,7 +121,7 @@ def _options(shooting: Shooting, settings: SolveSettings) -> dict[str, Any]:
     }  # fmt: skip
     options: dict[str, Any] = {"print_time": False, "error_on_fail": False, "ipopt": ipopt}
     if not shooting.square and (shooting.inequalities.numel() or shooting.problem.objective != "nearest"):
-        ipopt |= {"mu_init": 1e-2, "max_iter": settings.objective_iterations}
+        ipopt |= {"mu_init": 1e-2, "max_iter": settings.objective_iterations, **STALLED}
     if shooting.square or shooting.problem.objective == "nearest" or shooting.residuals.numel():
         options["hess_lag"] = hessian(shooting)
     else:

@@ -25,6 +25,8 @@ from orbitfinder.periodic.shooting import Shooting, transcribe
 
 ROUNDS = 6
 """Peaks that are tried before two of them are said to compete."""
+LARGEST_BOX, SMALLEST_BOX, MOST_BOXES = 0.3, 0.002, 60
+"""Steps along the family, relative to the motion's extent, and how many of them."""
 PEAK_TOLERANCE = 1e-6
 """A peak is another's equal when it is higher by less than this, relative."""
 
@@ -42,7 +44,8 @@ def chosen(
             "objective: with nothing free the orbits stand alone, and the least unstable of them is a choice among "
             "many searches; use orbitfinder.least_unstable(problem) or a problem file"
         )
-    if problem.objective == "min_instability":
+    stability = problem.objective == "min_instability"
+    if stability:
         if problem.model.native is not None:
             raise InputError("objective: min_instability needs minimal coordinates; see minimal_linkage")
         problem = replace(problem, objective=instability(problem.model))
@@ -53,7 +56,55 @@ def chosen(
     if problem.objective in PEAKS:
         return _peak(problem, (first, w), settings, report)
     shooting = transcribe(problem, nodes, flow)
-    return shooting, solve_nlp(shooting, settings, report, w)
+    try:
+        return shooting, followed(shooting, w, settings, report)
+    except ConvergenceError as error:
+        if not stability:
+            raise
+        raise ConvergenceError(
+            f"{error}; the spectral radius has a kink where two multipliers collide, which ends such a search: keep "
+            "away from it by bounds, or look at the family with `orbitfinder continue`"
+        ) from error
+
+
+def followed(shooting: Shooting, start: np.ndarray, settings: SolveSettings, report: Callback | None) -> np.ndarray:
+    """The optimum reached from an orbit through boxes of a fraction of its extent, each solved by IPOPT.
+
+    A quasi-Newton step can be of any length, and the orbit's equations have many solutions: the boxes keep the
+    search on the family that it started on. A box that fails is made smaller.
+    """
+    w, size = start, LARGEST_BOX
+    for _ in range(MOST_BOXES):
+        reach = size * _extents(shooting, w)
+        lower, upper = np.maximum(shooting.lower, w - reach), np.minimum(shooting.upper, w + reach)
+        try:
+            found = solve_nlp(replace(shooting, lower=lower, upper=upper), settings, report, w)
+        except ConvergenceError:
+            size /= 4
+            if size < SMALLEST_BOX:
+                raise
+            continue
+        w, edge = found, 1e-4 * reach
+        inside = ((w > lower + edge) | (lower == shooting.lower)) & ((w < upper - edge) | (upper == shooting.upper))
+        if np.all(inside):
+            return w
+    raise ConvergenceError(
+        f"no orbit found: the objective still improves after {MOST_BOXES} steps along the family; give bounds, or a "
+        "guess nearer to the optimum"
+    )
+
+
+def _extents(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """How far each unknown may sensibly move: the motion's extents, the period, the parameters' own sizes."""
+    layout = shooting.layout
+    nodes, (period, unfolding, free) = layout.nodes(w), layout.tail(w)
+    n = layout.size // 2
+    parts = (nodes[:, :n], nodes[:, n:])
+    largest = [max(float(np.ptp(part, axis=0).max()), float(np.abs(part).max()) / 2) for part in parts]
+    node = np.concatenate([np.full(n, largest[0]), np.full(n, max(largest[1], largest[0] / period))])
+    return layout.join(
+        np.tile(node, layout.segments), period, np.maximum(np.abs(free), 1e-3), np.full(unfolding.size, np.inf)
+    )
 
 
 def _peak(
@@ -72,7 +123,7 @@ def _peak(
         ready = _at_peak(problem, place, times, states)
         shooting = transcribe(ready, _nodes(ready, count), flow)
         start = shooting.layout.join(_nodes(ready, count), ready.guess.period, free)
-        w = solve_nlp(shooting, settings, report, start)
+        w = followed(shooting, start, settings, report)
         free = shooting.layout.tail(w)[2]
         times, states = _orbit(shooting, w)
         heights.append(float(np.abs(states[:, place]).max()))

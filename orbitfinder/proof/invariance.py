@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 from orbitfinder.proof.program import Program
 
-EVEN, ODD, NEITHER = 1, -1, 0
+EVEN, ODD, NEITHER, BOTH = 1, -1, 0, 2
+"""BOTH is the parity of zero"""
 
 
 def parities(code: Program, signs: dict[int, int]) -> list[set[int]]:
@@ -18,6 +19,8 @@ def parities(code: Program, signs: dict[int, int]) -> list[set[int]]:
     value: list[int] = [EVEN] * code.size
     for target, argument, _ in code.inputs:
         value[target] = signs.get(argument, EVEN)
+    for target, number in code.constants:
+        value[target] = EVEN if number else BOTH
     numbers = dict(code.constants)
     for name, target, a, b in code.operations:
         value[target] = _parity(name, value[a], value[b] if b >= 0 else EVEN, numbers.get(b))
@@ -26,9 +29,9 @@ def parities(code: Program, signs: dict[int, int]) -> list[set[int]]:
 
 def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
     if name in ("add", "sub"):
-        return a if a == b else NEITHER
+        return b if a == BOTH else a if b in (a, BOTH) else NEITHER
     if name in ("mul", "div"):
-        return a * b
+        return BOTH if BOTH in (a, b) else a * b
     if name == "pow":
         whole = exponent is not None and float(exponent).is_integer()
         return a ** int(exponent or 0) if whole else EVEN if a == b == EVEN else NEITHER
@@ -36,7 +39,7 @@ def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
         return a
     if name in ("cos", "sq"):
         return EVEN if a != NEITHER else NEITHER
-    return EVEN if a == EVEN else NEITHER
+    return EVEN if a in (EVEN, BOTH) else NEITHER
 
 
 def has_symmetry(rates: Program, energy: Program, symmetry: str) -> bool:
@@ -52,11 +55,22 @@ def has_symmetry(rates: Program, energy: Program, symmetry: str) -> bool:
     }
     for name, (signs, parity) in wanted.items():
         if name in symmetry:
-            if not parities(rates, signs)[0] <= {parity}:
+            if not parities(rates, signs)[0] <= {parity, BOTH}:
                 return False
-            if name == "reflection" and not parities(energy, signs)[0] <= {EVEN}:
+            if name == "reflection" and not parities(energy, signs)[0] <= {EVEN, BOTH}:
                 return False
     return True
+
+
+def usable_symmetry(rates: Program, energy: Program, symmetry: str) -> str:
+    """The recorded symmetry, or the part of it that the equations provably have; "none" when it is no part.
+
+    A motion can look symmetric where its equations are not (x -> -x together with another reflection).
+    """
+    for name in (symmetry, *(symmetry.split("+") if "+" in symmetry else ())):
+        if has_symmetry(rates, energy, name):
+            return name
+    return "none"
 
 
 def turns_leave(code: Program, angles: Sequence[bool]) -> bool:

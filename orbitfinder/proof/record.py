@@ -102,7 +102,7 @@ def checked(options: Options) -> Options:
     settings = options.settings
     for name, value, low, high in (
         ("order", settings.order, 4, 400), ("bits", settings.bits, 64, 20000),
-        ("segments", options.segments or 1, 1, 1000),
+        ("segments", 1 if options.segments is None else options.segments, 1, 1000),
     ):  # fmt: skip
         if not low <= value <= high:
             raise InputError(f"{name}: must be from {low} to {high}, got {value}; the default is fine for most orbits")

@@ -15,6 +15,7 @@ from orbitfinder.proof.approach import approach
 from orbitfinder.proof.balls import Vector, arb, decimal, precision, radius
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.field import programs
+from orbitfinder.proof.invariance import usable_symmetry
 from orbitfinder.proof.krawczyk import krawczyk
 from orbitfinder.proof.newton import solve
 from orbitfinder.proof.theorem import NotProved, Progress, check_symmetries, make_equations, provable_model, unknowns_at
@@ -67,10 +68,11 @@ def refine(
 ) -> Refined:  # fmt: skip
     """An orbit refined at its recorded energy, read as the decimal that it is written as."""
     began, say = time.perf_counter(), progress or (lambda line: None)
-    chosen = symmetry or orbit.symmetry
     with precision(settings.bits):
         model = model or provable_model(orbit)
-        codes, start = programs(model), approach(model, orbit, chosen, None)
+        codes = programs(model)
+        chosen = symmetry or usable_symmetry(codes.rates, codes.energy, orbit.symmetry)
+        start = approach(model, orbit, chosen, None)
         equations = make_equations(model, codes, start, decimal(orbit.energy))
         rough = solve(equations, unknowns_at(start), Settings(), 1e-20)[0]
         centre, rounds = solve(equations, rough, settings, 10.0 ** -(digits + GUARD // 2))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from orbitfinder.proof.approach import Approach, approach
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.field import Programs, make_field, programs
-from orbitfinder.proof.invariance import has_symmetry, turns_leave
+from orbitfinder.proof.invariance import has_symmetry, turns_leave, usable_symmetry
 from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk
 from orbitfinder.proof.newton import solve
 from orbitfinder.proof.stability import Stability, stability
@@ -30,6 +30,8 @@ STATEMENT = 1
 """version of the theorem in docs/proof.md that a record refers to"""
 RADII = (1e-11, 1e-13, 1e-15)
 """of the boxes that are tried; the smaller ones are for very unstable orbits"""
+SHARPENINGS = 2
+"""further tours when the first leaves the multipliers open"""
 CENTRE = 1e-22
 """Newton's last correction before the box is set"""
 Progress = Callable[[str], None]
@@ -94,11 +96,11 @@ def prove(
 ) -> Proof:
     """The proof of an orbit's existence, or the reason why there is none. Raises `InputError`."""
     chosen, say = options or Options(), progress or (lambda line: None)
-    symmetry = chosen.symmetry or orbit.symmetry
     began = time.perf_counter()
     with precision(chosen.settings.bits):
         model = model or provable_model(orbit)
         codes = programs(model)
+        symmetry = chosen.symmetry or usable_symmetry(codes.rates, codes.energy, orbit.symmetry)
         try:
             found = _prove(orbit, model, codes, symmetry, chosen, say)
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
@@ -124,7 +126,7 @@ def _prove(
     centre, rounds = solve(equations, unknowns_at(start), settings, CENTRE)
     say(f"Newton settled in {rounds} iterations; integrating {start.formulation.segments} segments of a box")
     contracted = enclosed(equations, centre, settings, say)
-    path = tour(equations, contracted.image, settings)
+    path = sharpened(equations, tour(equations, contracted.image, settings), settings, say)
     return conclusions(orbit, model, contracted, path, start, options) | {
         "proved": True, "reason": "", "symmetry": symmetry, "settings": settings,
         "steps": sum(len(arc[3]) for arc in contracted.arcs),
@@ -171,6 +173,17 @@ def enclosed(equations: Equations, centre: Vector, settings: Settings, say: Prog
             return found
         reasons.append(f"radius {size:g}: contraction {found.contraction:.3g}")
     raise NotProved("the interval Newton operator maps no box into itself (" + "; ".join(reasons) + ")")
+
+
+def sharpened(equations: Equations, path: Tour, settings: Settings, say: Progress) -> Tour:
+    """The tour again in ever smaller boxes while the multipliers are too blurred for a verdict."""
+    finer = replace(settings, order=settings.order + 6, tolerance=settings.tolerance * 1e-6)
+    for _ in range(SHARPENINGS):
+        if stability(reduced(path, monodromy(path))).verdict != "open":
+            break
+        say(f"stability open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
+        path = tour(equations, path.box, finer)
+    return path
 
 
 def conclusions(

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orbitfinder.families.motion import Motion, motions
 from orbitfinder.families.points import Family, FamilyPoint
 from orbitfinder.show.style import COLOURS, dress, new_figure, save_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from orbitfinder.mechanics.model import Model
 
 MARKERS = {
     "fold": ("v", "fold"),
@@ -26,14 +29,48 @@ MARKERS = {
 UNITS = {"energy": "J", "period": "s"}
 
 
-def save_family_figures(family: Family, folder: str | Path) -> list[Path]:
-    """Write the three figures of a family as PNG files; returns their paths."""
-    figures = {
-        "frequency_energy": frequency_energy([family]),
-        "multipliers_plane": multipliers_plane(family),
-        "multipliers": multipliers_along(family),
-    }
+def save_family_figures(family: Family, folder: str | Path, model: Model | None = None) -> list[Path]:
+    """Write the figures of a family as PNG files, with a gallery where its model is given; returns their paths."""
+    figures = {"frequency_energy": frequency_energy([family])}
+    if any(point.floquet_multipliers.size for point in family.points):
+        figures |= {"multipliers_plane": multipliers_plane(family), "multipliers": multipliers_along(family)}
+    if model is not None and len(family.points) > 1:
+        figures["gallery"] = gallery(family, motions(family, model))
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+
+
+def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
+    """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
+    columns = min(4, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = new_figure(2.6 * columns, 2.9 * rows + 0.4, f"{family.name}: orbits along the family")
+    grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes, motion in zip(grid, shown, strict=False):
+        _draw(axes, motion)
+        one = motion.point
+        axes.set_title(f"{one.energy:.5g} J, {one.period:.4g} s\n{one.stability}", fontsize=8)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.06)
+        axes.tick_params(labelsize=7)
+        dress(axes, "", "")
+    for axes in grid[len(shown) :]:
+        axes.set_visible(False)
+    return figure
+
+
+def _draw(axes: Any, motion: Motion) -> None:
+    if motion.joints is None:
+        axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
+        return
+    joints = motion.joints[:: max(1, len(motion.joints) // 30)]
+    for k, (down, right) in enumerate(joints):
+        axes.plot(right, -down, color=COLOURS[0], alpha=0.10 + 0.45 * k / len(joints), linewidth=0.8)
+    down, right = motion.joints[0]
+    # the last joint of a linkage is a pivot on the ground
+    tip = motion.joints[:, :, -2] if np.ptp(motion.joints[:, 0, -1]) < 1e-9 else motion.joints[:, :, -1]
+    axes.plot(tip[:, 1], -tip[:, 0], color=COLOURS[1], linewidth=1.1)
+    axes.plot(right, -down, color="black", linewidth=1.6)
+    axes.plot(right[0], -down[0], "s", color="black", markersize=4)
 
 
 def frequency_energy(families: Sequence[Family], marks: dict[str, tuple[float, float]] | None = None) -> Figure:

@@ -22,9 +22,13 @@ var orbitfinder = (function () {
     this.drawn = packed.drawn;
     this.now = new Float32Array(2 * packed.points);
     this.fixed = [];
+    this.carts = [];
     var still = packed.still, many = packed.points, values = new Int16Array(bytes(packed.data));
     for (var c in still) this.now[+c] = still[c];
-    for (var p = 0; p < many; p++) this.fixed.push(p in still && (p + many) in still);
+    for (var p = 0; p < many; p++) {
+      this.fixed.push(p in still && (p + many) in still);
+      this.carts.push(many > 1 && p in still && !((p + many) in still)); // what moves on a level track is drawn as a cart
+    }
     this.values = new Float32Array(values.length);
     for (var k = 0; k < values.length; k++) {
       var channel = this.moving[Math.floor(k / this.count)];
@@ -125,6 +129,7 @@ var orbitfinder = (function () {
       var x = this.across(now, p), y = this.down(now, p), r = line * (m.points === 1 ? 1.6 : 1.1);
       pen.fillStyle = m.fixed[p] ? c.ground : c.joint;
       if (m.fixed[p]) { pen.fillRect(x - r, y - r, 2 * r, 2 * r); continue; }
+      if (m.carts[p]) { pen.fillRect(x - 2 * r, y - 1.3 * r, 4 * r, 2.6 * r); continue; }
       if (many && p !== m.tip) continue;
       pen.beginPath();
       pen.arc(x, y, r, 0, 2 * Math.PI);
@@ -134,7 +139,7 @@ var orbitfinder = (function () {
 
   // The last quarter period of the tip's path, fading away from it.
   Scene.prototype.tail = function (time, line) {
-    var pen = this.pen, m = this.motion, parts = 4, steps = 8, span = m.period / 4;
+    var pen = this.pen, m = this.motion, parts = 4, steps = Math.max(8, Math.round(m.count / 12)), span = m.period / 4;
     pen.strokeStyle = colours().trace;
     pen.lineWidth = line * 0.6;
     for (var part = 0; part < parts; part++) {

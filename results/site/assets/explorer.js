@@ -15,9 +15,12 @@
   var SYMBOLS = { fold: "triangle-down", branch_point: "circle-open", period_doubling: "square", resonance: "circle",
     collision: "x", stability_change: "diamond" };
 
-  function axes() {
-    return family ? { x: part("across").value, y: part("up").value } : { x: "energy", y: "period" };
+  function axes() { return { x: part("across").value, y: part("up").value }; }
+  function alike(name) {
+    var all = items.map(function (one) { return number(one, name); }), most = Math.max.apply(null, all);
+    return most - Math.min.apply(null, all) < 1e-6 * Math.max(Math.abs(most), 1e-12);
   }
+  if (!family && items.length > 1 && alike("energy")) part("across").value = "action"; // a search at one energy
   function number(one, name) {
     if (name === "frequency") return 1 / one.period;
     if (name !== "largest") return one[name];
@@ -29,7 +32,12 @@
     var c = it.columns;
     return name === "frequency" ? c.period.map(function (T) { return 1 / T; }) : c[name];
   }
-  function scale(name) { return name === "largest" ? { type: "log" } : {}; }
+  function scale(name) {
+    if (name === "largest") return { type: "log" };
+    if (!items.length || !alike(name)) return {};
+    var one = number(items[0], name), room = Math.max(0.05 * Math.abs(one), 1e-6);
+    return { range: [one - room, one + room] };
+  }
 
   // The curve in runs of one stability each, joined to the next: solid where stable, dashed where not.
   function curve(chosen, colour) {
@@ -99,6 +107,7 @@
     var text = (shown.indexOf(k) + 1) + " of " + shown.length + (one.event ? ", " + one.event : "");
     part("item-text").textContent = text;
     slider.setAttribute("aria-valuetext", text + ", energy " + figure(one.energy, 5) + " joules, period " + figure(one.period, 5) + " seconds");
+    part("circle").style.visibility = one.multipliers && one.multipliers.length ? "visible" : "hidden";
     plots.redraw(plot);
     plots.redraw(part("circle"));
   }
@@ -109,6 +118,7 @@
     if (one.title) rows.unshift(["Orbit", one.title]);
     if (one.action !== null) rows.push(["Action", figure(one.action, 8) + " J s"]);
     rows.push(["Stability", one.stability], ["Symmetry", one.symmetry]);
+    if (one.event) rows.push(["Multipliers, stability", "of the orbit before the event"]);
     if (one.closure !== null) rows.push(["Closure", figure(one.closure, 5)]);
     list.textContent = "";
     rows.forEach(function (row) {
@@ -145,9 +155,10 @@
   function step(by) { var place = shown.indexOf(picked) + by; if (place >= 0 && place < shown.length) pick(shown[place]); }
   part("previous").addEventListener("click", function () { step(-1); });
   part("next").addEventListener("click", function () { step(1); });
-  (family ? ["across", "up"] : ["stability", "symmetry"]).forEach(function (id) {
-    part(id).addEventListener("change", function () { if (family) plots.redraw(plot); else choose(); });
+  ["across", "up"].forEach(function (id) {
+    part(id).addEventListener("change", function () { plots.redraw(plot); });
   });
+  (family ? [] : ["stability", "symmetry"]).forEach(function (id) { part(id).addEventListener("change", choose); });
   document.querySelectorAll(".pick").forEach(function (button) {
     button.addEventListener("click", function () {
       pick(+button.dataset.item);

@@ -1,0 +1,181 @@
+"""Search for periodic orbits for a minute, with orbitfinder and with the loop a user would write by hand.
+
+Both take the same starts (seed 0, in order) of the triple pendulum at -30 J with periods from 0.5 to 6 s, and two
+processes on two processors. By hand: Lagrange's equations with NumPy, `solve_ivp` (DOP853, 1e-10) inside
+`least_squares` on single shooting for the state and the period with the energy as a further row, at most
+`MOST_EVALUATIONS` evaluations a start; an orbit counts when it closes to 1e-7 in the range of periods and its
+period and action are new. Nothing checks that it is covered once; orbitfinder's orbits are minimal and certified.
+
+    python benchmarks/search.py             writes results/benchmarks/search.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import platform
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy
+from refine import make_energy, make_field
+from scipy.integrate import solve_ivp, trapezoid
+from scipy.optimize import least_squares
+
+import orbitfinder as of
+from orbitfinder.atlas.starts import Target, bench, make_start
+from orbitfinder.atlas.workers import one_thread
+from orbitfinder.errors import ConvergenceError, IntegrationError
+
+ROOT = Path(__file__).parents[1]
+LINKS, ENERGY, PERIODS, SEED, PROCESSES = 3, -30.0, (0.5, 6.0), 0, 2
+MOST_EVALUATIONS = 40
+CLOSED, SAME, MOVING = 1e-7, 1e-5, 1e-3
+WANTED, RATIO_WANTED = 60, 20.0
+
+
+@dataclass(frozen=True)
+class Result:
+    """One method: distinct orbits, hits, starts, wall time in s."""
+
+    distinct: int
+    hits: int
+    starts: int
+    seconds: float
+
+
+def solved_by_hand(state: np.ndarray, period: float) -> tuple[float, float] | None:
+    """Period and action of the orbit that a start leads to, None when it leads nowhere."""
+    n = state.size // 2
+    field, energy = make_field(n), make_energy(n)
+
+    def path(x, duration, times=None):
+        return solve_ivp(field, (0.0, duration), x, method="DOP853", rtol=1e-10, atol=1e-10, t_eval=times).y
+
+    turns = np.append(np.round((path(state, period)[:, -1] - state)[:n] / (2 * np.pi)), np.zeros(n)) * 2 * np.pi
+
+    def residual(unknowns):
+        x, duration = unknowns[:-1], unknowns[-1]
+        if not 0.1 < duration < 2 * PERIODS[1] or np.abs(x).max() > 1e3:
+            return np.full(2 * n + 1, 1e3)
+        return np.append(path(x, duration)[:, -1] - x - turns, energy(x) - ENERGY)
+
+    found = least_squares(residual, np.append(state, period), max_nfev=MOST_EVALUATIONS, xtol=1e-13, ftol=1e-13)
+    x, duration = found.x[:-1], float(found.x[-1])
+    if np.abs(found.fun).max() > CLOSED or not PERIODS[0] <= duration <= PERIODS[1]:
+        return None
+    times = np.linspace(0.0, duration, 400)
+    states = path(x, duration, times)
+    if np.ptp(states, axis=1).max() < MOVING:
+        return None
+    rest = np.zeros(n)
+    kinetic = [energy(column) - energy(np.append(column[:n], rest)) for column in states.T]
+    return duration, float(trapezoid(2 * np.asarray(kinetic), times))
+
+
+def by_hand(which: int, deadline: float, found: multiprocessing.Queue) -> None:
+    """Every `PROCESSES`-th start until the deadline."""
+    one = bench(of.chain(LINKS), Target(ENERGY, PERIODS))
+    number = which
+    while time.time() < deadline:
+        try:
+            start = make_start(one, SEED, number)
+            orbit = solved_by_hand(start.state, start.period)
+        except (ConvergenceError, IntegrationError, ValueError, np.linalg.LinAlgError):
+            orbit = None
+        if time.time() < deadline + 5:
+            found.put((number, orbit))
+        number += PROCESSES
+    found.put(None)
+
+
+def search_by_hand(budget: float) -> Result:
+    context = multiprocessing.get_context("spawn")
+    found, deadline = context.Queue(), time.time() + budget
+    with one_thread():
+        crew = [context.Process(target=by_hand, args=(which, deadline, found)) for which in range(PROCESSES)]
+        for process in crew:
+            process.start()
+    began, left, outcomes = time.time(), PROCESSES, []
+    while left:
+        entry = found.get()
+        left -= entry is None
+        outcomes += [] if entry is None else [entry]
+    for process in crew:
+        process.join()
+    kinds: list[tuple[float, float]] = []
+    hits = [orbit for _, orbit in sorted(outcomes) if orbit is not None]
+    for orbit in hits:
+        if not any(abs(orbit[0] - one[0]) < SAME * one[0] and abs(orbit[1] - one[1]) < SAME * one[1] for one in kinds):
+            kinds.append(orbit)
+    return Result(len(kinds), len(hits), len(outcomes), time.time() - began)
+
+
+def search_with_orbitfinder(budget: float):
+    with tempfile.TemporaryDirectory() as folder:
+        path, began = Path(folder) / "triple.sqlite", time.time()
+        found = of.search(of.chain(LINKS), ENERGY, PERIODS, path, budget=budget, seed=SEED, workers=PROCESSES)
+        seconds, tally = time.time() - began, found.tallies[0][1]
+        print(f"  processor time of the workers {found.summary.seconds:.1f} s", file=sys.stderr)
+    return Result(tally.new, tally.hits, tally.done, seconds), found.summary
+
+
+def report(ours: Result, hand: Result, summary, budget: float) -> str:
+    ratio = ours.distinct / max(hand.distinct, 1)
+    rows = [
+        f"| {name} | {one.starts} | {one.hits} | {one.distinct} | {one.seconds:.1f} |"
+        for name, one in (("orbitfinder, certified", ours), ("by hand", hand))
+    ]
+    yields = [
+        f"| {one.strategy} | {one.starts} | {one.hits} | {one.new} | {one.seconds:.1f} |" for one in summary.yields
+    ]
+    total, error = summary.estimate
+    return "\n".join(
+        [
+            f"# A search of {budget:g} seconds",
+            "",
+            "`python benchmarks/search.py`; every number on this page is written by that script, which says what",
+            f"each method is. Triple pendulum, {ENERGY:g} J, periods {PERIODS[0]:g} to {PERIODS[1]:g} s, seed {SEED}, "
+            f"{PROCESSES} processes on {os.cpu_count()} processors, one method after the other.",
+            f"Load of the machine at the end: {os.getloadavg()[0]:.1f}. Python {platform.python_version()}, "
+            f"numpy {np.__version__}, scipy {scipy.__version__}, {platform.machine()}.",
+            "",
+            "| method | starts | hits | distinct orbits | wall time, s |",
+            "|---|---|---|---|---|",
+            *rows,
+            "",
+            f"Ratio of distinct orbits: {ratio:.1f} (wanted: {RATIO_WANTED:g}); distinct certified orbits: "
+            f"{ours.distinct} (wanted: at least {WANTED}). The workers had {summary.seconds:.0f} s of processor time.",
+            "",
+            "| strategy | starts | hits | new | processor time, s |",
+            "|---|---|---|---|---|",
+            *yields,
+            "",
+            f"Such starts can find at least about {total:.0f} +- {error:.0f} orbits in all (Chao1).",
+            "",
+        ]
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--budget", type=float, default=60.0)
+    parser.add_argument("--out", type=Path, default=ROOT / "results" / "benchmarks" / "search.md")
+    arguments = parser.parse_args()
+    hand = search_by_hand(arguments.budget)
+    print(f"by hand: {hand}", file=sys.stderr, flush=True)
+    ours, summary = search_with_orbitfinder(arguments.budget)
+    text = report(ours, hand, summary, arguments.budget)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(text)
+    print(text)
+    return 0 if ours.distinct >= WANTED else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

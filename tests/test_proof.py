@@ -1,0 +1,375 @@
+"""The theorem on orbits of every symmetry, planted failures, the record and the commands."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+
+from orbitfinder.cli import cli
+from orbitfinder.errors import InputError
+from orbitfinder.periodic.orbit import digest, load_orbit, save_orbit
+from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.problemfile import load_problem
+from orbitfinder.proof.balls import arb, arb_mat, flint, precision
+from orbitfinder.proof.refine import refine, settings_for
+from orbitfinder.proof.stability import stability
+from orbitfinder.proof.theorem import Options, prove
+
+ROOT = Path(__file__).parents[1]
+REPORT = ("triple-1", "triple-2", "quadruple-1", "quadruple-2")
+PROBLEMS = {  # name: (file, symmetry, verdict)
+    "pendulum": ("examples/pendulum-2rad.toml", "brake+reflection", "linearly stable"),
+    "running": ("examples/pendulum-running.toml", "reversal", "linearly stable"),
+    "double": ("examples/double-mode-2.toml", "brake+reflection", "linearly stable"),
+    "loop": ("gallery/henon-heiles-loop.toml", "none", "linearly stable"),
+    "straight": ("gallery/henon-heiles-straight.toml", "brake", "linearly stable"),
+    "coupled": ("gallery/coupled-oscillators.toml", "reflection", "unstable"),
+}
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Orbits found from their problem files, each when first asked for."""
+    known = {}
+
+    def get(name):
+        if name not in known:
+            known[name] = find_orbit(load_problem(ROOT / "problems" / PROBLEMS[name][0]))
+        return known[name]
+
+    return get
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_proved_in_every_symmetry(found, name):
+    """Existence, minimal period and stability; the record's own numbers lie within the bounds claimed."""
+    orbit = found(name)
+    proof = prove(orbit)
+    assert proof.proved, proof.reason
+    assert (proof.symmetry, proof.stability.verdict) == PROBLEMS[name][1:]
+    assert proof.radius < 1e-9 and proof.contraction < 1 and proof.minimal
+    assert abs(float(proof.period.mid()) - orbit.period) < 1e-12
+    assert proof.distance < 1e-9 and proof.period_distance < 1e-9
+    if proof.unfolding is not None:
+        assert proof.unfolding.contains(0)
+    for mu in proof.stability.multipliers:
+        nearest = np.abs(orbit.floquet_multipliers - complex(float(mu.real.mid()), float(mu.imag.mid()))).min()
+        assert nearest < 1e-6
+
+
+def test_pendulum_period_is_the_elliptic_integral(found):
+    """The proved period of a pendulum meets 4 K / w, computed in balls at the proved amplitude."""
+    orbit = found("pendulum")
+    proof = prove(orbit)
+    with precision(120):
+        amplitude = abs(proof.state[0])
+        exact = 4 * arb.pi() / 2 / arb(1).agm((amplitude / 2).cos()) / (arb(3) / 2 * arb(49) / 5).sqrt()
+        assert proof.period.overlaps(exact) and exact.rad() < 1e-12
+
+
+def test_full_formulation_agrees_with_the_symmetric_one(found):
+    """The same orbit proved with unfolding over the whole period: enclosures of the period meet."""
+    orbit = found("double")
+    short, whole = prove(orbit), prove(orbit, options=Options(symmetry="none"))
+    assert whole.proved and whole.symmetry == "none" and whole.unfolding.contains(0)
+    assert short.period.overlaps(whole.period)
+    assert whole.stability.verdict == short.stability.verdict
+    assert all(abs(float(x.mid()) - y) < 1e-12 for x, y in zip(whole.state, orbit.state, strict=True))
+
+
+def test_another_formulation_of_the_equations_agrees(found):
+    """Lagrange's dense equations, another graph, prove the same period."""
+    from orbitfinder.mechanics.chain import chain
+
+    orbit = found("pendulum")
+    other = prove(orbit, chain(1, formulation="lagrange"))
+    assert other.proved and other.period.overlaps(prove(orbit).period)
+
+
+@pytest.mark.parametrize(
+    ("name", "component"), [("double", 0), ("loop", 0), ("loop", 3), ("coupled", 1), ("running", 1)]
+)
+def test_nudged_state_is_not_proved(found, name, component):
+    """A state off by 1e-5 in one component: an orbit is near, but the record is not it."""
+    orbit = found(name)
+    state = orbit.state.copy()
+    state[component] += 1e-5
+    proof = prove(replace(orbit, state=state))
+    assert not proof.proved and proof.reason
+
+
+def test_state_moved_along_the_orbit_is_proved(found):
+    """Any point of the orbit may be recorded."""
+    orbit = found("double")
+    later = prove(replace(orbit, state=orbit.nodes[3]))
+    assert later.proved and later.period.overlaps(prove(orbit).period)
+
+
+def test_wrong_period_is_not_proved(found):
+    """A period off by 1e-5, and twice the period."""
+    orbit = found("straight")
+    off = prove(replace(orbit, period=orbit.period + 1e-5))
+    assert not off.proved and "period up to" in off.reason
+    twice = prove(replace(orbit, period=2 * orbit.period))
+    assert not twice.proved
+    whole = prove(replace(orbit, period=2 * orbit.period), options=Options(symmetry="none"))
+    assert not whole.proved and "T/2" in whole.reason
+
+
+def test_non_orbit_is_not_proved(found):
+    """A random state with a random period, in several formulations."""
+    orbit = found("double")
+    nothing = replace(orbit, state=np.array([0.7, -1.1, 1.9, 0.4]), period=1.234)
+    for symmetry in ("none", "brake", "reversal"):
+        proof = prove(nothing, options=Options(symmetry=symmetry))
+        assert not proof.proved and proof.reason
+
+
+def test_equilibrium_is_not_proved(found):
+    """Hanging at rest returns after any time; it is no orbit."""
+    orbit = found("double")
+    rest = replace(orbit, state=np.zeros(4), energy=-19.6)
+    for symmetry in ("none", "brake"):
+        assert not prove(rest, options=Options(symmetry=symmetry)).proved
+
+
+def test_wrong_energy_is_not_proved(found):
+    """The theorem fixes the recorded energy; the orbit there is another one."""
+    orbit = found("double")
+    proof = prove(replace(orbit, energy=orbit.energy + 1e-4))
+    assert not proof.proved and "not within 1e-09 of the record" in proof.reason
+
+
+def test_symmetry_that_the_equations_lack_is_not_used(found):
+    """Henon-Heiles is not odd: a reflection is refused, with the reason."""
+    proof = prove(found("loop"), options=Options(symmetry="reflection"))
+    assert not proof.proved and "could not be read off" in proof.reason
+
+
+def rotation(angle, stretch=1.0):
+    c, s = stretch * np.cos(angle), stretch * np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+@pytest.mark.parametrize(
+    ("blocks", "radius", "verdict"),
+    [
+        ([rotation(1.0), rotation(2.0)], 1e-12, "linearly stable"),
+        ([rotation(1.0), rotation(2.0)], 1e-1, "open"),
+        ([rotation(1.0), rotation(1.0)], 1e-12, "open"),
+        ([rotation(1.0), np.diag([1.001, 1 / 1.001])], 1e-12, "unstable"),
+        ([rotation(1.0), np.diag([-1.5, -1 / 1.5])], 1e-9, "unstable"),
+        ([rotation(1.0, 1.01), rotation(-1.0, 1 / 1.01)], 1e-12, "unstable"),
+        ([rotation(1.0), np.diag([1.0, 1.0])], 1e-12, "open"),
+    ],
+)
+def test_stability_verdicts(blocks, radius, verdict):
+    """Known matrices: simple on the circle, blurred, double, real pair, complex quadruple, pair at 1."""
+    random = np.random.default_rng(0).normal(size=(4, 4))
+    whole = np.block([[blocks[0], np.zeros((2, 2))], [np.zeros((2, 2)), blocks[1]]])
+    turned = random @ whole @ np.linalg.inv(random)
+    with precision(106):
+        matrix = arb_mat(4, 4, [arb(float(x), radius) for x in turned.ravel()])
+        assert stability(matrix).verdict == verdict
+
+
+@pytest.fixture
+def saved(found, tmp_path):
+    return save_orbit(found("straight"), tmp_path / "straight" / "orbit.json")
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli, [str(one) for one in arguments])
+
+
+def test_prove_records_and_verify_replays(saved):
+    """The command writes the entry, keeps the digest, and `verify --proof` does it all again."""
+    before = json.loads(saved.read_text())
+    result = run("prove", saved)
+    assert result.exit_code == 0, result.output
+    assert "proved in" in result.output and "linearly stable" in result.output
+    document = json.loads(saved.read_text())
+    entry = document.pop("proof")
+    assert document == before and digest(document) == document["record"]
+    assert entry["proved"] and entry["box_radius"] < 1e-9 and entry["contraction"] < 1
+    assert entry["order"] == 20 and entry["bits"] == 106 and entry["steps"] > 0
+    assert abs(float(entry["period"]["value"]) - before["period"]) < 1e-12
+    assert len(entry["multipliers"]) == len(before["floquet_multipliers"])
+    assert entry["versions"]["python-flint"] == flint.__version__
+    again = run("verify", "--proof", "--json", saved)
+    assert again.exit_code == 0, again.output
+    assert json.loads(again.output)["results"][0]["proof"]["passed"]
+    assert load_orbit(saved).name == document["name"]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda e: e["period"].update(value="1.0359", radius=1e-9), "period"),
+        (lambda e: e["state"][0].update(radius=float("1e300")), "state"),
+        (lambda e: e.update(stability="unstable"), "stability"),
+        (lambda e: e.update(box_radius=1e-3), "box_radius"),
+        (lambda e: e["multipliers"].pop(), "multipliers"),
+        (lambda e: e["minimal_period"].update(divisors_excluded_up_to=99), "minimal_period"),
+    ],
+)
+def test_edited_record_is_rejected(saved, change, says, monkeypatch):
+    """A claim edited by hand does not survive the replay."""
+    run("prove", saved)
+    document = json.loads(saved.read_text())
+    change(document["proof"])
+    saved.write_text(json.dumps(document))
+    result = run("verify", "--proof", saved)
+    assert result.exit_code == 1
+    assert "proof REJECTED" in result.output and says in result.output
+
+
+def test_record_of_a_nudged_state_is_rejected(saved):
+    """The proof recorded for one state does not hold for another."""
+    run("prove", saved)
+    document = json.loads(saved.read_text())
+    document["state"][0] += 1e-5
+    saved.write_text(json.dumps(document))
+    result = run("verify", "--proof", saved)
+    assert result.exit_code == 1 and "not within" in result.output
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda d: d.pop("proof"), "prove the orbit first"),
+        (lambda d: d["proof"].update(theorem=99), "prove it again"),
+        (lambda d: d["proof"].update(order="many"), "malformed entry"),
+        (lambda d: d["proof"].update(order=10**6), "order: must be from 4 to 400"),
+        (lambda d: d["proof"].update(symmetry="odd"), "symmetry: unknown 'odd'"),
+    ],
+)
+def test_unusable_record_is_bad_input(saved, change, says):
+    """No entry, another theorem, nonsense: exit code 2 with the remedy."""
+    run("prove", saved)
+    document = json.loads(saved.read_text())
+    change(document)
+    saved.write_text(json.dumps(document))
+    result = run("verify", "--proof", saved)
+    assert result.exit_code == 2 and says in result.output and "Traceback" not in result.output
+
+
+def test_not_proved_is_exit_code_one(saved):
+    """The command says "not proved" and why, leaves the file alone, and prints JSON when asked."""
+    document = json.loads(saved.read_text())
+    document["period"] += 1e-5
+    saved.write_text(json.dumps(document))
+    before = saved.read_bytes()
+    result = run("prove", saved)
+    assert result.exit_code == 1 and "not proved: an orbit exists, but not within" in result.output
+    listed = CliRunner().invoke(cli, ["prove", "--json", str(saved)])
+    assert listed.exit_code == 1 and not json.loads(listed.stdout)["passed"]
+    assert saved.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--order", "2"], "order: must be from 4"), (["--bits", "10"], "bits: must be from 64"),
+        (["--tolerance", "1"], "tolerance: must be between"), (["--segments", "0"], "segments: must be from 1"),
+        (["--symmetry", "odd"], "'odd' is not one of"),
+    ],
+)  # fmt: skip
+def test_bad_options(saved, arguments, says):
+    """Each option out of range is named."""
+    result = run("prove", *arguments, saved)
+    assert result.exit_code == 2 and says in result.output
+
+
+def test_unprovable_systems_are_bad_input(found, tmp_path):
+    """A forced system: exit code 2 and the reason."""
+    orbit = find_orbit(load_problem(ROOT / "problems/gallery/van-der-pol.toml"))
+    file = save_orbit(orbit, tmp_path / "orbit.json")
+    result = run("prove", file)
+    assert result.exit_code == 2 and "forced and dissipative" in result.output
+    missing = run("prove", tmp_path / "nothing.json")
+    assert missing.exit_code == 2 and "no such file" in missing.output
+
+
+def test_missing_python_flint_names_the_extra(saved, monkeypatch):
+    """Without python-flint both commands say what to install."""
+    for module in [name for name in sys.modules if name.startswith("orbitfinder.proof.")]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "flint", None)
+    for command in ("prove", "refine"):
+        result = run(command, saved)
+        assert result.exit_code == 2 and "orbitfinder[proof]" in result.output
+
+
+def test_refine_agrees_with_the_elliptic_integral(found):
+    """Forty digits of a pendulum's period, enclosed, against 4 K / w in balls."""
+    orbit = found("pendulum")
+    refined = refine(orbit, settings_for(40), 40)
+    assert refined.enclosed, refined.reason
+    with precision(250):
+        energy = refined.energy  # = -4.9 cos(amplitude)
+        amplitude = (-energy * 10 / 49).acos()
+        exact = 4 * arb.pi() / 2 / arb(1).agm((amplitude / 2).cos()) / (arb(3) / 2 * arb(49) / 5).sqrt()
+        assert refined.period.overlaps(exact)
+        assert abs(refined.period - exact) < arb(10) ** -40
+
+
+def test_refine_is_stable_under_order_and_precision(found):
+    """Another order and precision give the same digits."""
+    orbit = found("pendulum")
+    one, two = (refine(orbit, settings_for(30, order, bits), 30) for order, bits in ((None, None), (60, 300)))
+    with precision(300):
+        assert one.enclosed and two.enclosed and one.period.overlaps(two.period)
+
+
+def test_refine_command(saved):
+    """Text and JSON of the command; without enclosing, nothing is claimed."""
+    text = run("refine", saved, "--digits", "25")
+    assert text.exit_code == 0 and "25 digits, enclosed" in text.output and "period" in text.output
+    found = CliRunner().invoke(cli, ["refine", str(saved), "--digits", "25", "--json", "--no-enclose"])
+    document = json.loads(found.stdout)
+    assert not document["enclosed"] and abs(float(document["period"]["value"]) - load_orbit(saved).period) < 1e-12
+    for arguments, says in (
+        (["--digits", "0"], "--digits: must be from 1"), (["--digits", "40", "--bits", "100"], "--bits: 40 digits need"),
+        (["--order", "1"], "--order: must be from 4"),
+    ):  # fmt: skip
+        wrong = run("refine", saved, *arguments)
+        assert wrong.exit_code == 2 and says in wrong.output
+
+
+def test_settings_are_checked():
+    """Too many digits are refused."""
+    with pytest.raises(InputError, match="--digits: must be from 1 to 250"):
+        settings_for(1000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REPORT)
+def test_report_orbits_are_proved(name):
+    """Each of the report's orbits, with its stability: triples unstable, quadruples linearly stable."""
+    orbit = load_orbit(ROOT / "results" / "orbits" / name / "orbit.json")
+    proof = prove(orbit)
+    assert proof.proved, proof.reason
+    assert proof.radius < 1e-9 and proof.minimal and proof.distance < 1e-9
+    assert proof.stability.verdict == ("unstable" if name.startswith("triple") else "linearly stable")
+    nudged = orbit.state.copy()
+    nudged[0] += 1e-5
+    assert not prove(replace(orbit, state=nudged)).proved
+    assert not prove(replace(orbit, period=orbit.period + 1e-5)).proved
+
+
+@pytest.mark.slow
+def test_fifty_digits_of_triple_1():
+    """The period to 50 digits at two orders and precisions; the enclosures meet."""
+    orbit = load_orbit(ROOT / "results" / "orbits" / "triple-1" / "orbit.json")
+    one, two = (refine(orbit, settings_for(50, order, bits), 50) for order, bits in ((None, None), (76, 280)))
+    with precision(300):
+        assert one.enclosed and two.enclosed and one.period.overlaps(two.period)
+        digits = arb("1.65533898831464074470778910946168024901583045990775")
+        assert abs(one.period - digits) < arb(10) ** -50
