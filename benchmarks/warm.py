@@ -61,6 +61,7 @@ class Row:
 
     @property
     def seconds(self) -> float:
+        """The median."""
         return float(np.median(self.times)) if self.times else np.nan
 
 
@@ -130,8 +131,8 @@ def compare(task: Task, built: dict[int, Taylor | str], repeats: int, with_octav
             rows[OCTAVE] = Row([answer.seconds], closure(task, answer))
         except Unavailable as error:
             rows[OCTAVE].note = str(error)
-    said = ", ".join(f"{name} {1e3 * row.seconds:.3g} ms" if row.times else f"{name}: {row.note}" for name, row in rows.items())
-    print(f"{task.name}: {said}", file=sys.stderr, flush=True)
+    said = [f"{name} {milliseconds(row.seconds) if row.times else row.note}" for name, row in rows.items()]
+    print(f"{task.name}: {', '.join(said)}", file=sys.stderr, flush=True)
     return rows
 
 
@@ -159,7 +160,8 @@ def verdicts(results: dict[str, dict[str, Row]]) -> list[str]:
         ratios = [row[name].seconds / row[OURS].seconds for row in results.values() if row[name].times]
         if ratios:
             met = "met" if min(ratios) >= times else "MISSED"
-            lines.append(f"- {name}: wanted {times:.3g} times its speed on every orbit, least {min(ratios):.3g}: {met}.")
+            least = f"least {min(ratios):.3g}: {met}."
+            lines.append(f"- {name}: wanted {times:.3g} times its speed on every orbit, {least}")
     slower = max(row[INTERPRETED].seconds / row[OURS].seconds for row in results.values())
     lines.append(
         f"- interpreted: wanted at most {SLOWER:g} times the compiled time, most {slower:.2f}: "
@@ -171,7 +173,7 @@ def verdicts(results: dict[str, dict[str, Row]]) -> list[str]:
 
 
 def table(results: dict[str, dict[str, Row]]) -> list[str]:
-    lines = ["| orbit | method | median | fastest | slowest | runs | closure | times ours |", "|---|---|---|---|---|---|---|---|"]
+    lines = ["| orbit | method | median | fastest | slowest | runs | closure | times ours |", "|---" * 8 + "|"]
     for name, rows in results.items():
         for method, row in rows.items():
             if not row.times:
@@ -221,9 +223,9 @@ def notes() -> list[str]:
     return [
         f"- {AUTO}: NTST = 100, NCOL = 7, analytic derivatives, one thread, its own clock; {AUTO_COARSE}: the coarsest",
         f"  of NTST = {', '.join(map(str, INTERVALS[1:]))} that closes to {CLOSURE:.0e}, where there is one.",
-        f"- {HEYOKA}: Taylor integrators with and without variational equations (compact mode), Newton single shooting.",
+        f"- {HEYOKA}: Taylor integrators with and without variational equations, compact mode, Newton single shooting.",
         f"- {SCRIPT}: `solve_ivp` (DOP853, 1e-12) in `least_squares`, NumPy equations.",
-        f"- {OCTAVE}: `sqp` on single shooting with Dormand-Prince 5(4) at 1e-10, one run, ended after {octave.LIMIT:g} s.",
+        f"- {OCTAVE}: `sqp` on single shooting, Dormand-Prince 5(4) at 1e-10, one run, ended after {octave.LIMIT:g} s.",
     ]
 
 
@@ -233,13 +235,15 @@ def draw(results: dict[str, dict[str, Row]], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    methods = [one for one in (OURS, INTERPRETED, HEYOKA, AUTO, SCRIPT, OCTAVE) if any(one in row for row in results.values())]
+    known = {method for rows in results.values() for method, row in rows.items() if row.times}
+    methods = [one for one in (OURS, INTERPRETED, HEYOKA, AUTO, SCRIPT, OCTAVE) if one in known]
     figure, axes = plt.subplots(figsize=(8, 3.6), layout="constrained")
     width = 0.8 / len(methods)
     for k, method in enumerate(methods):
         seconds = [row[method].seconds if method in row else np.nan for row in results.values()]
         places = np.arange(len(results)) + (k - (len(methods) - 1) / 2) * width
-        axes.bar(places, 1e3 * np.asarray(seconds), width, label=method, color=plt.get_cmap("viridis")(k / len(methods)))
+        colour = plt.get_cmap("viridis")(k / len(methods))
+        axes.bar(places, 1e3 * np.asarray(seconds), width, label=method, color=colour)
     axes.set_yscale("log")
     axes.set_xticks(range(len(results)), list(results))
     axes.set_ylabel("time of one refinement (ms)")

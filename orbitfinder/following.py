@@ -103,7 +103,7 @@ def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
 def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
 
-    Both ways along the family unless --until or --at say where to go; a branch away from where it was born.
+    Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
     Folds, branch points, period doublings, resonances, collisions and stability changes are located. A run
     that was killed goes on where it stopped when the same command is given again.
 

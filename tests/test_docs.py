@@ -7,8 +7,8 @@ A page runs from top to bottom in one folder (which has `problems/`) and one Pyt
     ```toml title="x"  written to x first
     ```text            what the block before it prints: `...` stands for anything, as a line or within one
 
-`<!-- slow -->` on a page moves it to the slow tests; pages in `PARSED_ONLY` are checked without being run.
-Lines of shell that are not ours are listed in `NOT_RUN`.
+`<!-- slow -->` on a page moves it to the slow tests, `<!-- needs: flint -->` skips it where that module is
+missing; pages in `PARSED_ONLY` are checked without being run. Lines of shell that are not ours are in `NOT_RUN`.
 """
 
 import fnmatch
@@ -148,6 +148,8 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize("page", list(parameters()))
 def test_page_runs(page, folder):
     """The blocks of a page, in order, do and print what the page says."""
+    for module in re.findall(r"<!-- needs: (\w+) -->", page.read_text(encoding="utf-8")):
+        pytest.importorskip(module)
     namespace, printed = {"__name__": "__main__"}, None
     for block in blocks(page):
         where = f"{page.relative_to(ROOT)}:{block.line}"

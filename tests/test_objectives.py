@@ -179,7 +179,8 @@ def test_the_largest_amplitude_of_the_van_der_pol_oscillator():
     damping = orbit.provenance["free"]["damping"]
     assert orbit.certificate.passed and abs(orbit.state[0]) == pytest.approx(2.02342, abs=1e-5)
     for other in (0.9 * damping, 1.1 * damping):
-        beside = find_orbit(of.Problem(of.systems.FUNCTIONS["van_der_pol"](other), of.Guess(orbit.state, orbit.period)))
+        near = of.Guess(orbit.state, orbit.period, orbit.times, orbit.samples)
+        beside = find_orbit(of.Problem(of.systems.FUNCTIONS["van_der_pol"](other), near), FAST)
         assert np.abs(beside.samples[:, 0]).max() < abs(orbit.state[0]) - 1e-6
 
 

@@ -336,7 +336,8 @@ def test_refine_command(saved):
     document = json.loads(found.stdout)
     assert not document["enclosed"] and abs(float(document["period"]["value"]) - load_orbit(saved).period) < 1e-12
     for arguments, says in (
-        (["--digits", "0"], "--digits: must be from 1"), (["--digits", "40", "--bits", "100"], "--bits: 40 digits need"),
+        (["--digits", "0"], "--digits: must be from 1"),
+        (["--digits", "40", "--bits", "100"], "--bits: 40 digits need"),
         (["--order", "1"], "--order: must be from 4"),
     ):  # fmt: skip
         wrong = run("refine", saved, *arguments)

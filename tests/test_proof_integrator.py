@@ -236,6 +236,18 @@ def test_containment():
     assert escaped(1000) == 0
 
 
+def test_derivatives_of_a_box_contain_those_of_its_points():
+    """At random points, the derivatives integrated from the point alone lie inside the box's enclosure."""
+    field, random = make_field(chain(2)), np.random.default_rng(2)
+    box = extended(STATE, DURATION, 1e-4)
+    whole, _ = lohner.integrate(field, cloud(box), FAST)
+    for _ in range(4):
+        point = [x.mid() + arb(float(random.uniform(-1e-4, 1e-4))) for x in box[:4]] + box[4:]
+        alone, _ = lohner.integrate(field, cloud([x.mid() for x in point]), FAST)
+        pairs = zip(whole.derivatives.entries(), alone.derivatives.entries(), strict=True)
+        assert all(ball.contains(exact) for ball, exact in pairs)
+
+
 def test_broken_enclosure_is_caught(monkeypatch):
     """Derivatives shrunk by a quarter let solutions escape, and the containment test sees it."""
     whole = enclosure.transition_over

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from peers.task import Answer, Task, Unavailable
 
 import orbitfinder as of
 from orbitfinder.exports.straightline import FORTRAN, fortran_number, straight_line
 from orbitfinder.flow import build_flow
 from orbitfinder.runge_kutta import march
+from peers.task import Answer, Task, Unavailable
 
 HOME = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))
 INTERVALS = (100, 50, 25)
@@ -115,6 +115,7 @@ class Auto:
         subprocess.run(command, cwd=self.folder, check=True, capture_output=True)
 
     def close(self) -> None:
+        """Remove the folder."""
         self._held.cleanup()
 
     def refine(self) -> Answer:

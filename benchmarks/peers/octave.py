@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+
 from peers.task import Answer, Task, Unavailable
 
 SCRIPT = Path(__file__).with_name("refine_orbit.m")

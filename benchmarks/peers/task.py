@@ -24,14 +24,17 @@ class Task:
 
     @property
     def links(self) -> int:
+        """Number of links."""
         return self.state.size // 2
 
     @property
     def energy(self) -> float:
+        """Energy of the printed state in J."""
         return of.energy(of.chain(self.links), self.state)
 
     @property
     def problem(self) -> of.Problem:
+        """The same for orbitfinder."""
         return of.Problem(of.chain(self.links), of.Guess(self.state, self.period), of.pin(energy=self.energy))
 
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from peers.task import Answer, Task, Unavailable
 
 import orbitfinder as of
+from peers.task import Answer, Task, Unavailable
 
 KEEP = 1e-5
 """Residual below which the Jacobian is kept."""

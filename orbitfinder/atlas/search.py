@@ -22,6 +22,8 @@ from orbitfinder.atlas.workers import Workers
 
 AHEAD = 32
 """Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
+MOST_SOURCES = 200
+"""Known orbits that a search at another energy continues from."""
 PATIENCE = 0.2
 """Seconds between two looks at the clock."""
 
@@ -90,8 +92,8 @@ def sources(atlas: Atlas, search: int) -> list[int]:
         found = atlas.connection.execute(
             "SELECT orbits.id FROM orbits, searches WHERE searches.id = ? AND orbits.id <= searches.sources "
             "AND abs(orbits.energy - searches.energy) > 1e-6 * max(1.0, abs(searches.energy)) "
-            "ORDER BY abs(orbits.energy - searches.energy), orbits.id",
-            [search],
+            "ORDER BY abs(orbits.energy - searches.energy), orbits.id LIMIT ?",
+            [search, MOST_SOURCES],
         ).fetchall()
     return [number for (number,) in found]
 

@@ -143,13 +143,13 @@ def _fresh(
 def directions(
     origin: FamilyPoint, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]], away: int = 1
 ) -> Iterator[tuple[int, float | None, tuple[float, ...]]]:
-    """(direction, stop, exact values) of every walk that is wanted: towards the goals, else as set."""
+    """(direction, stop, exact values) of every walk that is wanted: as set, or from "both" towards the goals."""
     until, at = goals
-    if until is None and not at:
+    if settings.directions != "both" or (until is None and not at):
         signs = {"both": (1, -1), "forward": (1,), "backward": (-1,), "away": (away,)}.get(settings.directions)
         if signs is None:
             raise InputError(f"directions: must be both, forward, backward or away, got {settings.directions!r}")
-        yield from ((sign, None, ()) for sign in signs)
+        yield from ((sign, until, at) for sign in signs)
         return
     for sign in (1, -1):
         wanted = [value for value in at if sign * (value - origin.value) > 0]

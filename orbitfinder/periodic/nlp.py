@@ -14,7 +14,6 @@ from orbitfinder.periodic.failure import explain, refuse_equilibrium
 from orbitfinder.periodic.shooting import Shooting
 from orbitfinder.quiet import captured
 
-
 STALLED = {
     "acceptable_tol": 1e-6, "acceptable_iter": 10, "acceptable_constr_viol_tol": 1e-9, "acceptable_compl_inf_tol": 1e-7,
 }  # fmt: skip

@@ -116,7 +116,7 @@ def _peak(
     place = _component(problem, states)
     if problem.objective == "max_amplitude" and problem.turns[place]:
         raise InputError(
-            f"coordinate: {problem.model.state_names[place]} turns over and over, so it has no amplitude; choose another"
+            f"coordinate: {problem.model.state_names[place]} turns over and over and has no amplitude; choose another"
         )
     heights: list[float] = []
     for _ in range(ROUNDS):

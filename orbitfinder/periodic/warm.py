@@ -46,7 +46,7 @@ class WarmSettings:
     most_segments: int = 40
     largest_change: float = 0.2
     """of the period in one step, relative: a longer step leads to a multiple of the orbit, or to another"""
-    handover: float = 1e-3
+    handover: float = 1e-4
     """residual at which the coarse march has done its work"""
     contraction: float = 0.1
     """a chord step that reduces the residual by less asks for a new Jacobian"""

@@ -61,11 +61,6 @@ def up_to(h: Any) -> Any:
     return arb(0).union(h)
 
 
-def widened(x: Any, radius: Any) -> Any:
-    """A ball with its radius enlarged (by at least `radius`)."""
-    return x + arb(0, radius)
-
-
 def midpoints(vector: Iterable[Any]) -> Vector:
     """Exact centres of balls."""
     return [x.mid() for x in vector]
@@ -96,11 +91,6 @@ def inside(outer: Sequence[Any], inner: Sequence[Any]) -> bool:
 def column(vector: Sequence[Any]) -> Any:
     """A column matrix of balls."""
     return arb_mat(len(vector), 1, list(vector))
-
-
-def entries(matrix: Any) -> Vector:
-    """The entries of a matrix, row by row."""
-    return list(matrix.entries())
 
 
 def exact(matrix: np.ndarray) -> Any:

@@ -49,6 +49,7 @@ def programs(model: Model) -> Programs:
             "which ball arithmetic cannot follow; only systems with closed-form accelerations can be proved"
         )
     rates = model.acceleration(0.0, q, v, p) + s * model.invariants[0].unfolding(q, v, p)
+    check_unfolding(program(model.invariants[0].unfolding), n)
     total, kinetic = model.invariants[0].value(q, v, p), model.kinetic(q, v, p)
     inputs, x = [q, v, s, p], ca.vertcat(q, v)
     derivatives = ca.jacobian(rates, ca.vertcat(x, s))
@@ -72,6 +73,13 @@ def check_provable(model: Model) -> None:
             f"system: it conserves {names}; the theorem unfolds the energy alone, so give the system gravity "
             "or remove the other symmetry"
         )
+
+
+def check_unfolding(code: Program, size: int) -> None:
+    """`InputError` unless the energy is unfolded by a + s v, which is what the theorem's sign argument is about."""
+    places = {value: (argument, entry) for value, argument, entry in code.inputs}
+    if [places.get(code.outputs[0].get(i, -1)) for i in range(size)] != [(1, i) for i in range(size)]:
+        raise InputError("invariants: the energy's unfolding is not the velocity; the theorem needs a + s v")
 
 
 @dataclass(frozen=True)

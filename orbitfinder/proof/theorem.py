@@ -6,7 +6,7 @@ docs/proof.md states and proves the theorem; this module checks its hypotheses o
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -195,7 +195,7 @@ def conclusions(
         raise NotProved("the state could be an equilibrium")
     if form.unfolded and not positive_mass(path):
         raise NotProved("the mass matrix could not be shown to be positive definite along the orbit")
-    distance, apart = gaps(orbit, path, start)
+    distance, apart = gaps(orbit, path, start, model.angles)
     if not max(distance, apart) <= options.nearness:
         raise NotProved(
             f"an orbit exists, but not within {options.nearness:g} of the record: "
@@ -214,21 +214,19 @@ def conclusions(
     }  # fmt: skip
 
 
-def gaps(orbit: Orbit, path: Tour, start: Approach) -> tuple[float, float]:
+def gaps(orbit: Orbit, path: Tour, start: Approach, angles: Sequence[bool]) -> tuple[float, float]:
     """Upper bounds of the distances of the recorded state (rad, rad/s) and period (s) from the proved ones.
 
-    The recorded state is compared with the orbit's at the phase at which it was recorded, corrected
-    once along the flow.
+    The recorded state is compared with the orbit's (angles modulo whole turns) at the phase at which it was
+    recorded, corrected along the flow.
     """
-    recorded = [arb(float(x)) for x in orbit.state]
-    n = path.formulation.size
+    recorded, turn = [arb(float(x)) for x in orbit.state], 2 * arb.pi()
+    n, turning = path.formulation.size, [*angles, *([False] * path.formulation.size)]
 
     def difference(phase: Fraction) -> Vector:
-        found = path.state(phase % 1)
-        turned = 2 * arb.pi() * (phase.numerator // phase.denominator)
-        whole = [turned * k for k in path.formulation.turns] + [arb(0)] * n
-        raw = [a + w - b for a, w, b in zip(found, whole, recorded, strict=True)]
-        return [x - 2 * arb.pi() * round(float(x.mid()) / 6.283185307179586) if i < n else x for i, x in enumerate(raw)]
+        raw = [a - b for a, b in zip(path.state(phase % 1), recorded, strict=True)]
+        whole = [round(float((x / turn).mid())) if angle else 0 for x, angle in zip(raw, turning, strict=True)]
+        return [x - k * turn for x, k in zip(raw, whole, strict=True)]
 
     phase = Fraction(start.phase)
     for _ in range(3):

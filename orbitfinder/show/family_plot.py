@@ -73,13 +73,15 @@ def _draw(axes: Any, motion: Motion) -> None:
     axes.plot(right[0], -down[0], "s", color="black", markersize=4)
 
 
-def frequency_energy(families: Sequence[Family], marks: dict[str, tuple[float, float]] | None = None) -> Figure:
+def frequency_energy(
+    families: Sequence[Family], marks: dict[str, tuple[float, float]] | None = None, title: str = ""
+) -> Figure:
     """Frequency against energy, one colour a family: solid where stable, dashed where unstable, events marked.
 
     `marks` are further orbits to show, name -> (energy, period).
     """
     names = ", ".join(family.name for family in families)
-    figure = new_figure(8.0, 5.6, f"{names}: frequency and energy")
+    figure = new_figure(8.0, 5.6, title or f"{names}: frequency and energy")
     axes = figure.subplots()
     shown: dict[str, Any] = {}
     for k, family in enumerate(families):

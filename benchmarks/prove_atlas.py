@@ -1,0 +1,106 @@
+"""Prove orbits of an atlas, the quickest first, and keep the records.
+
+Each record is the orbit's document with its `proof` entry, so that
+
+    orbitfinder verify --proof results/proofs/*.json
+
+and the slow test tests/test_proof_records.py replay it. Orbits that could not be proved are listed
+with the reason in the summary. Records that are there already are left alone, so a run can be stopped
+and given again.
+
+    python benchmarks/prove_atlas.py results/atlas/triple.sqlite --count 50 --jobs 2
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import multiprocessing
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.atlas.store import Atlas
+from orbitfinder.periodic.orbit import orbit_from_document, write_atomically
+from orbitfinder.proof.formulation import PARTS
+from orbitfinder.proof.record import entry
+from orbitfinder.proof.theorem import prove
+
+
+def cost(document: dict[str, Any]) -> float:
+    """A guess of how long a proof takes: the horizon, longer for unstable orbits."""
+    largest = max((math.hypot(*mu) for mu in document["floquet_multipliers"]), default=1.0)
+    return document["period"] / PARTS.get(document["symmetry"], 1) * (1 + math.log10(max(largest, 1.0)))
+
+
+def attempt(task: tuple[str, dict[str, Any]]) -> tuple[str, dict[str, Any], dict[str, Any]]:
+    """The proof of one document, in a process of its own."""
+    name, document = task
+    orbit = orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+    return name, document, entry(prove(orbit))
+
+
+def tasks(atlas: Path, folder: Path, count: int) -> list[tuple[str, dict[str, Any]]]:
+    """Names and documents of the cheapest orbits of an atlas that have no record yet."""
+    with Atlas(atlas) as opened:
+        listed = [(f"{atlas.stem}-{row.id}", opened.document(row.id)) for row in opened.rows()]
+    listed.sort(key=lambda one: cost(one[1]))
+    missing = count - sum((folder / f"{name}.json").is_file() for name, _ in listed)
+    return [one for one in listed if not (folder / f"{one[0]}.json").is_file()][: max(0, missing)]
+
+
+def summary(folder: Path, failures: dict[str, str]) -> str:
+    """A table of all records in a folder, and what could not be proved in this run."""
+    lines = [
+        "# Proved orbits",
+        "",
+        "Written by `python benchmarks/prove_atlas.py`; replayed by `orbitfinder verify --proof results/proofs/*.json`",
+        "and by the slow test `tests/test_proof_records.py`. What is proved: docs/proof.md.",
+        "",
+        "| record | symmetry proved | energy (J) | period (s) | radius | contraction | stability | wall time (s) |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for file in sorted(folder.glob("*.json"), key=lambda one: (one.stem.rsplit("-", 1)[0], len(one.stem), one.stem)):
+        document = json.loads(file.read_text())
+        proof = document["proof"]
+        lines.append(
+            f"| {file.stem} | {proof['symmetry']} | {document['energy']:.9g} | {proof['period']['value'][:17]} "
+            f"+- {proof['period']['radius']:.0e} | {proof['box_radius']:.0e} | {proof['contraction']:.1e} "
+            f"| {proof['stability']} | {proof['wall_time']} |"
+        )
+    for name, reason in failures.items():
+        lines += ["", f"Not proved: {name}: {reason}"]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Run the proofs side by side and write records and summary."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("atlas", type=Path)
+    parser.add_argument("--count", type=int, default=50, help="records wanted in all")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("results/proofs"))
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    todo, failures, began = tasks(options.atlas, options.out, options.count), {}, time.perf_counter()
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+        for name, document, proof in pool.imap_unordered(attempt, todo):
+            verdict = f"{proof.get('stability')}" if proof["proved"] else f"not proved: {proof['reason']}"
+            print(f"{name}: {proof['symmetry']}, {verdict}, {proof['wall_time']} s", file=sys.stderr, flush=True)
+            if proof["proved"]:
+                text = json.dumps(document | {"name": name, "proof": proof}, indent=1, allow_nan=False)
+                write_atomically(options.out / f"{name}.json", (text + "\n").encode())
+            else:
+                failures[name] = proof["reason"]
+    write_atomically(options.out / "README.md", summary(options.out, failures).encode())
+    records = len(list(options.out.glob("*.json")))
+    print(f"{records} records in {options.out}, {len(failures)} not proved, {time.perf_counter() - began:.0f} s")
+    return 0 if records >= options.count else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,168 @@
+"""`orbitfinder continue` from files: branches of a family, orbits of every kind of system, mistakes."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from orbitfinder.cli import cli
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.families.command import continue_command
+from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.start import begin
+from orbitfinder.families.store import load_family
+from orbitfinder.families.switching import branches
+from orbitfinder.periodic.orbit import load_orbit
+
+ROOT = Path(__file__).parents[1]
+FAMILIES = ROOT / "problems" / "families"
+TRIPLE_1 = (-38.35109857464619, 1.6553389883146419)
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(cli, [str(argument) for argument in arguments])
+
+
+def said(result):
+    """What a failed command says on standard error."""
+    return " ".join(result.stderr.split()) if result.stderr else str(result.exception)
+
+
+@pytest.fixture(scope="module")
+def second_mode(tmp_path_factory):
+    """family.json of the triple pendulum's second mode up to its first branch points, by the command."""
+    out = tmp_path_factory.mktemp("families")
+    options = ("--direction", "forward", "--until", -36.5, "--no-figures", "--out", out)
+    result = invoke("continue", FAMILIES / "triple-mode-2.toml", *options)
+    assert result.exit_code == 0, result.output
+    return out / "triple-mode-2" / "family.json"
+
+
+def test_triple_1_by_commands_alone(second_mode, tmp_path):
+    """Switch at the event where the second mode loses its reflection; the report's orbit is on that branch."""
+    energy, period = TRIPLE_1
+    options = ("--switch", 2, "--at", energy, "--points", 12, "--no-figures", "--out", tmp_path)
+    result = invoke("continue", second_mode, *options)
+    assert result.exit_code == 0, result.output
+    family = load_family(tmp_path / "triple-mode-2-2-1" / "family.json")
+    point = next(one for one in family.points if one.role == "at")  # before the fold in energy
+    assert abs(point.period - period) < 1e-11 and point.symmetry == "brake"
+    assert family.source["kind"] == "branch" and family.source["family"] == "triple-mode-2"
+    # the same command again finds its journal and adds nothing
+    again = invoke("continue", second_mode, *options)
+    assert again.exit_code == 0 and load_family(tmp_path / "triple-mode-2-2-1" / "family.json").values(
+        "period"
+    ).tolist() == family.values("period").tolist()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "--switch: missing; give the event to leave triple-mode-2 at: 0: period_doubling"),
+        (("--switch", 3), "no branch leaves at event 3; choose one of 0: period_doubling"),
+        (("--switch", 99), "no branch leaves at event 99"),
+        (("--switch", 2, "--branch", 5), "--branch: 5 asked for, 1 found at event 2; give 1 to 1"),
+        (("--switch", 2, "--name", "a/b"), "name: must consist of letters"),
+    ],
+)
+def test_mistakes_in_switching_are_named(second_mode, tmp_path, arguments, message):
+    """Exit code 2 and one sentence."""
+    result = invoke("continue", second_mode, *arguments, "--out", tmp_path)
+    assert (result.exit_code, message in said(result)) == (2, True), said(result)
+
+
+def test_switch_needs_a_family(tmp_path):
+    """A problem file or an orbit has no events."""
+    result = invoke("continue", FAMILIES / "triple-mode-2.toml", "--switch", 0, "--out", tmp_path)
+    assert result.exit_code == 2 and "--switch: goes with a family.json" in said(result)
+    orbit = ROOT / "results" / "orbits" / "triple-1" / "orbit.json"
+    result = invoke("continue", orbit, "--switch", 0, "--out", tmp_path)
+    assert result.exit_code == 2 and "is not a family.json" in said(result)
+
+
+def test_family_without_its_nodes_cannot_be_switched(second_mode, tmp_path):
+    """family.json alone is read (an orbit is its state and period); older files lack the curve."""
+    bare = tmp_path / "family.json"
+    shutil.copy(second_mode, bare)
+    whole, alone = load_family(second_mode), load_family(bare)
+    assert whole.values("period").tolist() == alone.values("period").tolist()
+    with pytest.raises(InputError, match=r"family\.npz"):
+        branches(bare, 2)
+    document = json.loads(bare.read_text(encoding="utf-8"))
+    del document["curve"]
+    bare.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(InputError, match="curve: missing"):
+        branches(bare, 2)
+
+
+def test_no_branch_is_an_error(second_mode, monkeypatch):
+    """When nothing is found at an event, that is said."""
+    monkeypatch.setattr("orbitfinder.families.switching.switch", lambda *_: [])
+    with pytest.raises(ConvergenceError, match="no branch was found at event 2"):
+        branches(second_mode, 2)
+
+
+SYSTEM = '''
+import casadi as ca
+import orbitfinder as of
+
+
+def stiffening(k=1.0):
+    """x'' = -k x - x^3."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    symbols = of.Symbols(q, v)
+    return of.lagrange(v**2 / 2, float(k) * q**2 / 2 + q**4 / 4, symbols, names=["x"])
+'''
+TRUSTED = """
+name = "stiff"
+[system]
+kind = "python"
+module = "stiffening_system"
+function = "stiffening"
+arguments = { k = 2.0 }
+[guess]
+state = [1.0, 0.0]
+period = 3.6
+[find]
+pin = { x = 1.0 }
+"""
+
+
+def test_orbits_of_trusted_systems_are_continued(tmp_path, monkeypatch):
+    """`run` writes an orbit of a user's own module; `continue` takes it with --trust, and refuses without."""
+    (tmp_path / "stiffening_system.py").write_text(SYSTEM, encoding="utf-8")
+    (tmp_path / "stiff.toml").write_text(TRUSTED, encoding="utf-8")
+    assert invoke("run", tmp_path / "stiff.toml", "--trust", "--out", tmp_path / "orbits").exit_code == 0
+    orbit = tmp_path / "orbits" / "stiff" / "orbit.json"
+    options = ("--until", 2.0, "--no-figures", "--out", tmp_path / "families")
+    refused = invoke("continue", orbit, *options)
+    assert refused.exit_code == 2 and "--trust" in said(refused)
+    monkeypatch.chdir(tmp_path)
+    result = invoke("continue", orbit, "--trust", *options)
+    assert result.exit_code == 0, result.output
+    family = load_family(tmp_path / "families" / "stiff" / "family.json")
+    assert family.ends[0].kind == "target" and family.points[-1].energy == pytest.approx(2.0, abs=1e-12)
+    assert invoke("continue", orbit, "--trust", *options).exit_code == 0  # resumed from the journal
+
+
+def test_free_and_chosen_orbits_start_families(tmp_path):
+    """A problem that frees a length continues the orbit of the changed system."""
+    text = (ROOT / "problems" / "examples" / "double-prescribed-period.toml").read_text(encoding="utf-8")
+    (tmp_path / "free.toml").write_text(text, encoding="utf-8")
+    result = invoke("continue", tmp_path / "free.toml", "--points", 3, "--no-figures", "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+
+
+def test_running_orbit_of_a_chain_with_an_orbit_file(tmp_path):
+    """A running pendulum's orbit.json: winding kept, followed to where its period blows up."""
+    problem = ROOT / "problems" / "examples" / "pendulum-running.toml"
+    assert invoke("run", problem, "--out", tmp_path).exit_code == 0
+    orbit = load_orbit(tmp_path / "pendulum-running" / "orbit.json")
+    settings = FamilySettings(directions="backward")
+    family = continue_command(orbit, out=tmp_path / "families", settings=settings)
+    assert family.ends[0].kind == "homoclinic" and family.points[0].energy == pytest.approx(4.9, abs=0.05)
+    assert begin(orbit).curve.propagator.symmetry.name == "reversal"
+    assert np.all(np.diff(family.values("period")) < 0)
