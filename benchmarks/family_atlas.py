@@ -1,5 +1,7 @@
 """Write results/families: every family by the command that its entry in README.md gives.
 
+Sizes are kept small: one line of JSON and figures in few colours, without the nodes.
+
     python benchmarks/family_atlas.py                all of it, some minutes
     python benchmarks/family_atlas.py --only NAME    one entry again (and what it is switched from)
 """
@@ -70,13 +72,13 @@ leads to a closed family between -77.4508 and -39.9080 J, which is recognised wh
     Entry("quadruple-mode-1-resolved", "problems/families/quadruple-mode-1.toml --direction forward --resolve 2e-4 "
           "--name quadruple-mode-1-resolved " + UP, """The same start followed through the 7:1 resonance: the curve that
 truly belongs to the equilibrium. It goes on to 45 J above hanging."""),
-    mode("quadruple", 2, SWINGS + " -77.9365603703212", """The second mode; the report's first quadruple orbit is a small
-motion on it."""),
+    mode("quadruple", 2, SWINGS + " -77.9365603703212", """The second mode; the report's first quadruple orbit is a
+small motion on it."""),
     mode("quadruple", 3, SWINGS + " -78.31380643132762", """The third mode; the report's second quadruple orbit is a
 small motion on it."""),
     mode("quadruple", 4, UP, "The fast mode, neighbouring links against each other."),
-    Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 60", """A five-bar under gravity, slow mode, in
-minimal coordinates; the family folds at -8 J and comes back unstable."""),
+    Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 60", """A five-bar under gravity, slow mode,
+in minimal coordinates; the family folds at -8 J and comes back unstable."""),
     Entry("five-bar-fast", "problems/families/five-bar-fast.toml --points 60", "The same five-bar, fast mode."),
     Entry("henon-heiles-straight", "problems/families/henon-heiles-straight.toml --points 100", """The straight line of
 Hénon-Heiles up to the saddle at E = 1/6, with its cascade of stability changes."""),

@@ -199,9 +199,13 @@ def figure(rows: list[dict[str, Any]], file: Path) -> None:
     for name, label in zip(STAGES, labels, strict=True):
         left.loglog(links, [row[f"{name}_s"] for row in rows], "o-", label=label, ms=3)
     left.loglog(links, [row["total_s"] for row in rows], "ko-", label="all", ms=4)
-    right.loglog(links, [row["certify_mb"] for row in rows], "ko-", ms=4)
+    right.semilogx(links, [row["certify_mb"] for row in rows], "ko-", ms=4)
     left.set(xlabel="links", ylabel="processor time (s)")
-    right.set(xlabel="links", ylabel="peak memory (MB)", ylim=(50, 2000))
+    right.set(
+        xlabel="links",
+        ylabel="peak memory (MB)",
+    )
+    right.set_ylim(bottom=0)
     for axes in (left, right):
         axes.set_xticks(links, [str(n) for n in links])
         axes.minorticks_off()

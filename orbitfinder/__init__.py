@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from orbitfinder.choosing import least_unstable as least_unstable
     from orbitfinder.dae_flow import DaeSettings as DaeSettings
     from orbitfinder.dae_flow import simulate_dae as simulate_dae
+    from orbitfinder.exports.write import export_orbit as export_orbit
     from orbitfinder.flow import IntegratorSettings as IntegratorSettings
     from orbitfinder.flow import build_flow as build_flow
     from orbitfinder.flow import end_state as end_state
@@ -114,6 +115,7 @@ _HOMES = {
     "Problem": "periodic.problem",
     "SolveSettings": "periodic.solve",
     "find_orbit": "periodic.solve",
+    "export_orbit": "exports.write",
     "DaeSettings": "dae_flow",
     "simulate_dae": "dae_flow",
     "assemble": "mechanics.assembly",

@@ -19,9 +19,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.compiled import interpreted_seconds, with_derivatives
 from orbitfinder.errors import IntegrationError
 from orbitfinder.mechanics.model import Invariant, Model
 from orbitfinder.quiet import captured
+from orbitfinder.runge_kutta import variational_field
+
+EVALUATIONS = 20_000
+"""About how often one search for an orbit evaluates the variational equations."""
 
 
 @dataclass(frozen=True)
@@ -127,23 +132,14 @@ def _plain(field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX]
 
 
 def _variational(field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX]) -> list[ca.MX]:
-    symbol, clock, t0, duration, x, s, free = _symbols(field)
-    size, extra = x.numel(), s.numel() + free.numel()
-    columns = symbol("columns", size, size + extra)
-    rate = field(t0 + clock * duration, x, s, free)
-    slopes = ca.jtimes(rate, x, columns)
-    if extra:
-        forcing = ca.horzcat(ca.jacobian(rate, s), ca.jacobian(rate, free))
-        slopes += ca.horzcat(type(x)(size, size), forcing)
-    if symbol is ca.SX.sym:
-        state, whole = ca.vertcat(x, ca.vec(columns)), ca.vertcat(rate, ca.vec(slopes))
-    else:
-        state = ca.MX.sym("whole", size * (1 + size + extra))
-        inner = ca.Function("inner", [clock, x, columns, t0, duration, s, free], [rate, slopes])
-        parts = inner(clock, state[:size], ca.reshape(state[size:], columns.shape), t0, duration, s, free)
-        whole = ca.vertcat(parts[0], ca.vec(parts[1]))
-    packed = ca.vertcat(t0, duration, s, free)
-    solver = _integrator("variational", (clock, state, packed, duration * whole), settings)
+    """End state and sensitivities; the right-hand side is compiled where the work to be expected pays for it."""
+    size, extra = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
+    clock, t0, duration = ca.MX.sym("clock"), ca.MX.sym("t0"), ca.MX.sym("duration")
+    s, free = ca.MX.sym("s", field.size1_in(2)), ca.MX.sym("free", field.size1_in(3))
+    whole, varied = ca.MX.sym("whole", size * (1 + size + extra)), variational_field(field)
+    varied = with_derivatives(varied, effort=interpreted_seconds(varied, EVALUATIONS))
+    rate = duration * varied(t0 + clock * duration, whole, s, free)
+    solver = _integrator("variational", (clock, whole, ca.vertcat(t0, duration, s, free), rate), settings)
     start = ca.vertcat(inputs[1], ca.vec(ca.MX(ca.DM.eye(size))), ca.MX(ca.DM.zeros(size * extra)))
     end = solver(x0=start, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
     return [end[:size], ca.reshape(end[size:], size, size + extra)]

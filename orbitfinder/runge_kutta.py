@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853
 
+from orbitfinder.compiled import compiled, interpreted_seconds
 from orbitfinder.errors import IntegrationError
 
 
@@ -46,13 +47,24 @@ def march(
 
     Raises `IntegrationError` when a state is not finite.
     """
-    parameters = np.concatenate([[duration / steps], tail])
-    path = marcher(field, steps)(np.concatenate([[start], state]), np.tile(parameters[:, None], (1, steps))).full()
+    count = steps
+    while count % 2 == 0 and count > LONGEST:  # so that every doubling is marched by the same function
+        count //= 2
+    walk = compiled(marcher(field, count), effort=interpreted_seconds(field, EVALUATIONS))
+    parameters = np.tile(np.concatenate([[duration / steps], tail])[:, None], (1, count))
+    paths = [np.concatenate([[start], state])[:, None]]
+    for _ in range(steps // count):
+        paths.append(walk(paths[-1][:, -1], parameters).full())
+    path = np.hstack(paths)
     if not np.all(np.isfinite(path)):
         raise IntegrationError("the state is not finite", time=start, state=np.asarray(state))
-    return np.vstack([state, path[1:].T])
+    return np.asarray(path[1:].T)
 
 
+LONGEST = 64
+"""Steps that one function makes at most, where the number of steps is even often enough"""
+EVALUATIONS = 100_000
+"""About how often one search for an orbit evaluates the equations of motion in marches."""
 AGREEMENT = 1e-12
 """Two step sizes must agree to this; the finer result is then some 2^8 times better than that"""
 MOST_DOUBLINGS = 7

@@ -192,9 +192,11 @@ def test_blocks_declare_their_language(page):
     assert len(re.findall(r"^ *```", text, re.MULTILINE)) == 2 * len(list(blocks(page)))
 
 
-@pytest.mark.parametrize("page", sorted((DOCS / "tutorials").glob("*.md")), ids=lambda page: page.stem)
-def test_tutorials_say_how_long_they_take(page):
-    assert re.search(r"\bTakes about \S+ (seconds|minutes?)", page.read_text(encoding="utf-8"))
+@pytest.mark.parametrize("page", list(parameters()))
+def test_pages_say_how_long_their_examples_take(page):
+    """Every page that runs something says in seconds how long that takes."""
+    text = page.read_text(encoding="utf-8")
+    assert re.search(r"\btakes?\s(about|a|from)\s[\w\s()]*(second|minute)", text, re.IGNORECASE)
 
 
 def test_expected_output_is_compared():
@@ -218,6 +220,15 @@ def test_every_page_is_in_the_navigation():
     """mkdocs --strict warns of the reverse; a page that nobody can reach is of no use either."""
     named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
     assert {str(page.relative_to(DOCS)) for page in PAGES} == named
+
+
+def test_every_public_name_is_in_the_reference():
+    """What `import orbitfinder` offers, `errors` and `systems` as whole modules."""
+    import orbitfinder as of
+
+    named = re.findall(r"^::: orbitfinder\.([\w.]+)", (DOCS / "reference" / "python.md").read_text(), re.MULTILINE)
+    homes = {f"{home}.{name}" if home else name for name, home in of._HOMES.items()}
+    assert homes - {"systems"} <= set(named) and {"systems.mechanisms", "systems.oscillators"} <= set(named)
 
 
 def test_nothing_is_loaded_from_the_network():

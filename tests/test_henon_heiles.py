@@ -67,7 +67,7 @@ def test_the_index_of_the_straight_orbit():
 @pytest.mark.parametrize("symmetry", ["none", "brake"])
 @pytest.mark.parametrize(("bracket", "quoted"), list(zip(BRACKETS, QUOTED, strict=True)))
 def test_bifurcation_energies(bracket, quoted, symmetry):
-    """trace Phi(T) = 4 as an equation leads to the bifurcation itself: Hill's equation to 1e-10, all six digits quoted."""
+    """trace Phi(T) = 4 as an equation leads to the bifurcation itself: Hill's to 1e-10, all six digits quoted."""
     model = of.systems.FUNCTIONS["henon_heiles"]()
     guess = of.Guess([0.0, turning_points(bracket[0])[0], 0.0, 0.0], 2 * half_swing(bracket[0])[0])
     double = of.Constraint(lambda v: ca.trace(v.monodromy) - 4, name="double multiplier 1")

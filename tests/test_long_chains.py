@@ -15,9 +15,10 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.chain_lagrange import chain_lagrange
 from orbitfinder.mechanics.model import energies
 from orbitfinder.periodic import harmonic_balance
-from orbitfinder.periodic.certify import certify, gather, is_long
+from orbitfinder.periodic.certify import certify
 from orbitfinder.periodic.chain_evidence import gather_chain
 from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.evidence import gather, is_long
 from orbitfinder.periodic.guesses import normal_mode
 from orbitfinder.periodic.harmonic_balance import Series
 from orbitfinder.periodic.long_chain import balanced, build_chain, find_long_chain, shot, suits
@@ -286,9 +287,9 @@ def test_problem_file_of_a_long_chain(links, tmp_path):
     """`orbitfinder run` on the shipped file, then `verify` on what it wrote: all 2n - 2 multipliers."""
     from click.testing import CliRunner
 
-    from orbitfinder.cli import main
+    from orbitfinder.cli import cli
 
-    done = CliRunner().invoke(main, ["run", str(PROBLEMS / f"chain-{links}.toml"), "--out", str(tmp_path)])
+    done = CliRunner().invoke(cli, ["run", str(PROBLEMS / f"chain-{links}.toml"), "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     file = tmp_path / f"chain-{links}" / "orbit.json"
     document = json.loads(file.read_text())
@@ -296,4 +297,4 @@ def test_problem_file_of_a_long_chain(links, tmp_path):
     assert document["state"][links - 1] == pytest.approx(1.0, abs=1e-14)
     assert document["pair_defect"] <= 1e-8
     assert file.stat().st_size < 200_000 and file.with_suffix(".npz").stat().st_size < 2_000_000
-    assert CliRunner().invoke(main, ["verify", str(file)]).exit_code == 0
+    assert CliRunner().invoke(cli, ["verify", str(file)]).exit_code == 0

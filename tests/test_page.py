@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,7 +130,7 @@ def test_page_weight_is_stated_and_true(site):
 
 def test_a_hundred_orbits_stay_below_six_megabytes(material):
     found = gather([material / "orbits"])
-    made, summary = build_site(type(found)(orbits=found.orbits * 20))
+    made, summary = build_site(replace(found, orbits=found.orbits * 20))
     assert summary.orbits == 100 and summary.size < 6e6
     assert summary.size == sum(map(len, made.files.values()))
 
@@ -256,6 +257,26 @@ def test_bad_paths_are_named(tmp_path):
     (tmp_path / "orbit.npz").write_bytes(b"no zip")
     with pytest.raises(InputError, match="damaged"):
         gather([tmp_path / "orbit.json"])
+
+
+def test_folders_are_searched_for_results(tmp_path):
+    for name in ("below/orbit.json", "proved.json", "rejected.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(json.dumps(document() | {"name": name}))
+    (tmp_path / "numbers.json").write_text('{"format": "something else"}')
+    (tmp_path / "list.json").write_text(json.dumps([document()]))
+    found = gather([tmp_path])
+    assert [one.document["name"] for one in found.orbits] == ["below/orbit.json", "proved.json"]
+    assert not found.atlases and not found.families
+
+
+def test_a_proved_copy_takes_the_place_of_the_orbit(tmp_path):
+    (tmp_path / "orbit.json").write_text(json.dumps(document()))
+    (tmp_path / "proved.json").write_text(json.dumps(document() | {"proof": {"proved": True}}))
+    (tmp_path / "other.json").write_text(json.dumps(document() | {"name": "other"}))
+    found = gather([tmp_path])
+    assert sorted(one.document["name"] for one in found.orbits) == ["other", "triple-1"]
+    assert next(one for one in found.orbits if one.document["name"] == "triple-1").document["proof"]["proved"]
 
 
 def test_a_path_given_twice_counts_once(material):

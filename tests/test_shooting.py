@@ -11,10 +11,10 @@ from orbitfinder.flow import build_flow
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.periodic.conditions import SYMMETRIES, pin, unfolded_invariants
+from orbitfinder.periodic.nlp import SolveSettings, hessian
 from orbitfinder.periodic.polish import polish, residual
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import Shooting, transcribe
-from orbitfinder.periodic.nlp import SolveSettings, hessian
 from orbitfinder.periodic.solve import initial_nodes
 
 

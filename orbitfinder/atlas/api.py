@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from orbitfinder.atlas.report import Summary, summarise
 from orbitfinder.atlas.search import Limits, Search, Tally
 from orbitfinder.atlas.starts import Bench, Target, bench
@@ -76,16 +78,27 @@ def search(
 def employed(one: Bench, task: Task, workers: int, scheduler: str | None) -> Workers:
     """Whoever is to do the starts."""
     if scheduler is not None:
+        rebuildable(one.model, task)
         from orbitfinder.atlas.cluster import Cluster
 
         return Cluster(task, scheduler)
     if workers == 0:
         return Inline(one, task)
+    rebuildable(one.model, task)
+    return Local(task, workers)
+
+
+def rebuildable(model: Model, task: Task) -> None:
+    """`InputError` when other processes would not make the same Model from its description."""
     try:
-        build_model(task.system, None if task.folder is None else Path(task.folder))
+        built = build_model(task.system, None if task.folder is None else Path(task.folder))
     except InputError as error:
         raise InputError(f"workers: other processes cannot rebuild this system ({error}); use workers=0") from error
-    return Local(task, workers)
+    same = built.parameter_values.shape == model.parameter_values.shape and np.allclose(
+        built.parameter_values, model.parameter_values, rtol=1e-15
+    )
+    if built.state_names != model.state_names or not same:
+        raise InputError("workers: the description of this system makes another one elsewhere; use workers=0")
 
 
 def check_request(

@@ -36,6 +36,10 @@ class QuickSettings:
     """(evaluations, scaled residual): given up when it is still larger after so many"""
     largest_step: float = 1.0
     """scaled length of a step, about a radian"""
+    largest_rate: float = 100.0
+    """bound on rates, in units of the guess's root mean square; a step beyond it is not taken"""
+    largest_unfolding: float = 100.0
+    """bound on |s| in 1/s; values of 10 have been seen to come back, this has left the problem"""
     growth_per_segment: float = 10.0
     fewest_segments: int = 2
     most_segments: int = 16
@@ -172,6 +176,15 @@ def moved(one: System, path: Path, step: np.ndarray) -> Path:
     return Path(nodes, period, path.unfolding + change[count * size + 1 :])
 
 
+def bounded(one: System, path: Path, settings: QuickSettings) -> Path:
+    """The path, if its rates and unfolding are within bounds; `IntegrationError` otherwise."""
+    n = path.nodes.shape[1] // 2
+    fast = float(np.abs(path.nodes[:, n:]).max()) > settings.largest_rate * one.columns[n]
+    if fast or float(np.abs(path.unfolding).max(initial=0.0)) > settings.largest_unfolding:
+        raise IntegrationError("out of bounds", time=0.0, state=path.nodes[0])
+    return path
+
+
 def solve(one: System, start: Path, settings: QuickSettings) -> tuple[Path, np.ndarray]:
     """A path with a small scaled residual and the Jacobian there; `ConvergenceError` says why there is none."""
     path, damping = start, 1e-2
@@ -184,7 +197,7 @@ def solve(one: System, start: Path, settings: QuickSettings) -> tuple[Path, np.n
             raise ConvergenceError("hopeless start")
         step = damped_step(jacobian, residual, damping, settings.largest_step)
         try:
-            trial = moved(one, path, step)
+            trial = bounded(one, moved(one, path, step), settings)
             found, slopes = linearised(one, trial)
         except IntegrationError:
             damping = max(10 * damping, 1e-3)

@@ -22,7 +22,7 @@ from orbitfinder.atlas.workers import Workers
 
 AHEAD = 32
 """Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
-MOST_SOURCES = 200
+MOST_SOURCES = 80
 """Known orbits that a search at another energy continues from."""
 PATIENCE = 0.2
 """Seconds between two looks at the clock."""

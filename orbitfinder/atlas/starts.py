@@ -164,7 +164,7 @@ def check(model: Model, target: Target) -> None:
 
 def equilibrium(model: Model) -> np.ndarray:
     """Coordinates (n) of the minimum of the potential nearest to q = 0."""
-    from scipy.optimize import minimize
+    from scipy.optimize import minimize, root
 
     n = model.degrees_of_freedom
 
@@ -175,8 +175,12 @@ def equilibrium(model: Model) -> np.ndarray:
     slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
     if np.abs(slopes).max() < 1e-11 * max(1.0, abs(potential(zero))):
         return zero
-    found = minimize(potential, zero, method="BFGS", options={"gtol": 1e-11})
-    return np.asarray(minimize(potential, found.x, method="Nelder-Mead", options={"xatol": 1e-12, "fatol": 0}).x)
+    found = minimize(potential, zero, method="BFGS", options={"gtol": 1e-11}).x
+
+    def force(q: np.ndarray) -> np.ndarray:
+        return np.asarray(model.acceleration(0.0, q, zero, model.parameter_values).full().ravel())
+
+    return np.asarray(root(force, found, tol=1e-15).x)
 
 
 def make_start(one: Bench, seed: int, index: int) -> Start:

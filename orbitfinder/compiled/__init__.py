@@ -124,6 +124,11 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     return result
 
 
+def interpreted_seconds(function: ca.Function, calls: float) -> float:
+    """About how long so many calls take interpreted: 3 ns per operation, measured on three to ten links."""
+    return 3e-9 * calls * float(function.n_instructions())
+
+
 def with_derivatives(function: ca.Function, *, effort: float | None = None) -> ca.Function:
     """`compiled(function)` whose Jacobian is the interpreted one: CVODES and IDAS will not be built without one."""
     fast = compiled(function, effort=effort)

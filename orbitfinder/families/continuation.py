@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.ends import end_after, merged, returned, shortest_step
+from orbitfinder.families.ends import end_after, energies_of, merged, returned, shortest_step
 from orbitfinder.families.events import Interval, Probe, find_events, make_interval, make_probe
 from orbitfinder.families.exact import exact_points
 from orbitfinder.families.mesh import settled
@@ -133,7 +133,8 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
             kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
             before = tuple(event for event in named if abs(event.arclength - where) <= reach)
             return Batch(walk.direction, _ordered([*kept, final[0]]), before, end)
-    found = end_after(curve, after.found, settings, after.shortest_period, "", stand.found)
+    about = energies_of(walk.origin, stand.point, after.point)
+    found = end_after(curve, after.found, settings, after.shortest_period, "", stand.found, about)
     if found is not None and found.kind == "equilibrium":
         return Batch(walk.direction, (), (), found)
     for event in named:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.points import End, FamilySettings
+from orbitfinder.families.points import End, FamilyPoint, FamilySettings
 from orbitfinder.families.propagate import rates
 from orbitfinder.families.start import full_samples
 from orbitfinder.families.system import Aim, Curve, Place, Solution, at_place, blended, correct, distance
@@ -17,8 +18,12 @@ SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
 SLOW_SHARE = 0.4
 """... and an orbit that spends this share of its period there is nearly homoclinic to it."""
-UNDERFLOW_GROWTH = 1.5
-"""A step underflow with the period this much above the shortest, and slow, is read as homoclinic."""
+UNDERFLOW_GROWTH, UNDERFLOW_SHARE = 1.5, 0.25
+"""A step underflow with the period this much above the shortest, and slow for this share, is read as homoclinic."""
+UNDECIDED = 1e11
+"""Beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
+SETTLED = 1e-4
+"""and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then."""
 MOST_COVERS = 6
 """A family may join another one of up to this many times shorter a period."""
 JOINED = 1e-3
@@ -31,6 +36,29 @@ HOMOCLINIC_STEP = 1e-2
 """Steps of a nearly homoclinic family are not made shorter than this."""
 
 
+@dataclass(frozen=True)
+class Energies:
+    """Energy (J) at a family's start and its last two points, log ratio of their periods, largest multiplier."""
+
+    start: float
+    before: float
+    after: float
+    stretch: float
+    largest: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether the period grows without the energy changing any more, beyond what can be decided."""
+        change = abs(self.after - self.before) / max(self.stretch, 1e-300)
+        return self.largest > UNDECIDED and self.stretch > 0 and change < SETTLED * abs(self.after - self.start)
+
+
+def energies_of(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> Energies:
+    """What `end_after` reads of three points."""
+    stretch = float(np.log(after.period / before.period))
+    return Energies(origin.energy, before.energy, after.energy, stretch, after.scale)
+
+
 def end_after(
     curve: Curve,
     found: Solution,
@@ -38,12 +66,13 @@ def end_after(
     shortest_period: float,
     failure: str,
     before: Solution | None = None,
+    energies: Energies | None = None,
 ) -> End | None:
     """The reason to stop after a step (or after a failed one), or None."""
     share, state = slowness(curve, found)
     grown = found.place.period / shortest_period
     if failure:
-        if grown > UNDERFLOW_GROWTH and share > SLOW_SHARE:
+        if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE:
             return _homoclinic(curve, found, state, grown, f"; then {failure}")
         return End("step underflow", failure)
     if before is not None and collapsed(curve, before, found):
@@ -52,6 +81,8 @@ def end_after(
         return End("equilibrium", reason)
     if grown > settings.longest_period and share > SLOW_SHARE:
         return _homoclinic(curve, found, state, grown, "")
+    if energies is not None and share > SLOW_SHARE and energies.settled and not curve.propagator.free:
+        return _homoclinic(curve, found, state, grown, f", multiplier {energies.largest:.2g}, beyond what can be told")
     return None
 
 

@@ -44,6 +44,8 @@ def branches(
     """
     family = load_family(path)
     chosen = _event(family, event, str(path))
+    if not chosen.nodes.size:
+        raise InputError(f"{path}: family.npz is not beside it; continue the family again to switch from it")
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     curve = curve_of(family.curve, model or build_model(family.system), settings)
     starts = switch(curve, chosen, settings)

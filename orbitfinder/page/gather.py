@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
 DATABASES = (".sqlite", ".sqlite3", ".db")
 NAMES = ("orbit.json", "family.json")
+OURS = re.compile(rb'\s*\{\s*"format"\s*:\s*"orbitfinder/(orbit|family)"')
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,8 @@ def evenly(count: int, most: int) -> list[int]:
 def gather(paths: Sequence[Path]) -> Gathered:
     """Read orbit.json, family.json, atlas exports and atlas databases, or folders of them.
 
-    Of a folder every orbit.json, family.json and *.sqlite below it is taken, in alphabetical order.
+    Of a folder every orbit, family and *.sqlite below it is taken, in alphabetical order; what `run` wrote as
+    rejected.json is left out.
     Raises `InputError`.
     """
     found, seen = Gathered(), set()
@@ -67,17 +70,38 @@ def gather(paths: Sequence[Path]) -> Gathered:
             if (place := file.resolve()) not in seen:
                 seen.add(place)
                 _take(file, found)
+    found.orbits = _distinct(found.orbits)
     return found
 
 
+def _distinct(orbits: Sequence[OrbitFile]) -> list[OrbitFile]:
+    """The orbits without copies of the same record; of copies the one that carries a proof is kept."""
+    kept: dict[object, OrbitFile] = {}
+    for one in orbits:
+        key = (one.document["name"], one.document.get("record") or id(one))
+        if key not in kept or ("proof" in one.document and "proof" not in kept[key].document):
+            kept[key] = one
+    return list(kept.values())
+
+
 def _below(folder: Path) -> list[Path]:
-    files = sorted(file for file in folder.rglob("*") if file.name in NAMES or file.suffix in DATABASES)
+    files = sorted(file for file in folder.rglob("*") if file.is_file() and _holds_results(file))
     if not files:
         raise InputError(
-            f"{folder}: no orbit.json, family.json or atlas (*.sqlite) in this folder; run `orbitfinder run`, "
+            f"{folder}: no orbit.json, family.json or atlas (*.sqlite) below this folder; run `orbitfinder run`, "
             "`continue` or `search` first, or name the files"
         )
     return files
+
+
+def _holds_results(file: Path) -> bool:
+    """Whether a file below a folder is meant: by its name, or as a single orbit or family under another name."""
+    if file.name in NAMES or file.suffix in DATABASES:
+        return True
+    if file.suffix != ".json" or file.name.startswith("rejected"):
+        return False
+    with file.open("rb") as stream:
+        return OURS.match(stream.read(400)) is not None
 
 
 def _take(file: Path, found: Gathered) -> None:

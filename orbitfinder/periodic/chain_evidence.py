@@ -14,7 +14,7 @@ from scipy.integrate import trapezoid
 
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
 from orbitfinder.mechanics.model import Model, energies
-from orbitfinder.periodic.certify import SAMPLES, Evidence, gap
+from orbitfinder.periodic.evidence import SAMPLES, Evidence, gap
 from orbitfinder.periodic.floquet import analyse, reduce_monodromy
 from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, integrate
 

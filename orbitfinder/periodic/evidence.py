@@ -82,7 +82,8 @@ def gather(
 
 def is_long(model: Model) -> bool:
     """True for chains that are certified on Lagrange's equations in closed form (see `chain_evidence`)."""
-    return model.system.get("kind") == "chain" and model.degrees_of_freedom >= FEWEST_LINKS
+    plain = model.forces is None and model.gyroscopic is None and not model.forced
+    return plain and model.system.get("kind") == "chain" and model.degrees_of_freedom >= FEWEST_LINKS
 
 
 def _velocities(momenta: np.ndarray, field: object, n: int) -> np.ndarray:

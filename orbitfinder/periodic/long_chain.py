@@ -23,8 +23,9 @@ from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
 from orbitfinder.periodic import harmonic_balance
-from orbitfinder.periodic.certify import certify, gap, is_long
+from orbitfinder.periodic.certify import certify
 from orbitfinder.periodic.conditions import Pin, pin_row
+from orbitfinder.periodic.evidence import gap, is_long
 from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
 from orbitfinder.periodic.harmonic_balance import PinRow, Series
 from orbitfinder.periodic.measure import action

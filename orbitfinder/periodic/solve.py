@@ -37,7 +37,8 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
 
     Multiple shooting solved by IPOPT with an explicit Hessian (so that a square problem is solved
     by Newton's method), two or more Newton steps on the residual of a high-order integrator, the
-    minimal period. Raises `CountError` before solving an over- or under-determined problem,
+    minimal period. Symmetric modes of chains of 11 links and more are found by `long_chain` instead.
+    Raises `CountError` before solving an over- or under-determined problem,
     `ConvergenceError` with a sentence to act on, `IntegrationError` when a segment cannot be
     integrated from the guess. The result may still fail its certificate: look at
     `orbit.certificate.passed`.

@@ -17,7 +17,7 @@ from orbitfinder.errors import InputError
 
 try:
     import flint
-    from flint import arb, arb_mat, fmpq
+    from flint import arb, arb_mat, arb_series, fmpq  # noqa: F401 - series take theirs from here
 except ImportError as error:  # pragma: no cover - depends on what is installed
     raise InputError(
         "proofs need python-flint (ball arithmetic), which is not installed; "

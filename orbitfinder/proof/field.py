@@ -10,6 +10,7 @@ respect to everything that the theorem varies.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal
 from orbitfinder.proof.program import Program, program
-from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence
+from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence, whole_series
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,8 @@ class Field:
 
     def solution(self, z: Sequence[Any], order: int, vary: bool = False) -> Solution:
         """The series through z with those of the program's values, of the Jacobian's too when asked for."""
-        return Solution(self, self.varied if vary else self.plain, z, order)
+        plain = Solution(self, z, order)
+        return plain.varied(self.varied) if vary else plain
 
     def rates(self, z: Sequence[Any]) -> Vector:
         """The field at z: z' (2n + 2)."""
@@ -141,14 +143,23 @@ class Solution:
     `states` (2n lists) has orders 0..order, `values` (of the program) 0..order - 1.
     """
 
-    def __init__(self, field: Field, code: Recurrence, z: Sequence[Any], order: int) -> None:
+    def __init__(self, field: Field, z: Sequence[Any], order: int) -> None:
         n = field.size
-        self.n, self.order, self.z, self.code = n, order, z, code
+        self.n, self.order, self.z, self.code = n, order, z, field.plain
         self.unfolding, self.tau = z[2 * n], z[2 * n + 1]
         self.states: list[Vector] = [[value] for value in z[: 2 * n]]
-        self.values = coefficients(code, order - 1, self._variables)
+        self.values = coefficients(self.code, order - 1, self._variables)
         first = self.results()[0]
         self._grow(order, [first.get(i, [arb(0)] * order) for i in range(n)])
+
+    def varied(self, code: Recurrence) -> Solution:
+        """The same with the values of the program that has the Jacobian too."""
+        zero = [arb(0)] * (self.order - 1)
+        known = [[self.unfolding, *zero] if argument == 2 else self.states[entry + self.n * argument]
+                 for _, argument, entry in code.variables]  # fmt: skip
+        other = copy(self)
+        other.code, other.values = code, whole_series(code, self.order - 1, known)
+        return other
 
     def results(self) -> list[dict[int, Vector]]:
         """Series of the program's results (0..order - 1)."""

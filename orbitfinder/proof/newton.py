@@ -15,6 +15,8 @@ from orbitfinder.proof.enclosure import Settings, horner
 from orbitfinder.proof.krawczyk import Equations, approximate_inverse, jacobian, residual
 
 MOST_ITERATIONS = 30
+ROUGH = 1e-5
+"""Corrections above this make a new Jacobian worth while"""
 
 
 def step_length(series: list[Vector], left: float, settings: Settings) -> float:
@@ -62,13 +64,13 @@ def solve(
 ) -> tuple[Vector, int]:
     """Unknowns whose last correction is below `target`, and the number of iterations.
 
-    The first two steps are Newton's, the later ones use the second inverse again (each gains the
-    digits that it is right to). Raises `ConvergenceError` when they do not shrink or leave the start.
+    Newton's steps until they are small; then the last inverse is used again (each step gains the digits
+    that it is right to). Raises `ConvergenceError` when they do not shrink or leave the start.
     """
     here, last = midpoints(start), float("inf")
     inverse = np.zeros((0, 0))
     for k in range(MOST_ITERATIONS):
-        if k < 2:
+        if k == 0 or last > ROUGH:
             values, inverse = linearised(equations, here, settings)
         else:
             values = evaluated(equations, here, settings)

@@ -121,7 +121,9 @@ def replay(
         return proof, [proof.reason]
     fresh = entry(proof)
     wrong = [f"{name}: recorded {found.get(name)!r}, found {fresh[name]!r}"
-             for name in ("proved", "stability", "minimal_period") if found.get(name) != fresh[name]]  # fmt: skip
+             for name in ("proved", "stability") if found.get(name) != fresh[name]]  # fmt: skip
+    if not (isinstance(minimal := found.get("minimal_period"), dict) and minimal.get("proved") is True):
+        wrong.append(f"minimal_period: recorded {minimal!r}, proved now")
     with precision(max(options.settings.bits, 4 * DIGITS)):
         wrong += [f"{name}: the recorded enclosure and the recomputed one do not meet"
                   for name in ("period", "energy", "state", "multipliers")

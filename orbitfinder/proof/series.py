@@ -13,7 +13,7 @@ from itertools import islice
 from operator import mul
 from typing import Any
 
-from orbitfinder.proof.balls import arb
+from orbitfinder.proof.balls import arb, arb_series, flint
 from orbitfinder.proof.program import Program, Ring
 
 BALLS = Ring(
@@ -177,6 +177,41 @@ def coefficients(
         for kind, operands in steps:
             kind(k, *operands)
     return values
+
+
+def whole_series(code: Recurrence, order: int, variables: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """The same as `coefficients` where the series of `code.variables` are known beforehand, and faster.
+
+    Arb multiplies whole truncated series several times faster than Python does their terms.
+    """
+    before, flint.ctx.cap = flint.ctx.cap, order + 1
+    try:
+        values: list[Any] = [None] * code.size
+        for value, ball in code.fixed.items():
+            values[value] = arb_series([ball])
+        for (value, _, _), series in zip(code.variables, variables, strict=True):
+            values[value] = arb_series(list(series[: order + 1]))
+        for name, target, a, b, constant in code.operations:
+            if name == "sincos":
+                values[target], values[b] = values[a].sin_cos()
+            else:
+                values[target] = WHOLE[name](values[a], values[b] if b >= 0 else None, constant)
+        return [[] if one is None else _padded(one.coeffs(), order) for one in values]
+    finally:
+        flint.ctx.cap = before
+
+
+def _padded(series: list[Any], order: int) -> list[Any]:
+    return series + [arb(0)] * (order + 1 - len(series))
+
+
+WHOLE: dict[str, Callable[..., Any]] = {
+    "add": lambda u, v, c: u + v, "sub": lambda u, v, c: u - v, "neg": lambda u, v, c: -u,
+    "scale": lambda u, v, c: u * c, "shift": lambda u, v, c: u + c, "mul": lambda u, v, c: u * v,
+    "sq": lambda u, v, c: u * u, "div": lambda u, v, c: u / v, "quotient": lambda u, v, c: c / u,
+    "exp": lambda u, v, c: u.exp(), "log": lambda u, v, c: u.log(), "power": lambda u, v, c: (u.log() * c).exp(),
+    "sqrt": lambda u, v, c: u.sqrt(),
+}  # fmt: skip
 
 
 def outputs(code: Recurrence, values: Sequence[Any]) -> list[dict[int, Any]]:

@@ -32,7 +32,7 @@ RADII = (1e-11, 1e-13, 1e-15)
 """of the boxes that are tried; the smaller ones are for very unstable orbits"""
 SHARPENINGS = 2
 """further tours when the first leaves the multipliers open"""
-CENTRE = 1e-22
+CENTRE = 1e-19
 """Newton's last correction before the box is set"""
 Progress = Callable[[str], None]
 

@@ -1,0 +1,231 @@
+"""Families of every kind of system and every kind of end, against independent numbers."""
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.command import continue_command
+from orbitfinder.families.minimal import bar_states, minimal_problem, native_state
+from orbitfinder.families.motion import motions
+from orbitfinder.families.normal_modes import mode_problem
+from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.propagate import closure_check
+from orbitfinder.families.start import begin
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.constrained import reduced
+from orbitfinder.mechanics.linkage import linkage
+from orbitfinder.mechanics.model import energy
+from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.dae_orbit import find_dae_orbit
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.problemfile import load_problem
+from orbitfinder.systems import henon_heiles
+
+FAMILIES = Path(__file__).parents[1] / "problems" / "families"
+QUIET = FamilySettings(events=False, directions="forward")
+
+
+# ---- the double pendulum by other means: NumPy equations written from the textbook, SciPy, own Newton ----
+
+GRAVITY, INERTIA = 9.8, 1.0 / 12.0
+
+
+def double_pendulum(_, x):
+    """Two uniform rods of 1 m and 1 kg: 4/3 a1 + 1/2 c a2 = -1/2 s w2^2 - 3/2 g sin q1, and so on."""
+    q1, q2, w1, w2 = x
+    c, s = np.cos(q1 - q2), np.sin(q1 - q2)
+    a, b, d = 1.0 + 0.25 + INERTIA, 0.5 * c, 0.25 + INERTIA
+    f1 = -0.5 * s * w2**2 - 1.5 * GRAVITY * np.sin(q1)
+    f2 = 0.5 * s * w1**2 - 0.5 * GRAVITY * np.sin(q2)
+    determinant = a * d - b * b
+    return [w1, w2, (d * f1 - b * f2) / determinant, (a * f2 - b * f1) / determinant]
+
+
+def quarter(start, period):
+    """Angles after a quarter of the period from rest."""
+    options = {"method": "DOP853", "rtol": 2.3e-14, "atol": 1e-15, "max_step": period / 400}
+    return solve_ivp(double_pendulum, (0.0, period / 4), [*start, 0.0, 0.0], **options).y[:2, -1]
+
+
+def period_at(level, start, period):
+    """Newton on (q1, q2, T): both angles vanish after a quarter period, and the energy at rest."""
+    w = np.array([*start, period])
+
+    def rows(w):
+        potential = -GRAVITY * (1.5 * np.cos(w[0]) + 0.5 * np.cos(w[1]))
+        return np.array([*quarter(w[:2], w[2]), potential - level])
+
+    for _ in range(6):
+        value = rows(w)
+        slope = np.stack([(rows(w + h) - rows(w - h)) / 2e-5 for h in 1e-5 * np.eye(3)], axis=1)
+        w -= np.linalg.solve(slope, value)
+    return w[2]
+
+
+@pytest.mark.parametrize(("mode", "levels"), [(1, (-18.0, -10.0)), (2, (-18.0, -12.0))])
+def test_double_pendulum_modes_by_a_second_implementation(mode, levels, tmp_path):
+    """Both normal modes up to 9.6 J above hanging: periods agree to 1e-10 with equations and Newton of our own."""
+    family = continue_command(mode_problem(chain(2), mode, 0.05), at=levels, out=tmp_path, settings=QUIET)
+    for level in levels:
+        point = min(family.points, key=lambda one: abs(one.energy - level))
+        assert abs(point.energy - level) < 1e-12
+        found = period_at(level, point.state[:2] + 1e-4, point.period * (1 + 1e-5))
+        assert abs(found - point.period) < 1e-10
+
+
+# ---- linkages -------------------------------------------------------------------------------------------
+
+FIVE_BAR = {"length": [0.6, 0.9, 0.8, 0.5], "ground": [0.1, 1.2]}
+
+
+def test_five_bar_family_agrees_with_the_native_dae(tmp_path):
+    """A point of the family, mapped back to all bars, is an orbit of the DAE: IDAS shooting finds the same period."""
+    problem = load_problem(FAMILIES / "five-bar-slow.toml")
+    family = continue_command(problem, at=(-24.0,), out=tmp_path, settings=QUIET)
+    point = family.points[-1]
+    assert family.system["independent"] == [1, 4] and point.symmetry == "brake"
+    model = linkage(**FIVE_BAR)
+    state = native_state(family.system, point.state)
+    assert abs(energy(reduced(model), state) - point.energy) < 1e-11
+    orbit = find_dae_orbit(model, state, point.period, pin=pin(energy=-24.0))
+    assert orbit.certificate.passed and abs(orbit.period - point.period) < 1e-9
+    assert np.abs(np.sum(orbit.floquet_multipliers) - np.sum(point.floquet_multipliers)) < 1e-8
+    assert abs(begin(orbit).found.place.period - point.period) < 1e-9  # from the linkage's own orbit.json
+    rebuilt = build_model(family.system)
+    assert closure_check(rebuilt)(point.state, point.period, np.zeros(2)) < 1e-11
+
+
+def test_bar_states_close_the_linkage():
+    """All four bars end at the ground pivot, and their rates keep them there."""
+    model = linkage(**FIVE_BAR)
+    problem = minimal_problem(load_problem(FAMILIES / "five-bar-fast.toml"))
+    system = problem.model.system
+    states = bar_states(system, np.array([[0.3, 3.0, 0.4, -0.7]]))
+    theta, rates = np.split(states[0], 2)
+    lengths = np.array(FIVE_BAR["length"])
+    tip = lengths @ np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    assert np.allclose(tip, FIVE_BAR["ground"], atol=1e-12)
+    assert np.allclose((lengths * rates) @ np.stack([-np.sin(theta), np.cos(theta)], axis=1), 0.0, atol=1e-12)
+    assert model.coordinates == 12 and theta[0] == pytest.approx(0.3)
+    with pytest.raises(InputError, match="not a linkage in minimal coordinates"):
+        native_state(model.system, np.zeros(4))
+
+
+def test_motion_through_a_dead_point_is_refused():
+    """A parallelogram's bars all come into line in one turn: no two bars can be left out."""
+    model = linkage([0.5, 1.0, 0.5], ground=(0.0, 1.0))
+    start = np.array([0.3, np.pi / 2, 0.3 + np.pi, 9.0, 0.0, 9.0])
+    from orbitfinder.mechanics.maximal import maximal_states
+
+    problem = Problem(reduced(model), Guess(maximal_states(model, start), 1.0))
+    with pytest.raises(InputError, match="dead point"):
+        minimal_problem(problem)
+
+
+# ---- Henon-Heiles, cyclic coordinates -------------------------------------------------------------------
+
+
+def test_henon_heiles_straight_line_by_quadrature(tmp_path):
+    """T = sqrt(2) int dy / sqrt(E - y^2/2 + y^3/3) between the turning points, along the family."""
+    problem = load_problem(FAMILIES / "henon-heiles-straight.toml")
+    levels = (0.1, 0.15, 0.16)
+    family = continue_command(problem, at=levels, out=tmp_path, settings=QUIET)
+    for level in levels:
+        point = min(family.points, key=lambda one: abs(one.energy - level))
+        low, high = np.sort(np.roots([1 / 3, -0.5, 0.0, level]).real)[:2]
+        third = 1.5 - low - high  # the roots of y^3/3 - y^2/2 + E add up to 3/2
+
+        def rate(a, low=low, high=high, third=third):
+            y = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(a)
+            return 1.0 / np.sqrt((third - y) / 3.0)
+
+        exact = np.sqrt(2.0) * quad(rate, 0.0, np.pi, epsabs=1e-13, epsrel=1e-13)[0]
+        assert abs(point.period - exact) < 1e-10
+
+
+def test_straight_line_ends_at_equilibrium_and_saddle(tmp_path):
+    """Both ends have their names: the centre at E = 0 and the saddle at E = 1/6."""
+    problem = load_problem(FAMILIES / "henon-heiles-straight.toml")
+    family = continue_command(problem, out=tmp_path, settings=FamilySettings(events=False))
+    assert [end.kind for end in family.ends] == ["equilibrium", "homoclinic"]
+    assert family.points[-1].energy == pytest.approx(1 / 6, abs=1e-6)
+
+
+def test_momentum_is_no_second_condition_on_a_brake_orbit(tmp_path):
+    """A pendulum on a cart: its momentum vanishes with the rates, so that the symmetric system stays square."""
+    problem = load_problem(FAMILIES.parent / "gallery" / "pendulum-on-cart.toml")
+    family = continue_command(problem, points=4, out=tmp_path, settings=QUIET)
+    assert family.points[0].symmetry == "brake" and len(family.points) == 5
+
+
+# ---- ends and avoided crossings -------------------------------------------------------------------------
+
+
+def test_closed_family_returns_to_its_start(tmp_path):
+    """Beyond its 7:1 resonance the slow mode of the quadruple pendulum is a closed curve, and is named so."""
+    walk = FamilySettings(events=False, certify=False)
+    base = continue_command(mode_problem(chain(4), 1, 0.3), points=1, out=tmp_path / "start", settings=walk)
+    assert base.points[-1].energy > -77.4  # beyond the resonance
+    family = continue_command(mode_problem(chain(4), 1, 0.3), points=200, out=tmp_path, settings=walk)
+    (end,) = family.ends
+    assert end.kind == "returned" and "back at its start" in end.reason
+    levels = family.values("energy")
+    assert levels.min() == pytest.approx(-77.4508241, abs=1e-3) and levels.max() == pytest.approx(-39.9079777, abs=1e-2)
+
+
+def test_avoided_crossing_is_reported_or_followed(tmp_path):
+    """No silent jump: stepped over and named, or with `narrowest` followed onto the resonant part of the family."""
+    over = continue_command(mode_problem(chain(4), 1), until=-77.2, out=tmp_path / "over")
+    (crossing,) = (event for event in over.events if "avoided crossing" in event.detail)
+    assert crossing.kind == "collision" and crossing.energy == pytest.approx(-77.45, abs=0.02)
+    finer = FamilySettings(narrowest=2e-4)
+    along = continue_command(mode_problem(chain(4), 1), until=-77.3, out=tmp_path / "along", settings=finer)
+    assert not any("avoided crossing" in event.detail for event in along.events)
+    one, other = (min(f.points, key=lambda p: abs(p.energy + 77.3)) for f in (over, along))
+    # the second link: 0.165 on the backbone, less with fast links superposed seven times a period
+    assert other.state[0] / other.state[1] > 1.05 * one.state[0] / one.state[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mode", "narrowest"), [(1, 2e-4), (2, 0.02), (3, 0.02), (4, 0.02)])
+def test_quadruple_modes_to_45_joules(mode, narrowest, tmp_path):
+    """Every mode goes on to 45 J above hanging, through every symmetry-breaking point, in the symmetric formulation."""
+    settings = FamilySettings(directions="forward", narrowest=narrowest)
+    family = continue_command(mode_problem(chain(4), mode), until=-33.4, points=600, out=tmp_path, settings=settings)
+    assert family.ends[0].kind == "target"
+    assert all(point.symmetry == "brake+reflection" for point in family.points)
+    assert all(point.closure <= 1e-11 * point.scale for point in family.points)
+    assert mode == 1 or any(event.kind == "branch_point" for event in family.events)
+
+
+def test_gallery_of_motions(tmp_path):
+    """Eight whole periods along a family, each closing; systems without joints have none."""
+    model = henon_heiles()
+    problem = load_problem(FAMILIES / "henon-heiles-loop.toml")
+    family = continue_command(problem, points=12, out=tmp_path, settings=QUIET)
+    shown = motions(family, model)
+    assert len(shown) == 8 and all(one.joints is None for one in shown)
+    assert max(np.abs(one.states[-1] - one.states[0]).max() for one in shown) < 1e-10
+    swept = continue_command(mode_problem(chain(2), 1), points=9, out=tmp_path, settings=QUIET)
+    assert motions(swept, chain(2))[0].joints.shape[1:] == (2, 3)
+
+
+def test_custom_model_is_continued_from_its_orbit(tmp_path):
+    """An orbit of a Model that no file describes is continued with the model beside it."""
+    from orbitfinder.mechanics.lagrange import Symbols, lagrange
+    from orbitfinder.periodic.solve import find_orbit
+
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = lagrange(v**2 / 2, q**2 / 2 + q**4 / 4, Symbols(q, v), names=["x"])
+    orbit = find_orbit(Problem(model, Guess(np.array([1.0, 0.0]), 4.7), pin(x=1.0), name="duffing"))
+    family = continue_command(orbit, points=4, out=tmp_path, settings=QUIET, model=model)
+    assert len(family.points) == 5
+    again = continue_command(orbit, points=6, out=tmp_path, settings=QUIET, model=model)
+    assert len(again.points) == 7
+    with pytest.raises(InputError, match="model"):
+        continue_command(orbit, points=4, out=tmp_path / "other", settings=QUIET)
