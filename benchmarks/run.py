@@ -50,6 +50,7 @@ PARTS = (
     Part("refine", "The same from nothing: `find_orbit` against the script by hand"),
     Part("families", "Continuation: cost of a point, against AUTO-07p", ("--quick",)),
     Part("search", "Search: distinct orbits in half a minute", ("--budget", "30")),
+    Part("breakdown", "Where the time of one refinement goes"),
     Part("cost", "Evaluating chains: time and memory against the number of links"),
     Part("derivation", "Deriving chains: time and operations against the number of links"),
 )

@@ -24,6 +24,7 @@ def marcher(field: ca.Function, steps: int) -> ca.Function:
     return _step(field, ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym).mapaccum("march", steps)
 
 
+@lru_cache(maxsize=64)
 def _step(field: ca.Function, symbol: Any) -> ca.Function:
     """One step of (t, x) with parameters (h, s, free)."""
     size, rest = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
@@ -85,6 +86,7 @@ def refined_march(
     return fine
 
 
+@lru_cache(maxsize=64)
 def variational_field(field: ca.Function) -> ca.Function:
     """f and its variations as one field of y = (x, vec[Phi | dx/ds | dx/dfree]), columns of length 2n.
 

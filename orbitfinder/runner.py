@@ -137,11 +137,20 @@ def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
     failures = certificate.failures if certificate else ("no certificate",)
     return Outcome(
         orbit.name, str(job.file), "certified" if passed else "rejected",
-        "certified" if passed else f"not an orbit: {explained(certificate)}", time.perf_counter() - began,
+        f"certified{_among(orbit)}" if passed else f"not an orbit: {explained(certificate)}",
+        time.perf_counter() - began,
         orbit.period, orbit.energy, orbit.closure, orbit.stability, orbit.symmetry,
         dict(orbit.provenance.get("free", {})), failures,
         tuple(str(path) for path in written),
     )  # fmt: skip
+
+
+def _among(orbit: Orbit) -> str:
+    """How many orbits a choice was made among, in words; nothing where there was none."""
+    made = orbit.provenance.get("choice")
+    if not made:
+        return ""
+    return f", the least unstable of {made['orbits']} orbits found from {made['starts']} starts"
 
 
 def explained(certificate: Certificate | None) -> str:

@@ -23,8 +23,8 @@ FLOORS = (
     ("page",),
     ("report", "validation"),
     (
-        "schema", "schemadoc", "schemasystem", "problemfile", "trajectory", "startpoint", "template", "simulation",
-        "startlinkage", "choosing", "proposing",
+        "schema", "schemadoc", "schemasystem", "schemafaults", "problemfile", "trajectory", "startpoint", "template",
+        "simulation", "startlinkage", "choosing", "proposing",
     ),
     (
         "console", "runner", "pictures", "following", "searching", "cataloguing", "guessing", "proving", "paging",

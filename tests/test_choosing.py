@@ -27,8 +27,8 @@ def choice(band=(1.5, 3.0), energy=-10.0, **more):
 
 @pytest.fixture(scope="module")
 def found():
-    """All that 30 starts find, least unstable first."""
-    return choosing.candidates(choice(), 30, 0)
+    """All that 20 starts find, least unstable first."""
+    return choosing.candidates(choice(), 20, 0)
 
 
 def test_candidates_are_distinct_and_ordered(found):
@@ -44,11 +44,11 @@ def test_candidates_are_distinct_and_ordered(found):
 
 def test_the_best_is_certified_and_says_how_it_was_chosen(found):
     """One of the candidates, refined and certified again, with the runner-up in its provenance."""
-    orbit = of.least_unstable(choice(), 30, 0)
+    orbit = of.least_unstable(choice(), 20, 0)
     assert orbit.certificate.passed
     assert orbit.period == pytest.approx(found[0].orbit.period, rel=1e-9)
     said = orbit.provenance["choice"]
-    assert said["orbits"] == len(found) and said["starts"] == 30
+    assert said["orbits"] == len(found) and said["starts"] == 20
     assert said["spectral_radius"] <= said["runner_up"]
 
 
@@ -123,6 +123,18 @@ def test_the_command_prints_what_was_chosen(tmp_path):
     )
     (result,) = json.loads(outcome.stdout)["results"]
     assert result["chosen"]["length3"] == pytest.approx(0.82225927751, abs=1e-10)
+
+
+def test_the_command_says_among_how_many(tmp_path):
+    """A choice names the number of orbits and of starts; those are in orbit.json as well."""
+    file = tmp_path / "few.toml"
+    text = (EXAMPLES / "double-least-unstable.toml").read_text(encoding="utf-8").replace("starts = 100", "starts = 4")
+    file.write_text(text.split("[expected]")[0].replace('name = "double-least-unstable"', ""), encoding="utf-8")
+    outcome = CliRunner().invoke(cli, ["run", str(file), "--out", str(tmp_path), "--no-figures", "--json"])
+    (result,) = json.loads(outcome.stdout)["results"]
+    made = json.loads((tmp_path / "few" / "orbit.json").read_text(encoding="utf-8"))["provenance"]["choice"]
+    assert made["starts"] == 4
+    assert f"certified, the least unstable of {made['orbits']} orbits found from 4 starts" == result["message"]
 
 
 FIND = '[system]\nkind = "chain"\nlinks = 2\n[guess]\nmode = 2\namplitude = 0.5\n[find]\n'

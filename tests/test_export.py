@@ -235,6 +235,17 @@ def test_auto_runs_forced_systems_through_the_added_oscillator(tmp_path):
     assert abs(branch[-1][4] / branch[0][4] - 1) > 0.01
 
 
+@needs_auto
+@pytest.mark.slow
+@pytest.mark.parametrize("path", sorted((ROOT / "results" / "gallery").glob("*/orbit.json")), ids=lambda p: p.parent.name)
+def test_auto_loads_every_orbit_of_the_gallery(tmp_path, path):
+    """AUTO's first, corrected point has our period, and 20 steps are taken."""
+    orbit = of.load_orbit(path)
+    files = export_orbit(orbit, "auto", tmp_path)
+    branch, _, _ = run_auto(tmp_path, files[0].stem)
+    assert len(branch) == 20 and any(abs(value / orbit.period - 1) < 1e-7 for value in branch[0])
+
+
 def test_auto_files_say_what_is_where(triple):
     """Equations, constants and data belong together."""
     files = auto_files(source_of(triple))

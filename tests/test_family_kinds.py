@@ -15,6 +15,7 @@ from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.points import FamilySettings
 from orbitfinder.families.propagate import closure_check
 from orbitfinder.families.start import begin
+from orbitfinder.flow import build_flow, end_state
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import reduced
@@ -22,12 +23,14 @@ from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.model import energy
 from orbitfinder.periodic.conditions import pin
 from orbitfinder.periodic.dae_orbit import find_dae_orbit
+from orbitfinder.periodic.linkage_guesses import linkage_mode
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.problemfile import load_problem
 from orbitfinder.systems import henon_heiles
 
 FAMILIES = Path(__file__).parents[1] / "problems" / "families"
-QUIET = FamilySettings(events=False, directions="forward")
+QUIET = FamilySettings(events=False)
+ONWARD = FamilySettings(events=False, directions="forward")
 
 
 # ---- the double pendulum by other means: NumPy equations written from the textbook, SciPy, own Newton ----
@@ -84,15 +87,18 @@ FIVE_BAR = {"length": [0.6, 0.9, 0.8, 0.5], "ground": [0.1, 1.2]}
 
 
 def test_five_bar_family_agrees_with_the_native_dae(tmp_path):
-    """A point of the family, mapped back to all bars, is an orbit of the DAE: IDAS shooting finds the same period."""
+    """A point of the family, mapped back to all bars, closes on the DAE; shooting over IDAS finds its period."""
     problem = load_problem(FAMILIES / "five-bar-slow.toml")
-    family = continue_command(problem, at=(-24.0,), out=tmp_path, settings=QUIET)
+    model = linkage(**FIVE_BAR)
+    guess = linkage_mode(model, 1, 0.3)
+    level = energy(reduced(model), guess.state)
+    family = continue_command(problem, at=(level,), out=tmp_path, settings=QUIET)
     point = family.points[-1]
     assert family.system["independent"] == [1, 4] and point.symmetry == "brake"
-    model = linkage(**FIVE_BAR)
     state = native_state(family.system, point.state)
     assert abs(energy(reduced(model), state) - point.energy) < 1e-11
-    orbit = find_dae_orbit(model, state, point.period, pin=pin(energy=-24.0))
+    assert np.abs(end_state(build_flow(reduced(model)), state, point.period) - state).max() < 1e-8
+    orbit = find_dae_orbit(model, guess.state, guess.period, pin=pin(energy=level))
     assert orbit.certificate.passed and abs(orbit.period - point.period) < 1e-9
     assert np.abs(np.sum(orbit.floquet_multipliers) - np.sum(point.floquet_multipliers)) < 1e-8
     assert abs(begin(orbit).found.place.period - point.period) < 1e-9  # from the linkage's own orbit.json
@@ -159,7 +165,7 @@ def test_straight_line_ends_at_equilibrium_and_saddle(tmp_path):
 def test_momentum_is_no_second_condition_on_a_brake_orbit(tmp_path):
     """A pendulum on a cart: its momentum vanishes with the rates, so that the symmetric system stays square."""
     problem = load_problem(FAMILIES.parent / "gallery" / "pendulum-on-cart.toml")
-    family = continue_command(problem, points=4, out=tmp_path, settings=QUIET)
+    family = continue_command(problem, points=4, out=tmp_path, settings=ONWARD)
     assert family.points[0].symmetry == "brake" and len(family.points) == 5
 
 
@@ -168,12 +174,11 @@ def test_momentum_is_no_second_condition_on_a_brake_orbit(tmp_path):
 
 def test_closed_family_returns_to_its_start(tmp_path):
     """Beyond its 7:1 resonance the slow mode of the quadruple pendulum is a closed curve, and is named so."""
-    walk = FamilySettings(events=False, certify=False)
-    base = continue_command(mode_problem(chain(4), 1, 0.3), points=1, out=tmp_path / "start", settings=walk)
-    assert base.points[-1].energy > -77.4  # beyond the resonance
+    walk = FamilySettings(certify=False, directions="forward")
     family = continue_command(mode_problem(chain(4), 1, 0.3), points=200, out=tmp_path, settings=walk)
     (end,) = family.ends
     assert end.kind == "returned" and "back at its start" in end.reason
+    assert all(one.energy > -77.46 for one in family.points)  # beyond the resonance
     levels = family.values("energy")
     assert levels.min() == pytest.approx(-77.4508241, abs=1e-3) and levels.max() == pytest.approx(-39.9079777, abs=1e-2)
 
@@ -204,14 +209,14 @@ def test_quadruple_modes_to_45_joules(mode, narrowest, tmp_path):
 
 
 def test_gallery_of_motions(tmp_path):
-    """Eight whole periods along a family, each closing; systems without joints have none."""
+    """Eight whole periods along a family, each closing, with the joints that a system has."""
     model = henon_heiles()
     problem = load_problem(FAMILIES / "henon-heiles-loop.toml")
-    family = continue_command(problem, points=12, out=tmp_path, settings=QUIET)
+    family = continue_command(problem, points=12, out=tmp_path, settings=ONWARD)
     shown = motions(family, model)
-    assert len(shown) == 8 and all(one.joints is None for one in shown)
+    assert len(shown) == 8 and shown[0].joints.shape[1:] == (2, 1)
     assert max(np.abs(one.states[-1] - one.states[0]).max() for one in shown) < 1e-10
-    swept = continue_command(mode_problem(chain(2), 1), points=9, out=tmp_path, settings=QUIET)
+    swept = continue_command(mode_problem(chain(2), 1), points=9, out=tmp_path, settings=ONWARD)
     assert motions(swept, chain(2))[0].joints.shape[1:] == (2, 3)
 
 
@@ -223,9 +228,9 @@ def test_custom_model_is_continued_from_its_orbit(tmp_path):
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
     model = lagrange(v**2 / 2, q**2 / 2 + q**4 / 4, Symbols(q, v), names=["x"])
     orbit = find_orbit(Problem(model, Guess(np.array([1.0, 0.0]), 4.7), pin(x=1.0), name="duffing"))
-    family = continue_command(orbit, points=4, out=tmp_path, settings=QUIET, model=model)
+    family = continue_command(orbit, points=4, out=tmp_path, settings=ONWARD, model=model)
     assert len(family.points) == 5
-    again = continue_command(orbit, points=6, out=tmp_path, settings=QUIET, model=model)
+    again = continue_command(orbit, points=6, out=tmp_path, settings=ONWARD, model=model)
     assert len(again.points) == 7
     with pytest.raises(InputError, match="model"):
         continue_command(orbit, points=4, out=tmp_path / "other", settings=QUIET)

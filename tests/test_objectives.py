@@ -305,6 +305,13 @@ def test_a_peak_away_from_rest_is_said():
         find_orbit(of.Problem(DOUBLE, guess, symmetry="brake", **wanted))
 
 
+def test_a_kink_is_where_the_objective_stops():
+    """|energy + 18| has its least value at a kink, which no quasi-Newton method settles on: said with the place."""
+    problem = fast_mode(0.5, symmetry="brake+reflection", objective=lambda v: ca.fabs(v["energy"] + 18.0) ** 0.5)
+    with pytest.raises(ConvergenceError, match=r"cannot be followed beyond the orbit of period 1\.11.*kink"):
+        find_orbit(problem)
+
+
 def test_an_orbit_outside_the_period_asked_for_is_no_answer():
     """The loop run twice closes as well; its minimal period is what counts."""
     once = of.normal_mode(DOUBLE, 1, 0.3)

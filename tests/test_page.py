@@ -23,9 +23,9 @@ from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
-from orbitfinder.page.explorers import span
+from orbitfinder.page.explorers import span, spread
 from orbitfinder.page.gather import evenly, gather
-from orbitfinder.page.motion import Films, completed, histories, packed, path_completed, resampled
+from orbitfinder.page.motion import SHARES, Films, completed, histories, packed, path_completed, resampled
 from orbitfinder.page.recipe import problem_name, problem_text, toml
 from orbitfinder.page.site import MARK, Settings, build_site, check_target, write_site
 from orbitfinder.page.text import Html, fill, number, script_data, size, slug_maker
@@ -379,10 +379,22 @@ def test_family_motions_start_from_the_nodes(material, tmp_path):
         gather([tmp_path / "family.json"])
 
 
-@pytest.mark.parametrize("symmetry", ["none", "brake", "reflection", "reversal", "brake+reflection"])
+@pytest.mark.parametrize("symmetry", SHARES)
+def test_a_member_that_does_not_join_is_not_drawn(symmetry):
+    """From the state of another instant the part that a symmetry leaves free does not meet what follows."""
+    system, period = chain(1).system, pendulum_period(1.2)
+    speed = np.sqrt(2 * 9.8 * 0.5 * (1 - np.cos(1.2)) / (1 / 3))
+    good = [0.0, speed] if symmetry == "reversal" else [1.2, 0.0]
+    entry = {"state": good, "period": period, "symmetry": symmetry}
+    assert Films().member(system, entry) is not None
+    assert Films().member(system, entry | {"period": 0.9 * period}) is None
+    assert Films().member(system, entry | {"symmetry": "unheard of"}) is None
+    assert Films().member(system, entry | {"state": [1.0]}) is None
+
+
+@pytest.mark.parametrize("symmetry", SHARES)
 def test_completed_times_reach_the_period(symmetry):
-    share = {"none": 1.0, "brake+reflection": 0.25}.get(symmetry, 0.5)
-    times = share * np.array([0.0, 0.1, 0.5, 1.0]) * 3.0
+    times = SHARES[symmetry] * np.array([0.0, 0.1, 0.5, 1.0]) * 3.0
     made, states = path_completed(times, np.zeros((4, 2)), symmetry)
     assert made[0] == 0.0 and made[-1] == pytest.approx(3.0) and np.all(np.diff(made) > 0) and len(states) == len(made)
 
@@ -516,6 +528,16 @@ def test_an_atlas_at_one_energy_is_in_order_of_period(tmp_path):
     periods = [one.document["period"] for _, one in gather([tmp_path / "one.json"]).atlases[0].orbits]
     assert periods == [2.0, 3.0, 4.0, 5.0]
     assert span([-30.0, -30.0 + 1e-13]) == number(-30.0) and span([1.0, 2.5]) == "1 to 2.5"
+
+
+def test_points_are_picked_evenly_along_the_curve():
+    """Where the steps of a family are small, fewer of its points are picked."""
+    energies = np.concatenate([np.linspace(0, 1, 11), 1 + np.linspace(0, 1e-3, 200)[1:]])
+    points = [{"energy": e, "period": 1 / (2 - e), "arclength": e} for e in energies]
+    picked = spread(points, 20)
+    assert picked[0] == 0 and picked[-1] == 209 and len(picked) <= 21
+    assert set(range(11)) <= set(picked)
+    assert spread(points[:5], 20) == [0, 1, 2, 3, 4]
 
 
 def test_resampling_follows_the_rates():

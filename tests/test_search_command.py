@@ -142,6 +142,18 @@ def test_energies_of_a_problem_file(tmp_path):
         assert searching.wanted(load_problem_file(tmp_path / "a.toml")) == (energies, (0.5, 6.0))
 
 
+@pytest.mark.parametrize("file", sorted((ROOT / "problems" / "search").glob("*.toml")), ids=lambda file: file.stem)
+def test_problem_files(file):
+    """Every problem file for searches asks for something that can be searched."""
+    from orbitfinder.atlas.starts import Target, check
+    from orbitfinder.problemfile import load_problem_file
+
+    loaded = load_problem_file(file)
+    energies, periods = searching.wanted(loaded)
+    for energy in energies:
+        check(loaded.model, Target(energy, periods))
+
+
 @pytest.mark.parametrize(("text", "value"), [("60s", 60), ("1.5m", 90), ("2h", 7200), ("45", 45), ("3 min", 180)])
 def test_durations(text, value):
     assert searching.seconds(text) == value

@@ -1,5 +1,6 @@
 """The validation page: its arithmetic, its failures, and (slow) the page in the repository."""
 
+import json
 import math
 import re
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.validation import closed_forms, literature, page, reference_orbits, software
+from orbitfinder.validation import closed_forms, literature, page, reach, reference_orbits, software
 from orbitfinder.validation.__main__ import main
 from orbitfinder.validation.comparison import Comparison, Section, attempted, number
 
@@ -75,6 +76,21 @@ def test_absent_programs_are_said_to_be_absent(monkeypatch, tmp_path):
     assert software.auto().missing.startswith("AUTO-07p with gfortran is not installed") and not software.auto().rows
 
 
+def test_a_shorter_family_than_autos_fails(tmp_path):
+    """Planted families: one reaches further than AUTO did, one less far, the others are not there."""
+    for name, energy in (("triple-mode-1", -3.0), ("triple-mode-2", 18.0)):
+        (tmp_path / name).mkdir()
+        points, ends = [{"energy": -40.0}, {"energy": energy}], [{"kind": "homoclinic"}]
+        family = {"points": points, "system": {"links": 3}, "ends": ends}
+        (tmp_path / name / "family.json").write_text(json.dumps(family))
+    rows = {row.quantity: row for row in reach.section(DATA, tmp_path).rows}
+    assert rows["triple-mode-1"].passed and rows["triple-mode-1"].ours == "41.100000000"
+    assert not rows["triple-mode-2"].passed
+    assert rows["triple-mode-2"].difference == pytest.approx(62.1 - 63.000509059)
+    assert not rows["quadruple-1"].passed and rows["quadruple-1"].note == "not computed" and len(rows) == 11
+    assert reach.section(DATA, tmp_path / "none").missing.startswith("there is no")
+
+
 def test_auto_output_is_read(tmp_path):
     """Points of fort.7 by their last two columns, the last solution of fort.8 by the lengths it declares."""
     (tmp_path / "fort.7").write_text("   0  header 1 2\n  -1  1  9  1  0.0  3.5  -2.5\n  -1  2  0  0  0.1  3.6  -2.4\n")
@@ -102,7 +118,8 @@ def test_the_page_in_the_repository_is_complete():
 @pytest.mark.slow
 def test_the_page_in_the_repository_is_what_the_program_writes(tmp_path):
     """Byte for byte, where heyoka and AUTO are installed as they were; else the sections computed here."""
-    result = CliRunner().invoke(main, ["--data", str(DATA), "--out", str(tmp_path)])
+    families = ROOT / "results" / "families"
+    result = CliRunner().invoke(main, ["--data", str(DATA), "--out", str(tmp_path), "--families", str(families)])
     assert result.exit_code in (0, 1)
     written, kept = (one.read_text(encoding="utf-8").split("\n## ") for one in (tmp_path / "README.md", PAGE))
     same = [part for part in written[1:] if "Not run:" not in part and not part.startswith(("heyoka", "AUTO"))]

@@ -18,16 +18,19 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.ends import end_after, energies_of, merged, returned, shortest_step
 from orbitfinder.families.events import Interval, Probe, find_events, make_interval, make_probe
 from orbitfinder.families.exact import exact_points
-from orbitfinder.families.mesh import settled
+from orbitfinder.families.mesh import refined, settled
 from orbitfinder.families.points import Batch, End, Event, FamilyPoint, FamilySettings, make_point
+from orbitfinder.families.stability import Spectrum
 from orbitfinder.families.strips import avoided, strip_tests
-from orbitfinder.families.system import Aim, Curve, Place, advanced, bend, correct, distance, head_of, tangent
+from orbitfinder.families.system import Aim, Curve, Place, Solution, advanced, bend, correct, distance, head_of, tangent
 from orbitfinder.families.walk import Stand, Walk, stand_at, trend_of
 
 SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
 PREDICTION = 3e-3
 """How far from the family, in its metric, the predicted orbit should be."""
+REFINEMENTS = 2
+"""How often the mesh of an orbit that does not close is made finer before its step is made shorter."""
 ECHO = 1e-2
 """Arclength before a junction of two families within which nothing else is reported."""
 
@@ -92,8 +95,7 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
         "step": _next_step(walk.settings, length, distance(curve, guess.head, raw.place.head), turn),
         "indices": last.indices,
     }
-    where["about"] = last.about if found is raw else None
-    point, _ = make_point(curve, found, head_of(whole, found.place), walk.settings.parameter, walk.check, **where)
+    point, found = _checked_point(walk, found, whole, where, last.about if found is raw else None)
     point = replace(point, wall_time=time.perf_counter() - began)
     probe = replace(last, distance=0.0) if found is raw else make_probe(curve, 0.0, found, whole, last.indices)
     after = Stand(
@@ -102,6 +104,21 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
         (raw.jacobian - stand.found.jacobian) / length if found is raw else None,
     )  # fmt: skip
     return after, _batch(walk, stand, after, last)
+
+
+def _checked_point(
+    walk: Walk, found: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
+) -> tuple[FamilyPoint, Solution]:
+    """The point of a corrected place, on a finer mesh where it does not close on this one."""
+    head, name = head_of(whole, found.place), walk.settings.parameter
+    for trial in range(REFINEMENTS + 1):
+        try:
+            return make_point(walk.curve, found, head, name, walk.check, about=about, **where)[0], found
+        except ConvergenceError:
+            if trial == REFINEMENTS:
+                raise
+            found, about = refined(walk.curve, found, walk.curve.weights * head), None
+    raise AssertionError("unreachable")
 
 
 def _angle(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:

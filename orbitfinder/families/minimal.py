@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.flow import build_flow, sample
+from orbitfinder.flow import vector_field as equations
 from orbitfinder.mechanics.catalogue import build_constrained
 from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.linkage import linkage_state
@@ -23,10 +23,13 @@ from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.partition import bar_angles, minimal_linkage
 from orbitfinder.periodic.conditions import Pin
 from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.reference import ReferenceSettings, integrate, vector_field
 
 LEAST_SINE = 0.05
 """|sin| of the angle between the two dependent bars below which they count as being in line."""
 SAMPLES = 200
+ROUGH = ReferenceSettings(relative_tolerance=1e-8, absolute_tolerance=1e-8, max_evaluations=20_000)
+"""For a look at where a motion goes; one that takes longer is at a dead point."""
 
 
 def minimal_problem(problem: Problem) -> Problem:
@@ -77,15 +80,23 @@ def _best(
         picked = [k for k in range(theta.size) if k not in (i, j)]
         independent, branch = [k + 1 for k in picked], 1 if sine > 0 else -1
         model = minimal_linkage(native, independent, branch)
+        start, field = np.concatenate([theta[picked], rates[picked]]), vector_field(_autonomous(model))
         try:
-            states = sample(build_flow(model), np.concatenate([theta[picked], rates[picked]]), period, SAMPLES)
-        except IntegrationError:
+            states = integrate(field, start, np.linspace(0.0, period, SAMPLES), ROUGH)
+        except IntegrationError:  # singular at a dead point
             continue
         angles = bar_angles(native, independent, branch).map(len(states))(states[:, : len(picked)].T).full()
         margin = float((branch * np.sin(angles[j] - angles[i])).min())
         if margin > LEAST_SINE and (not found or margin > found[-1][0]):
             found.append((margin, model, picked))
     return found[-1][1:] if found else None
+
+
+def _autonomous(model: Model) -> Any:
+    """The equations of motion as a function of time and state alone."""
+    field = equations(model, (), ())
+    t, x, s, free = field.mx_in()
+    return type(field)("autonomous", [t, x], [field(t, x, s, free)])
 
 
 def bar_states(system: Mapping[str, Any], states: np.ndarray) -> np.ndarray:

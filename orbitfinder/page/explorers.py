@@ -20,7 +20,7 @@ UNITS = {"energy": "J", "period": "s"}
 def family_items(family: Mapping[str, Any], films: Films) -> list[dict[str, Any]]:
     """The points and events that can be picked, in order along the family."""
     points, events = family["points"], family["events"]
-    found = [(_place(points[k], k), _item(family, points[k], films, "")) for k in evenly(len(points), MOST_POINTS)]
+    found = [(_place(points[k], k), _item(family, points[k], films, "")) for k in spread(points, MOST_POINTS)]
     rare = [event for event in events if event.get("kind") != "resonance"]
     common = [event for event in events if event.get("kind") == "resonance"]
     kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
@@ -31,6 +31,17 @@ def family_items(family: Mapping[str, Any], films: Films) -> list[dict[str, Any]
             (_place(event, float(event.get("index", 0)) + 0.5), _item(family, about, films, event_words(event)))
         )
     return [item for _, item in sorted(found, key=lambda pair: pair[0])]
+
+
+def spread(points: Sequence[Mapping[str, Any]], most: int) -> list[int]:
+    """At most `most` points, equally far apart along the curve of energy, frequency and arclength, ends among them."""
+    if len(points) <= most:
+        return list(range(len(points)))
+    table = np.array([[one["energy"], 1.0 / one["period"], _place(one, float(k))] for k, one in enumerate(points)])
+    steps = np.linalg.norm(np.diff(table / np.maximum(np.ptp(table, axis=0), 1e-300), axis=0), axis=1)
+    length = np.concatenate([[0.0], np.cumsum(steps)])
+    wanted = np.linspace(0.0, length[-1], most)
+    return sorted({int(np.abs(length - one).argmin()) for one in wanted} | {0, len(points) - 1})
 
 
 def _place(entry: Mapping[str, Any], default: float) -> float:

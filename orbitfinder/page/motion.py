@@ -24,6 +24,8 @@ COUNTS = (48, 72, 96, 144, 216, 324, 480)
 """Samples a period that are tried in turn."""
 INTERPOLATION = 0.005
 """Largest error of the page's interpolation, relative to the extent of the picture."""
+SHARES = {"none": 1.0, "brake": 0.5, "reflection": 0.5, "reversal": 0.5, "brake+reflection": 0.25}
+"""The part of a period that each symmetry of a family leaves free."""
 STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
 ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
@@ -101,28 +103,33 @@ class Films:
             return None
         model, field = found
         symmetry = str(entry.get("symmetry", "none"))
-        share = {"none": 1.0, "brake+reflection": 0.25}.get(symmetry, 0.5)
-        nodes = np.asarray(entry.get("nodes", [entry["state"]]), float)
-        edges = np.asarray(entry.get("edges", [0.0, share]), float) * period
-        path = _pieces(field, nodes, edges)
-        if path is None:
+        if symmetry not in SHARES:
             return None
-        times, states = path_completed(*path, symmetry)
-        return _motion(model, times, states, period) if _closes(states) else None
+        nodes = np.asarray(entry.get("nodes", [entry["state"]]), float)
+        edges = np.asarray(entry.get("edges", [0.0, SHARES[symmetry]]), float) * period
+        path = _pieces(field, nodes, edges)
+        if path is None or not _joins(path[1], symmetry, np.array(model.angles or (True,) * model.degrees_of_freedom)):
+            return None
+        return _motion(model, *path_completed(*path, symmetry), period)
 
 
 def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray | None:
-    """States at equal times: steps are halved until the end moves by less than ENDS; None when that fails."""
-    before = None
+    """States at equal times: steps are halved until the end moves by less than ENDS.
+
+    Where it never does, because the motion amplifies round-off, those of the smallest steps; whether these are
+    good enough shows where the pieces join. None when the motion cannot be integrated.
+    """
+    states = before = None
     for steps in STEPS:
         try:
             states = march(field, state, duration, steps, np.zeros(0), start)
         except IntegrationError:
+            states = before = None
             continue
         if before is not None and np.abs(states[-1] - before).max() <= ENDS * max(1.0, np.abs(states[-1]).max()):
             return np.asarray(states)
         before = states[-1]
-    return None
+    return None if states is None else np.asarray(states)
 
 
 def _pieces(field: Any, nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -176,9 +183,24 @@ def completed(states: np.ndarray, symmetry: str) -> np.ndarray:
 
 def _closes(states: np.ndarray) -> bool:
     """True when the velocities return; the coordinates may have turned by whole turns."""
+    return _joins(states, "none", np.ones(states.shape[1] // 2, bool))
+
+
+def _joins(states: np.ndarray, symmetry: str, angles: np.ndarray) -> bool:
+    """Whether the end of the part that a symmetry leaves free meets the part that follows, to GAP of the extent.
+
+    Velocities return (none), vanish (brake) or are reversed (reflection); coordinates are at 0, angles at 0 or pi
+    (reversal, brake+reflection).
+    """
     n = states.shape[1] // 2
-    extent = float(np.ptp(states[:, n:], axis=0).max())
-    return bool(np.abs(states[-1, n:] - states[0, n:]).max() <= GAP * max(extent, 1e-12))
+    first, last = states[0], states[-1]
+    if symmetry in ("reversal", "brake+reflection"):
+        q = last[:n]
+        gap, extent = np.where(angles, (2 * q + np.pi) % (2 * np.pi) - np.pi, 2 * q) / 2, states[:, :n]
+    else:
+        sign = {"none": -1.0, "brake": 0.0, "reflection": 1.0}[symmetry]
+        gap, extent = last[n:] + sign * first[n:], states[:, n:]
+    return bool(np.abs(gap).max() <= GAP * max(float(np.ptp(extent, axis=0).max()), 1e-12))
 
 
 def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:

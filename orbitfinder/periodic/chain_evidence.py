@@ -1,10 +1,11 @@
 """The certificate's evidence for a long chain: Lagrange's equations in closed form, dense and in NumPy.
 
 Hamilton's equations of any Model go through an inverse mass matrix in one CasADi graph, and their
-momenta (thousands of kg m^2/s at 100 links, which the velocities depend on through the inverse of a
-matrix of condition 5e4) would lose the digits that a closure of 1e-12 needs. The closed form keeps the
-velocities, follows from the energies alone, and shares neither code nor formulation with the
-recursion that found the orbit. Only the monodromy is taken to canonical coordinates, at its two ends.
+momenta (1300 kg m^2/s at 100 links, which the velocities depend on through the inverse of a matrix of
+condition 5e4) lose digits: the first mode of 100 links at 1 rad closes to 1.2e-10 in them and to 9e-13
+here. The closed form keeps the velocities, follows from the energies alone, and shares neither code nor
+formulation with the recursion that found the orbit. Only the monodromy is taken to canonical
+coordinates, at its two ends.
 """
 
 from __future__ import annotations

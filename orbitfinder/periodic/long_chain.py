@@ -47,6 +47,8 @@ GROWTHS = (1.7, 1.4, 1.2)
 another."""
 DIRECT = 0.05
 """A guess that misses q = 0 by less than this, relative, after a quarter of its period is corrected directly."""
+UNUSED = ("relative_tolerance", "absolute_tolerance", "ipopt_tolerance")
+"""Entries of the provenance about CVODES and IPOPT, neither of which is used here"""
 MOST_STEPS, MOST_MATRICES, SHRINKING, WORST = 20, 4, 0.3, 1e-9
 
 
@@ -103,8 +105,9 @@ def find_long_chain(problem: Problem, settings: SolveSettings, progress: Callbac
     series = balanced(chain, report)
     start, period = shot(chain, series.start, series.period, report)
     orbit = measured(chain, start, period)
-    said = provenance(problem, settings, began) | {"method": "harmonic balance, quarter-period shooting"}
-    orbit = replace(orbit, provenance=said | {"harmonics": len(series.coefficients)})
+    said = {key: value for key, value in provenance(problem, settings, began).items() if key not in UNUSED}
+    method = {"method": "harmonic balance, quarter-period shooting", "harmonics": len(series.coefficients)}
+    orbit = replace(orbit, provenance=said | method)
     if settings.with_certificate:
         certificate = certify(orbit, problem.model)
         independent = [check.value for check in certificate.checks if check.name == "closure"]

@@ -62,8 +62,7 @@ def chosen(
         if not stability:
             raise
         raise ConvergenceError(
-            f"{error}; the spectral radius has a kink where two multipliers collide, which ends such a search: keep "
-            "away from it by bounds, or look at the family with `orbitfinder continue`"
+            f"{error} (the spectral radius has a kink where two multipliers collide; `orbitfinder continue` shows it)"
         ) from error
 
 
@@ -79,10 +78,10 @@ def followed(shooting: Shooting, start: np.ndarray, settings: SolveSettings, rep
         lower, upper = np.maximum(shooting.lower, w - reach), np.minimum(shooting.upper, w + reach)
         try:
             found = solve_nlp(replace(shooting, lower=lower, upper=upper), settings, report, w)
-        except ConvergenceError:
+        except ConvergenceError as error:
             size /= 4
             if size < SMALLEST_BOX:
-                raise
+                raise ConvergenceError(_stopped(shooting, w)) from error
             continue
         w, edge = found, 1e-4 * reach
         inside = ((w > lower + edge) | (lower == shooting.lower)) & ((w < upper - edge) | (upper == shooting.upper))
@@ -91,6 +90,16 @@ def followed(shooting: Shooting, start: np.ndarray, settings: SolveSettings, rep
     raise ConvergenceError(
         f"no orbit found: the objective still improves after {MOST_BOXES} steps along the family; give bounds, or a "
         "guess nearer to the optimum"
+    )
+
+
+def _stopped(shooting: Shooting, w: np.ndarray) -> str:
+    """Where the search along the family came to a halt, and what that may mean."""
+    period, _, free = shooting.layout.tail(w)
+    place = "".join(f", {name} {value:.6g}" for name, value in zip(shooting.problem.free, free, strict=True))
+    return (
+        f"no orbit found: the objective cannot be followed beyond the orbit of period {period:.6g} s{place}; it has a "
+        "kink there, or the family ends or branches; give bounds that keep away from it, or start on its other side"
     )
 
 

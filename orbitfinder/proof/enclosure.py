@@ -78,9 +78,10 @@ def horner(series: Sequence[Any], time: Any) -> Any:
     return total
 
 
-def find_step(field: Field, hull: Vector, begin: float, trial: float, settings: Settings) -> tuple[Step, float]:
-    """A step from `hull` whose remainder is within tolerance, and the length to try next."""
-    found = field.solution(hull, settings.order)
+def find_step(
+    field: Field, found: Solution, begin: float, trial: float, settings: Settings
+) -> tuple[Step, float]:
+    """A step of the solutions `found` whose remainder is within tolerance, and the length to try next."""
     largest = max(magnitude([one[-1] for one in found.states]), 1e-300)
     h = min(_rounded(min(trial, (settings.tolerance / largest) ** (1.0 / settings.order))), 1.0 - begin)
     while h >= settings.shortest or (h > 0 and begin + h == 1.0):
@@ -91,7 +92,7 @@ def find_step(field: Field, hull: Vector, begin: float, trial: float, settings: 
         error = radius(rest) * h ** (settings.order + 1)
         ratio = 0.9 * (settings.tolerance / max(error, 1e-300)) ** (1.0 / (settings.order + 1))
         if error <= settings.tolerance:
-            return Step(begin, h, found.states, rest, hull[-2:]), h * min(max(ratio, 1.0), 1.5)
+            return Step(begin, h, found.states, rest, list(found.z[-2:])), h * min(max(ratio, 1.0), 1.5)
         h = _rounded(h * min(max(ratio, 0.3), 0.9))
     raise IntegrationError(
         "no validated step is short enough; raise the order or the precision, or prove a smaller box", time=begin
@@ -130,10 +131,10 @@ def _state_image(
     return image, rest, own
 
 
-def transition_over(field: Field, step: Step, hull: Vector, settings: Settings) -> Any:
-    """dz(h)/dz over the starting box `hull` (2n+2 square), by the same argument for the variational equations."""
+def transition_over(field: Field, step: Step, plain: Solution, settings: Settings) -> Any:
+    """dz(h)/dz over the starting box (2n+2 square), by the same argument for the variational equations."""
     order, n, span = settings.order, field.size, up_to(arb(step.h))
-    found = field.solution(hull, order, vary=True)
+    found = plain.varied(field.varied)
     _, rest, own = _state_image(field, found, span, step.remainder, order)
     series, values = found.transitions(), outputs(found.code, rest)
     slopes = [*slope_series(n, found.results()[1], order),

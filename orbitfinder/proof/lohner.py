@@ -76,9 +76,9 @@ def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
 
 def advance(field: Field, old: Cloud, begin: float, trial: float, settings: Settings) -> tuple[Cloud, Step, float]:
     """The Cloud after one validated step, the step, and the length to try next."""
-    hull = old.hull
-    step, following = find_step(field, hull, begin, trial, settings)
-    flow = transition_over(field, step, hull, settings)
+    solutions = field.solution(old.hull, settings.order)
+    step, following = find_step(field, solutions, begin, trial, settings)
+    flow = transition_over(field, step, solutions, settings)
     return moved_derivatives(moved_point(field, old, step, flow, settings), flow), step, following
 
 

@@ -67,7 +67,8 @@ def _draw(axes: Any, motion: Motion) -> None:
         axes.plot(right, -down, color=COLOURS[0], alpha=0.10 + 0.45 * k / len(joints), linewidth=0.8)
     down, right = motion.joints[0]
     # the last joint of a linkage is a pivot on the ground
-    tip = motion.joints[:, :, -2] if np.ptp(motion.joints[:, 0, -1]) < 1e-9 else motion.joints[:, :, -1]
+    fixed = motion.joints.shape[2] > 1 and np.ptp(motion.joints[:, :, -1], axis=0).max() < 1e-9
+    tip = motion.joints[:, :, -2 if fixed else -1]
     axes.plot(tip[:, 1], -tip[:, 0], color=COLOURS[1], linewidth=1.1)
     axes.plot(right, -down, color="black", linewidth=1.6)
     axes.plot(right[0], -down[0], "s", color="black", markersize=4)

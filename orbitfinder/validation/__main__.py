@@ -16,7 +16,8 @@ FOLDERS = click.Path(path_type=Path)
 @click.command()
 @click.option("--out", default="results/validation", show_default=True, type=FOLDERS, help="Folder for README.md.")
 @click.option("--data", default="tests/data", show_default=True, type=FOLDERS, help="Folder of the reference orbits.")
-def main(out: Path, data: Path) -> None:
+@click.option("--families", default="results/families", show_default=True, type=FOLDERS, help="Folder of families.")
+def main(out: Path, data: Path, families: Path) -> None:
     """Compare with every published number that we know of and write README.md. Takes about half a minute.
 
     \b
@@ -25,7 +26,7 @@ def main(out: Path, data: Path) -> None:
     """
     try:
         with compiling("off"):  # so that the last digits do not depend on what is in a cache
-            sections = collect(data)
+            sections = collect(data, families)
     except InputError as error:
         click.echo(f"Error: {error}", err=True)
         raise SystemExit(2) from error

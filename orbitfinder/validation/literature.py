@@ -26,6 +26,8 @@ ARENSTORF = (
     ("-2.00158510637908252240537862224", "17.0652165601579625588917206249"),
     ("-2.0317326295573368357302057924", "11.124340337266085134999734047"),
 )
+SEGMENTS = 16
+"""Of an Arenstorf orbit: the close passage amplifies more than its multiplier, by which they are chosen, tells."""
 EIGHT = {"x1": "0.97000436", "y1": "-0.24308753", "vx3": "-0.93240737", "vy3": "-0.86473146"}
 EIGHT_PERIOD = "6.32591398"
 
@@ -44,7 +46,8 @@ def sections() -> list[Section]:
             "Restricted three-body problem: Arenstorf orbits",
             "E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.0, as quoted "
             "in public test suites. Start (0.994, 0, 0, y'), ratio 0.012277471; x is pinned, y' and the period are "
-            "found. The orbit passes the Moon at 0.006 Earth-Moon distances.",
+            "found. The orbit passes the Moon at 0.006 Earth-Moon distances, which amplifies round-off by more than "
+            "the largest multiplier that the certificate's tolerance allows for: the certificates fail.",
             tuple(row for one in ARENSTORF for row in arenstorf(*one)),
         ),
         Section(
@@ -80,7 +83,8 @@ def arenstorf(rate: str, period: str) -> list[Comparison]:
 
     def rows() -> list[Comparison]:
         guess = Guess([0.994, 0.0, 0.0, float(rate)], float(period))
-        orbit = find_orbit(Problem(restricted_three_body(0.012277471), guess, pin(x=0.994)))
+        problem = Problem(restricted_three_body(0.012277471), guess, pin(x=0.994), segments=SEGMENTS)
+        orbit = find_orbit(problem)
         return [
             number("period", period, orbit.period, 1e-9),
             number("y'(0)", rate, float(orbit.state[3]), 1e-9),

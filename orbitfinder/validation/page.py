@@ -21,15 +21,16 @@ with, ours, the difference, and what was allowed before it was computed. A row t
 """
 
 
-def collect(data: Path) -> list[Section]:
+def collect(data: Path, families: Path) -> list[Section]:
     """Every section, computed. Raises `InputError` when the reference files are not where told."""
-    from orbitfinder.validation import closed_forms, literature, reference_orbits, software
+    from orbitfinder.validation import closed_forms, literature, reach, reference_orbits, software
 
     return [
         *reference_orbits.sections(data),
         closed_forms.section(),
         *literature.sections(),
         *software.sections(),
+        reach.section(data, families),
     ]
 
 

@@ -68,12 +68,17 @@ def _printed(one: PrintedOrbit) -> list[Comparison]:
     ]
 
 
-def entries(data: Path, file: str) -> list[dict[str, Any]]:
-    """The orbits of a reference file. Raises `InputError` when it is not there."""
+def read_json(path: Path) -> dict[str, Any]:
+    """A reference file. Raises `InputError` when it is not there."""
     try:
-        return list(json.loads((data / file).read_text(encoding="utf-8"))["orbits"])
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"--data: {data / file}: cannot be read ({error}); give the folder tests/data") from error
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise InputError(f"--data: {path}: cannot be read ({error}); give the folder tests/data") from error
+
+
+def entries(data: Path, file: str) -> list[dict[str, Any]]:
+    """The orbits of a reference file. Raises `InputError`."""
+    return list(read_json(data / file)["orbits"])
 
 
 def refined(data: Path) -> Section:
