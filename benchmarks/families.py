@@ -30,10 +30,10 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.compiled import compiling
+from orbitfinder.families.closure import closure_check
 from orbitfinder.families.continuation import follow
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.points import FamilyPoint, FamilySettings
-from orbitfinder.families.propagate import closure_check
 from orbitfinder.families.start import Start, begin, full_samples
 from orbitfinder.families.walk import Walk, first_point
 from orbitfinder.flow import vector_field

@@ -96,6 +96,14 @@ def dop853(flow: Flow, state, times, s=(), free=()) -> np.ndarray:
     return integrate(vector_field(field), np.asarray(state, float), times, longest_step=float(np.ptp(times)) / 200 or 1)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory):
+    """Compiled functions go to a folder of this run, not to the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ORBITFINDER_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def report_orbits() -> dict[str, Orbit]:
     """The four report orbits, found once from the printed digits with default settings."""

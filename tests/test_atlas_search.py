@@ -120,7 +120,7 @@ def test_a_start_that_kills_its_workers_costs_one_start(task, triple, one, tmp_p
         tally = Search(atlas, task, one, Limits(starts=6)).run(crew)
     crew.close()
     starts = content(tmp_path / "a.sqlite")[1]
-    assert tally.done == 6 and [start[4] for start in starts].count(DIED) == 1
+    assert tally.done == 6 and tally.elapsed == tally.elapsed and [start[4] for start in starts].count(DIED) == 1
     assert starts[2][2:5] == ("random", "failed", DIED)
 
 

@@ -33,6 +33,7 @@ from orbitfinder.validation.literature import EIGHT_PERIOD, three_bodies
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "orbits"
+GALLERY = sorted((ROOT / "results" / "gallery").glob("*/orbit.json"))
 SYSTEMS = {
     "chain": {"kind": "chain", "links": 3},
     "long chain": {"kind": "chain", "links": 20},
@@ -237,7 +238,7 @@ def test_auto_runs_forced_systems_through_the_added_oscillator(tmp_path):
 
 @needs_auto
 @pytest.mark.slow
-@pytest.mark.parametrize("path", sorted((ROOT / "results" / "gallery").glob("*/orbit.json")), ids=lambda p: p.parent.name)
+@pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.parent.name)
 def test_auto_loads_every_orbit_of_the_gallery(tmp_path, path):
     """AUTO's first, corrected point has our period, and 20 steps are taken."""
     orbit = of.load_orbit(path)

@@ -14,11 +14,11 @@ from scipy.special import ellipk
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.branching import switch
+from orbitfinder.families.closure import closure_check
 from orbitfinder.families.command import continue_command
 from orbitfinder.families.continuation import follow
 from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
 from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.propagate import closure_check
 from orbitfinder.families.stability import matched
 from orbitfinder.families.start import begin, curve_of
 from orbitfinder.families.store import load_family, read_journal

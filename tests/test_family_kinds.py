@@ -8,12 +8,12 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from orbitfinder.errors import InputError
+from orbitfinder.families.closure import closure_check
 from orbitfinder.families.command import continue_command
 from orbitfinder.families.minimal import bar_states, minimal_problem, native_state
 from orbitfinder.families.motion import motions
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.propagate import closure_check
 from orbitfinder.families.start import begin
 from orbitfinder.flow import build_flow, end_state
 from orbitfinder.mechanics.catalogue import build_model

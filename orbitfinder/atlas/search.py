@@ -49,11 +49,12 @@ class Tally:
     began: float = field(default_factory=time.monotonic)
     begun_at: int = 0
     """number of the first start of this run"""
+    ended: float | None = None
 
     @property
     def elapsed(self) -> float:
-        """Seconds since it began."""
-        return time.monotonic() - self.began
+        """Seconds since it began, or that it took."""
+        return (time.monotonic() if self.ended is None else self.ended) - self.began
 
     def left(self, limits: Limits) -> float | None:
         """Seconds that are left, as far as one can tell."""
@@ -120,6 +121,7 @@ class Search:
                 self._answers[order.number] = attempt
             while self._head in self._answers and self._judged(workers, self._answers.pop(self._head)):
                 self._head += 1
+        self.tally.ended = time.monotonic()
         return self.tally
 
     def _wanted(self) -> bool:

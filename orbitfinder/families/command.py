@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.families.closure import closure_check
 from orbitfinder.families.continuation import follow
 from orbitfinder.families.points import Batch, Family, FamilyPoint, FamilySettings
-from orbitfinder.families.propagate import closure_check
 from orbitfinder.families.start import Start, begin, curve_of
 from orbitfinder.families.store import (
     FORMAT,

@@ -22,7 +22,7 @@ UNDERFLOW_GROWTH, UNDERFLOW_SHARE = 1.5, 0.25
 """A step underflow with the period this much above the shortest, and slow for this share, is read as homoclinic."""
 UNDECIDED = 1e11
 """Beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
-SETTLED = 1e-4
+SETTLED = 1e-3
 """and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then."""
 MOST_COVERS = 6
 """A family may join another one of up to this many times shorter a period."""

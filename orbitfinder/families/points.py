@@ -10,7 +10,7 @@ import numpy as np
 
 from orbitfinder import display
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.propagate import ClosureCheck
+from orbitfinder.families.closure import ClosureCheck
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.families.system import Curve, Place, Solution
 

@@ -11,10 +11,9 @@ that neighbouring orbits are integrated alike and a whole segment is one call wi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -23,12 +22,8 @@ from scipy.integrate import DOP853
 from orbitfinder.compiled import compiled
 from orbitfinder.errors import IntegrationError
 from orbitfinder.flow import vector_field
-from orbitfinder.mechanics.canonical import canonical
-from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, Symmetry, boundary_rows, unfolded_invariants
-from orbitfinder.reference import TIGHTEST, integrate
-from orbitfinder.reference import vector_field as numpy_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
@@ -79,13 +74,17 @@ def build_propagator(model: Model, symmetry: str = "none", free: tuple[str, ...]
     rate = _rate(model, field, free)
     plain = ca.Function("plain", [x := ca.MX.sym("x", field.size1_in(1)), p := ca.MX.sym("p", rate.size1_in(1))],
                         [p[0] * field(0.0, x, p[1 : 1 + len(unfolded)], p[1 + len(unfolded) :])])  # fmt: skip
+    step, move = (
+        compiled(_step(name, one, error=False), effort=EFFORT) for name, one in (("step", rate), ("move", plain))
+    )
+    trial, trial_all = (
+        compiled(_step(name, one, error=True), effort=EFFORT) for name, one in (("trial", plain), ("trial_all", rate))
+    )
+    quantities, momenta = _quantities(model, free)
+    generators = tuple(one.generator for one in model.invariants if one.generator is not None)
     return Propagator(
-        model, boundary, tuple(free), len(unfolded), rate, field,
-        *(compiled(one, effort=EFFORT) for one in (
-            _step("step", rate, error=False), _step("move", plain, error=False),
-            _step("trial", plain, error=True), _step("trial_all", rate, error=True),
-        )),
-        *_quantities(model, free), tuple(one.generator for one in model.invariants if one.generator is not None),
+        model, boundary, tuple(free), len(unfolded), rate, field, step, move, trial, trial_all, quantities, momenta,
+        generators,
     )  # fmt: skip
 
 
@@ -264,51 +263,3 @@ def boundary_matrices(propagator: Propagator) -> tuple[np.ndarray, np.ndarray]:
     unit = [ca.DM(column) for column in np.eye(size)]
     first = np.stack([rows(one, zero) for one in unit], axis=1)
     return first, np.stack([rows(zero, one) for one in unit], axis=1)
-
-
-CHECKED = replace(TIGHTEST, max_evaluations=100_000)
-"""Ten times what a tame period needs at the finest of `LONGEST_STEPS`."""
-LONGEST_STEPS = (np.inf, 1 / 400, 1 / 1600)
-"""Longest steps of the check, in periods, each tried only when the one before says that the orbit does not close."""
-
-
-class ClosureCheck(Protocol):
-    """The largest gap round the loop of an orbit; `allowed` is what will be asked of it."""
-
-    def __call__(
-        self, state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,
-        free: Mapping[str, float] | None = None,
-    ) -> float:
-        """The gap, in rad and rad/s."""
-
-
-def closure_check(model: Model) -> ClosureCheck:
-    """The closure of orbits by independent means, at the model's parameters or at freed ones.
-
-    Hamilton's equations, derived from the energies alone, by SciPy's adaptive DOP853 at its tightest.
-    """
-    n = model.degrees_of_freedom
-    prepared: list[tuple[dict[str, float], Any, ca.Function]] = [({}, *_hamiltonian(model))]
-
-    def check(
-        state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,
-        free: Mapping[str, float] | None = None,
-    ) -> float:
-        if prepared[0][0] != dict(free or {}):
-            prepared[0] = (dict(free or {}), *_hamiltonian(with_parameters(model, free or {})))
-        _, field, momentum = prepared[0]
-        start, gap = np.concatenate([state[:n], momentum(state[:n], state[n:]).full().ravel()]), np.inf
-        for longest in LONGEST_STEPS:
-            end = integrate(field, start, np.array([0.0, period]), CHECKED, longest * period)[-1]
-            moved = end[:n] - state[:n] - 2 * np.pi * turns
-            gap = float(max(np.abs(moved).max(), np.abs(field(0.0, end)[:n] - state[n:]).max()))
-            if gap <= 0.5 * allowed:
-                break
-        return gap
-
-    return check  # type: ignore[return-value]
-
-
-def _hamiltonian(model: Model) -> tuple[Any, ca.Function]:
-    equations = canonical(model)
-    return numpy_field(equations.field), equations.momentum

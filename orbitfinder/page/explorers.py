@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from orbitfinder.page.gather import evenly
 from orbitfinder.page.motion import Films, packed
 from orbitfinder.page.orbits import Entry, player, symmetry_words

@@ -95,7 +95,8 @@ def find_step(
             return Step(begin, h, found.states, rest, list(found.z[-2:])), h * min(max(ratio, 1.0), 1.5)
         h = _rounded(h * min(max(ratio, 0.3), 0.9))
     raise IntegrationError(
-        "no validated step is short enough; raise the order or the precision, or prove a smaller box", time=begin
+        "no validated step is short enough; raise the order or the precision, or use more segments",
+        time=begin * float(found.tau.mid()),
     )
 
 
@@ -150,7 +151,9 @@ def transition_over(field: Field, step: Step, plain: Solution, settings: Setting
         grown = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + 1e-300)
                  for x in image.entries()[: -2 * n - 2]]  # fmt: skip
         trial = arb_mat(2 * n + 1, 2 * n + 2, grown + [arb(0)] * (2 * n + 2))
-    raise IntegrationError("the derivatives over a step could not be enclosed; raise the order", time=step.begin)
+    raise IntegrationError(
+        "the derivatives over a step could not be enclosed; raise the order", time=step.begin * float(found.tau.mid())
+    )
 
 
 def top(matrix: Any, rows: int) -> Any:

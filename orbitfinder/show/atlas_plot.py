@@ -59,7 +59,7 @@ def energy_period(rows: Sequence[Row]) -> Figure:
                       markeredgewidth=0, linestyle="none", label=f"{label} ({int(here.sum())})")  # fmt: skip
     for shell in shells if shells.size < 12 else []:
         axes.axhline(shell, color="0.75", linewidth=0.7, zorder=0)
-    dress(axes, "period (s)", "energy (J); above its line by log10 of the largest |multiplier|")
+    dress(axes, "period (s)", "energy (J), raised by log10 |largest multiplier|")
     if shells.size < 12:
         axes.set_yticks(shells)
     axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)

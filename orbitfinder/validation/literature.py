@@ -11,10 +11,11 @@ import numpy as np
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Invariant, Model
 from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.freedom import Constraint
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.solve import find_orbit
-from orbitfinder.systems import restricted_three_body, van_der_pol
+from orbitfinder.systems import henon_heiles, restricted_three_body, van_der_pol
 from orbitfinder.validation.comparison import Comparison, Section, attempted, number
 
 VAN_DER_POL = {
@@ -30,6 +31,8 @@ SEGMENTS = 16
 """Of an Arenstorf orbit: the close passage amplifies more than its multiplier, by which they are chosen, tells."""
 EIGHT = {"x1": "0.97000436", "y1": "-0.24308753", "vx3": "-0.93240737", "vy3": "-0.86473146"}
 EIGHT_PERIOD = "6.32591398"
+CASCADE = (("0.969309", 0.9692), ("0.986709", 0.9867))
+"""Bifurcation energies in units of the saddle's 1/6, as quoted, and where to start looking"""
 
 
 def sections() -> list[Section]:
@@ -55,6 +58,13 @@ def sections() -> list[Section]:
             "A. Chenciner, R. Montgomery, Annals of Mathematics 152 (2000) 881-901, initial data by C. Simo. The "
             "period is pinned to the printed one. Allowed: one unit of the last printed digit.",
             tuple(attempted("figure eight", EIGHT_PERIOD, eight)),
+        ),
+        Section(
+            "Henon-Heiles: bifurcations of the straight-line orbit",
+            "M. Brack, Foundations of Physics 31 (2001), nlin/0006034; its table could not be opened, the digits are "
+            "as quoted to us. Energies, in units of the saddle's 1/6, at which the orbit along x = 0 has a double "
+            "multiplier 1, found by asking for that. Allowed: half a unit of the last digit.",
+            tuple(row for one in CASCADE for row in attempted("e", one[0], partial(bifurcation, *one))),
         ),
     ]
 
@@ -127,3 +137,24 @@ def eight() -> list[Comparison]:
     found = np.concatenate([-orbit.state[:2] / 2, orbit.state[6:] / 1.5])
     rows = [number(name, EIGHT[name], value, 1e-8) for name, value in zip(EIGHT, found, strict=True)]
     return [*rows, certified(orbit)]
+
+
+def straight_line(scaled: float) -> tuple[float, float]:
+    """Lower turning point y and period of the Henon-Heiles motion along x = 0 at the energy `scaled` / 6.
+
+    2 (E - V) = (2/3) (y - y0) (y1 - y) (y2 - y) with the roots y0 < y1 < y2, so with y = m + h sin(a) the period
+    is 2 int da / sqrt((2/3) (y2 - y)) from -pi/2 to pi/2: by the midpoint rule, enough for a guess.
+    """
+    lowest, middle, highest = np.sort(np.roots([-1 / 3, 0.5, 0.0, -scaled / 6]).real)
+    angles = (np.arange(4000) + 0.5) / 4000 * np.pi - np.pi / 2
+    place = (lowest + middle) / 2 + (middle - lowest) / 2 * np.sin(angles)
+    return float(lowest), float(2 * np.mean(1 / np.sqrt((highest - place) / 1.5)) * np.pi)
+
+
+def bifurcation(quoted: str, near: float) -> list[Comparison]:
+    """The orbit whose monodromy matrix has the trace 4, all four multipliers being 1."""
+    start, period = straight_line(near)
+    double = Constraint(lambda variables: ca.trace(variables.monodromy) - 4, name="double multiplier 1")
+    guess = Guess([0.0, start, 0.0, 0.0], period)
+    orbit = find_orbit(Problem(henon_heiles(), guess, symmetry="brake", constraints=(double,)))
+    return [number(f"bifurcation near {near:g}", quoted, 6 * orbit.energy, 5e-7), certified(orbit)]

@@ -9,8 +9,8 @@ from typing import Any
 from orbitfinder.validation.comparison import Comparison, Section
 from orbitfinder.validation.reference_orbits import read_json
 
-NAMES = {"tri1": "triple-1", "tri2": "triple-2", "quad1": "quadruple-1", "quad2": "quadruple-2"}
-"""AUTO run -> family of ours; runs of normal modes have the name of the mode."""
+NAMES = {"tri1": "triple-1", "tri2": "triple-2", "quad1": "quadruple-mode-2", "quad2": "quadruple-mode-3"}
+"""AUTO run -> family of ours: runs of normal modes have the mode's name, the quadruple orbits lie on such families."""
 GRAVITY = 9.8
 
 

@@ -1,0 +1,121 @@
+"""The benchmarks: their equations are ours, what is missing is said, and the page is put together from its parts."""
+
+import sys
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import PRINTED
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+import machine  # noqa: E402
+import run  # noqa: E402
+from peers import auto, octave  # noqa: E402
+from peers.task import Answer, Unavailable, closure, tasks  # noqa: E402
+
+
+def test_tasks_are_the_printed_orbits():
+    for task in tasks():
+        assert tuple(task.state) == PRINTED[task.name].state and task.period == PRINTED[task.name].guessed_period
+
+
+def test_everybody_is_judged_by_the_certificate(report_orbits):
+    task = tasks()[0]
+    orbit = report_orbits[task.name]
+    assert closure(task, Answer(0.0, orbit.state, orbit.period)) == pytest.approx(orbit.closure, abs=1e-13)
+    assert closure(task, Answer(0.0, task.state, task.period)) > 1e-7
+
+
+def test_equations_given_to_auto_are_those_of_the_chain():
+    """Right-hand side T f, its derivatives and the boundary rows, against finite differences and the model."""
+    task = tasks()[0]
+    rate, slopes, rows, ends = auto.equations(task)
+    random = np.random.default_rng(0)
+    x, par = random.normal(size=6), random.normal(size=11)
+    values = slopes(x, par)
+    np.testing.assert_allclose(values[0], rate(x, par))
+    for number, size in ((1, 6), (2, 11)):
+        matrix = values[number].full().reshape(6, size, order="F")
+        for k in range(size):
+            step = 1e-6 * np.eye(size)[k]
+            pair = [(x + s * step, par) if number == 1 else (x, par + s * step) for s in (1, -1)]
+            difference = (rate(*pair[0]).full() - rate(*pair[1]).full()).ravel() / 2e-6
+            np.testing.assert_allclose(matrix[:, k], difference, atol=1e-6 * max(1.0, np.abs(difference).max()))
+    assert np.abs(rows(task.state, task.state).full()).max() < 1e-12
+    assert ends(task.state, task.state)[1].numel() == 8 * 12
+
+
+def test_equations_given_to_heyoka_are_those_of_the_chain():
+    hy = pytest.importorskip("heyoka")
+    from peers.taylor import expressions
+
+    x = ca.SX.sym("x", 4)
+    rows = ca.vertcat(ca.sin(x[0]) / x[1] - 2 * x[2] ** 2, -ca.cos(x[3]) + 1 / x[0], x[2], 3)
+    function = ca.Function("f", [x], [rows])
+    variables = hy.make_vars(*(f"x{k}" for k in range(4)))
+    compiled = hy.cfunc(expressions(hy, function, variables), variables)
+    point = np.array([0.3, 0.7, -0.4, 1.1])
+    np.testing.assert_allclose(compiled(point), function(point).full().ravel(), rtol=1e-15)
+
+
+def test_missing_peers_are_named(monkeypatch):
+    task = tasks()[0]
+    monkeypatch.setattr(auto, "HOME", Path("nowhere"))
+    with pytest.raises(Unavailable, match="AUTO-07p or gfortran is not installed"):
+        auto.Auto(task)
+    monkeypatch.setattr(octave.shutil, "which", lambda name: None)
+    with pytest.raises(Unavailable, match="Octave is not installed"):
+        octave.refine(task)
+
+
+def test_octave_is_ended_in_time():
+    if octave.shutil.which("octave") is None:
+        pytest.skip("Octave is not installed")
+    with pytest.raises(Unavailable, match=r"not finished after 0\.3 s"):
+        octave.refine(tasks()[1], limit=0.3)
+
+
+@pytest.mark.slow
+def test_auto_refines_the_printed_digits():
+    """AUTO's correction at fixed energy ends at our orbit."""
+    task = tasks()[3]
+    try:
+        peer = auto.Auto(task)
+    except Unavailable as error:
+        pytest.skip(str(error))
+    answer = peer.refine()
+    peer.close()
+    assert answer.period == pytest.approx(PRINTED[task.name].period, abs=1e-12) and closure(task, answer) < 1e-12
+
+
+def part(folder: Path, name: str, body: str, limit: float = 60.0) -> run.Part:
+    (folder / f"{name}.py").write_text(body)
+    return run.Part(name, f"About {name}", limit=limit)
+
+
+def test_page_is_put_together(tmp_path, monkeypatch):
+    """A part that works is quoted, one that fails, hangs or is missing is named, and the others go on."""
+    monkeypatch.setattr(run, "HERE", tmp_path)
+    monkeypatch.setattr(run, "OUT", tmp_path)
+    page = f"open({str(tmp_path / 'good.md')!r}, 'w').write('# Good\\n\\nintroduction\\n\\n| a |\\n|---|\\n| 7 |\\n')"
+    parts = [
+        part(tmp_path, "good", page),
+        part(tmp_path, "bad", "raise SystemExit('no luck')"),
+        part(tmp_path, "slow", "import time; time.sleep(60)", limit=0.5),
+        run.Part("absent", "About nothing"),
+    ]
+    monkeypatch.setattr(run, "PARTS", tuple(parts))
+    said = {one.name: run.run(one) for one in parts}
+    assert said["good"].endswith(" s") and "failed (no luck)" in said["bad"]
+    assert "ended after 0.5 s" in said["slow"] and said["absent"] == "not run: no such script"
+    text = run.assembled(said, ["the machine"])
+    assert "## About good" in text and "| 7 |" in text and "introduction" not in text and "About bad" in text
+
+
+def test_machine_is_described_without_paths():
+    text = " ".join([machine.processor(), machine.versions("heyoka"), machine.load(), *run.conditions("load 0")])
+    assert "casadi" in text and str(ROOT) not in text and "/usr" not in text
+    assert machine.said_by("no-such-program") == "" and machine.package("no-such-package") is None
