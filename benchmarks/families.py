@@ -43,8 +43,8 @@ from orbitfinder.periodic.conditions import SYMMETRIES, unfolded_invariants
 
 ROOT = Path(__file__).parents[1]
 AUTO = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))
-POINTS = 60
-REPEATS = 3
+POINTS = 40
+REPEATS = 2
 MESHES = ((50, 4), (100, 4), (100, 7))
 """(NTST, NCOL) that AUTO is tried with; the cheapest one whose closures are as asked for is its time."""
 CLOSURE = 1e-11
@@ -99,8 +99,7 @@ def main() -> None:
         rows.append(measured(case, points, Clock(chosen.cpu)))
         print(line(*rows[-1]), flush=True)
     chosen.out.mkdir(parents=True, exist_ok=True)
-    name = "families-quick.md" if chosen.quick else "families.md"
-    (chosen.out / name).write_text(page(rows, chosen.cpu), encoding="utf-8")
+    (chosen.out / "families.md").write_text(page(rows, chosen.cpu), encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -221,22 +220,20 @@ def auto(start: Start, points: int, mesh: tuple[int, int], clock: Clock) -> Run:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare(folder, start)
-        for step in (0.01, -0.01):
-            run = auto_run(folder, start, (points, mesh, step), clock)
-            if run.energies[1] > run.energies[0]:
-                break
-    return run
+        upwards = auto_run(folder, start, (11, MESHES[0], 0.01), 1, clock).energies
+        step = 0.01 if upwards[1] > upwards[0] else -0.01
+        return auto_run(folder, start, (points, mesh, step), REPEATS, clock)
 
 
-def auto_run(folder: Path, start: Start, asked: tuple[int, tuple[int, int], float], clock: Clock) -> Run:
-    """One run with (points, (NTST, NCOL), first step)."""
+def auto_run(folder: Path, start: Start, asked: tuple[int, tuple[int, int], float], repeats: int, clock: Clock) -> Run:
+    """Runs with (points, (NTST, NCOL), first step)."""
     model, (points, (intervals, order), step) = start.curve.propagator.model, asked
     size = 2 * model.degrees_of_freedom
     constants = CONSTANTS.format(size=size, intervals=intervals, order=order, points=points, step=step)
     (folder / "c.orbit").write_text(constants)
     threads = os.environ | ({"OMP_NUM_THREADS": "1"} if clock.cpu else {})
     taken = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         began = clock(children=True)
         with (folder / "c.orbit").open() as stream:
             subprocess.run(["./orbit.exe"], cwd=folder, stdin=stream, check=True, capture_output=True, env=threads)

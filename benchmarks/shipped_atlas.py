@@ -110,7 +110,7 @@ def twelve(triple: list[Row], quadruple: list[Row]) -> list[Pick]:
             ("most unstable", rows, lambda row: -row.instability, unstable),
             ("longest with every symmetry", high, lambda row: -row.period, lambda row: "brake+" in row.symmetry),
             ("shortest", rows, lambda row: row.period, lambda row: True),
-            ("least unstable without symmetry", rows, rate, asymmetric),
+            ("calmest without symmetry", rows, rate, asymmetric),
         ]
         for why, among, key, wanted in wishes:
             if any(wanted(row) and row.id not in taken for row in among):

@@ -127,6 +127,22 @@ def test_min_instability_with_two_pairs():
     assert np.abs(orbit.floquet_multipliers + 1 / orbit.floquet_multipliers).max() <= min(largest) + 1e-6
 
 
+@pytest.mark.slow
+def test_min_instability_at_a_kink():
+    """Two opposite indices: the larger is least where both are equal, and larger for lengths on either side."""
+    model = of.chain(3)
+    kept = {"pin": of.pin(energy=-38.0), "symmetry": "brake"}
+    wanted = {"free": ("length3",), "objective": "min_instability", "bounds": {"length3": (0.7, 1.4)}}
+    orbit = find_orbit(of.Problem(model, of.normal_mode(model, 2, 0.6), **kept, **wanted))
+    indices = np.sort((orbit.floquet_multipliers + 1 / orbit.floquet_multipliers).real)
+    assert orbit.certificate.passed and indices[0] == pytest.approx(-indices[-1], abs=1e-8)
+    length = orbit.provenance["free"]["length3"]
+    for other in (length - 2e-3, length + 2e-3):
+        near = of.Guess(orbit.state, orbit.period)
+        beside = find_orbit(of.Problem(of.chain(3, length=[1.0, 1.0, other]), near, **kept), FAST)
+        assert np.abs(beside.floquet_multipliers + 1 / beside.floquet_multipliers).max() > indices[-1] + 1e-6
+
+
 @pytest.mark.parametrize("symmetry", ["none", "brake+reflection"])
 def test_max_amplitude_is_the_maximum_of_the_family(symmetry):
     """The lower link swings widest between -9.5 and -8.5 J; t = 0 is at that peak."""

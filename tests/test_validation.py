@@ -90,8 +90,8 @@ def test_a_shorter_family_than_autos_fails(tmp_path):
     """Planted families: one reaches further than AUTO did, one less far, the others are not there."""
     for name, energy in (("triple-mode-1", -3.0), ("triple-mode-2", 18.0)):
         (tmp_path / name).mkdir()
-        points, ends = [{"energy": -40.0}, {"energy": energy}], [{"kind": "homoclinic"}]
-        family = {"points": points, "system": {"links": 3}, "ends": ends}
+        points, ends = [{"energy": -40.0}, {"energy": energy - 1}], [{"kind": "homoclinic"}]
+        family = {"points": points, "events": [{"energy": energy}], "system": {"links": 3}, "ends": ends}
         (tmp_path / name / "family.json").write_text(json.dumps(family))
     rows = {row.quantity: row for row in reach.section(DATA, tmp_path).rows}
     assert rows["triple-mode-1"].passed and rows["triple-mode-1"].ours == "41.100000000"

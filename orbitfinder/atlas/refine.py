@@ -107,11 +107,16 @@ def finished(
     signature = loop_signature(one, loop)
     if known is not None and known(loop.numbers):
         return Attempt(start.index, start.strategy, signature)
-    orbit = replace(measured(one, loop), provenance=origin(seed, start), name=f"orbit-{seed}-{start.index}")
+    orbit = replace(measured(one, loop), provenance=origin(seed, start), name=name_of(one, seed, start))
     certificate = certify(orbit, one.model)
     if not certificate.passed:
         return Attempt(start.index, start.strategy, reason=f"not certified: {', '.join(certificate.failures)}")
     return Attempt(start.index, start.strategy, signature, replace(orbit, certificate=certificate))
+
+
+def name_of(one: Bench, seed: int, start: Start) -> str:
+    """A name that is unique in an atlas, and good for a folder: energy, seed, number of the start."""
+    return f"e{one.target.energy:g}-s{seed}-n{start.index}".replace("+", "")
 
 
 def loop_signature(one: Bench, loop: Loop) -> Signature:

@@ -83,7 +83,8 @@ def passage(j: int, level: float) -> Measure:
     return lambda probe: float(probe.indices[j].real - level)
 
 
-def _discriminant(i: int, j: int) -> Measure:
+def discriminant(i: int, j: int) -> Measure:
+    """(kappa_i - kappa_j)^2, negative where the two have left the real axis together."""
     return lambda probe: float(((probe.indices[i] - probe.indices[j]) ** 2).real)
 
 
@@ -187,7 +188,7 @@ def tests_for(interval: Interval, settings: FamilySettings) -> Iterator[Test]:
         for j in range(i + 1, a.indices.size):
             before, after = ((p.indices[i] - p.indices[j]) ** 2 for p in (a, b))
             if is_real(before) and is_real(after) and before.real * after.real < 0:
-                yield Test("collision", "", _discriminant(i, j))
+                yield Test("collision", "", discriminant(i, j))
 
 
 def located(interval: Interval, test: Test, low: float = 0.0, high: float | None = None) -> Probe:

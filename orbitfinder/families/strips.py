@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.events import Interval, Probe, Test, is_real, level_tests, passage, probe_at
+from orbitfinder.families.events import Interval, Probe, Test, discriminant, is_real, level_tests, passage, probe_at
 
 NEAR = 0.5
 """How near to +-2 an index must be at one of the two points to have gone through it."""
@@ -49,7 +49,33 @@ def avoided(before: Probe, after: Probe) -> bool:
 
 def strip_tests(interval: Interval, resonances: int) -> list[tuple[Test, float, float]]:
     """(test, low, high) of the two bifurcations of every strip, or of the one place where multipliers touch."""
-    return [one for flip in flips(interval.first, interval.last) for one in _strip(interval, flip, resonances)]
+    found = [one for flip in flips(interval.first, interval.last) for one in _strip(interval, flip, resonances)]
+    return found + [one for pair in crossings(interval.first, interval.last) for one in _bubble(interval, *pair)]
+
+
+def crossings(before: Probe, after: Probe) -> list[tuple[int, int]]:
+    """Pairs of indices on the circle, of opposite signature, that have passed each other between two probes."""
+    if before.indices.shape != after.indices.shape or before.about.root != after.about.root:
+        return []
+    pairs = [(i, j) for i in range(before.indices.size) for j in range(i)]
+    real = [is_real(a) and is_real(b) for a, b in zip(before.indices, after.indices, strict=True)]
+    gaps = [[float((one.indices[i] - one.indices[j]).real) for one in (before, after)] for i, j in pairs]
+    opposite = [before.turns[i] * before.turns[j] < 0 for i, j in pairs]
+    chosen = zip(pairs, gaps, opposite, strict=True)
+    return [(i, j) for (i, j), (a, b), unlike in chosen if real[i] and real[j] and unlike and a * b < 0]
+
+
+def _bubble(interval: Interval, i: int, j: int) -> list[tuple[Test, float, float]]:
+    """The two Krein collisions of a pair that was off the circle for less than a step."""
+    test = Test("collision", "", discriminant(i, j))
+    options = {"xatol": SEARCH * interval.length, "maxiter": 25}
+    least = minimize_scalar(
+        lambda distance: test.measure(probe_at(interval, distance)), bounds=(0.0, interval.length), method="bounded",
+        options=options,
+    )  # fmt: skip
+    if least.fun >= 0:
+        return []
+    return [(test, 0.0, float(least.x)), (test, float(least.x), interval.length)]
 
 
 def _strip(interval: Interval, flip: Flip, resonances: int) -> list[tuple[Test, float, float]]:

@@ -20,8 +20,10 @@ from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.runge_kutta import march
 
-COUNTS = (48, 72, 96, 144, 216, 324, 480)
+COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480)
 """Samples a period that are tried in turn."""
+FIRST = 48
+"""Samples from whose error the number needed is estimated."""
 INTERPOLATION = 0.005
 """Largest error of the page's interpolation, relative to the extent of the picture."""
 SHARES = {"none": 1.0, "brake": 0.5, "reflection": 0.5, "reversal": 0.5, "brake+reflection": 0.25}
@@ -31,7 +33,7 @@ ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
 GAP = 1e-2
 """Largest jump between pieces of a motion that is still shown, relative to its extent."""
-STRAIGHT = 0.006
+SMOOTH = 0.004
 LEVELS = 32767
 
 
@@ -241,15 +243,21 @@ def _plane(states: np.ndarray) -> np.ndarray:
 
 def _fewest(seen: Any) -> np.ndarray:
     """Positions at the fewest equal times whose interpolation is good enough, at most the largest of COUNTS."""
-    for count in COUNTS:
-        fine = seen(2 * count)
-        coarse, between = fine[::2], fine[1::2]
-        # Catmull-Rom half way between samples, as in assets/core.js
-        guessed = (9 * (coarse + np.roll(coarse, -1, 0)) - np.roll(coarse, 1, 0) - np.roll(coarse, -2, 0)) / 16
-        extent = max(float(np.ptp(coarse, axis=(0, 2)).max()), 1e-12)
-        if np.abs(guessed - between).max() <= INTERPOLATION * extent:
-            return np.asarray(coarse)
-    return np.asarray(coarse)
+    wanted = 0.9 * FIRST * (_between(seen(2 * FIRST))[1] / INTERPOLATION) ** 0.25  # the error is of fourth order
+    for count in (*(one for one in COUNTS[:-1] if one >= wanted), COUNTS[-1]):
+        coarse, error = _between(seen(2 * count))
+        if error <= INTERPOLATION:
+            break
+    return coarse
+
+
+def _between(fine: np.ndarray) -> tuple[np.ndarray, float]:
+    """Every other of some positions, and how far interpolation between these misses the rest, over the extent."""
+    coarse, between = fine[::2], fine[1::2]
+    # Catmull-Rom half way between samples, as in assets/core.js
+    guessed = (9 * (coarse + np.roll(coarse, -1, 0)) - np.roll(coarse, 1, 0) - np.roll(coarse, -2, 0)) / 16
+    extent = max(float(np.ptp(coarse, axis=(0, 2)).max()), 1e-12)
+    return np.asarray(coarse), float(np.abs(guessed - between).max()) / extent
 
 
 def packed(motion: Motion) -> dict[str, Any]:
@@ -281,16 +289,18 @@ def packed(motion: Motion) -> dict[str, Any]:
 def histories(motion: Motion) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
-    As many samples as straight lines between them need to be within about a pixel of a plot (0.6 %), at most 960.
+    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960.
     """
     n = motion.states.shape[1] // 2
     extent = np.ptp(motion.states, axis=0)
     # a component that stands still must not have its round-off sampled
     extent = np.maximum(extent, 1e-3 * np.repeat([extent[:n].max(), extent[n:].max()], n) + 1e-12)
-    for count in (240, 480, 960):
+    for count in (240, 360, 480, 960):
         states = motion.at(2 * count + 1, endpoint=True)
-        straight = (states[:-1:2] + states[2::2]) / 2
-        if np.all(np.abs(straight - states[1::2]).max(axis=0) <= STRAIGHT * extent):
+        turned = states[-1] - states[0]  # whole turns of running orbits
+        inner = np.vstack([states[-3] - turned, states[::2], states[2] + turned])
+        curved = (9 * (inner[1:-2] + inner[2:-1]) - inner[:-3] - inner[3:]) / 16
+        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * extent):
             break
     data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
     return {"count": count + 1, "data": data}

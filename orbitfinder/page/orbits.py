@@ -16,6 +16,10 @@ from orbitfinder.page.words import coordinate, mechanism
 
 MOST_PORTRAITS = 6
 """Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
+TOML = Html(
+    '<button type="button" data-copy="problem">Copy problem file</button>'
+    '<button type="button" id="save-toml">Problem file (TOML)</button>'
+)
 SYMMETRIES = {"none": "no symmetry"}
 
 
@@ -107,6 +111,7 @@ def orbit_main(entry: Entry) -> Html:
         missing=Html("") if entry.motion else _missing(), note=_chosen_note(entry.motion),
         multipliers=_multipliers(document),
         certificate=_certificate(document), proof=_proof(document), name=problem_name(document),
+        toml=TOML if problem else Html(""),
         problem=problem or "This system was built in Python; no problem file describes it.",
         commands=commands(document) if problem else f"orbitfinder verify {problem_name(document)}.json\n",
     )  # fmt: skip
@@ -247,7 +252,6 @@ def orbit_data(entry: Entry) -> dict[str, Any]:
         "period": float(document["period"]),
         "multipliers": document["floquet_multipliers"],
         "json": entry.file.text,
-        "problem": problem_text(document),
         "motion": None,
     }
     if motion is not None:

@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.flow import Flow, build_flow
 from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.periodic.freedom import Variables
-from orbitfinder.periodic.instability import instability
+from orbitfinder.periodic.freedom import Constraint, Variables
+from orbitfinder.periodic.instability import instability, trivial_count
 from orbitfinder.periodic.measure import dense, full_period
 from orbitfinder.periodic.nlp import Callback, SolveSettings, solve_nlp
 from orbitfinder.periodic.problem import PEAKS, Guess, Problem
@@ -25,10 +26,20 @@ from orbitfinder.periodic.shooting import Shooting, transcribe
 
 ROUNDS = 6
 """Peaks that are tried before two of them are said to compete."""
-LARGEST_BOX, SMALLEST_BOX, MOST_BOXES = 0.3, 0.002, 60
+LARGEST_BOX, SMALLEST_BOX, MOST_BOXES = 0.3, 0.004, 60
 """Steps along the family, relative to the motion's extent, and how many of them."""
+COARSE_BOX = 0.05
+"""The smallest step where a kink is the usual reason for failing: it is looked for next."""
 PEAK_TOLERANCE = 1e-6
 """A peak is another's equal when it is higher by less than this, relative."""
+
+
+class StalledError(ConvergenceError):
+    """The objective cannot be followed further than `w`, the decision vector of an orbit."""
+
+    def __init__(self, message: str, w: np.ndarray) -> None:
+        super().__init__(message)
+        self.w = w
 
 
 def chosen(
@@ -57,16 +68,56 @@ def chosen(
         return _peak(problem, (first, w), settings, report)
     shooting = transcribe(problem, nodes, flow)
     try:
-        return shooting, followed(shooting, w, settings, report)
-    except ConvergenceError as error:
+        return shooting, followed(shooting, settings, report, w, COARSE_BOX if stability else SMALLEST_BOX)
+    except StalledError as stalled:
         if not stability:
             raise
-        raise ConvergenceError(
-            f"{error} (the spectral radius has a kink where two multipliers collide; `orbitfinder continue` shows it)"
-        ) from error
+        return _crossing(shooting, nodes, stalled, settings, report)
 
 
-def followed(shooting: Shooting, start: np.ndarray, settings: SolveSettings, report: Callback | None) -> np.ndarray:
+def _crossing(
+    shooting: Shooting, nodes: np.ndarray, stalled: StalledError, settings: SolveSettings, report: Callback | None
+) -> tuple[Shooting, np.ndarray]:
+    """Where the larger of two stability indices is smallest because there they are opposite, k1 = -k2.
+
+    That is the usual optimum with two pairs of multipliers, and a kink: found as an equation, k1 + k2 =
+    trace Phi(T) less the trivial ones = 0. Raises the error of the search that stalled where it is none.
+    """
+    problem, flow = shooting.problem, shooting.flow
+    trivial = trivial_count(problem.model)
+    if not problem.model.conservative or 2 * problem.model.degrees_of_freedom - trivial != 4:
+        raise stalled
+    opposite = Constraint(lambda known: ca.trace(known.monodromy) - trivial, name="opposite indices")
+    single = problem.count().freedom == 1
+    wanted = replace(
+        problem, constraints=(*problem.constraints, opposite), objective="nearest" if single else problem.objective
+    )
+    crossed = transcribe(wanted, nodes, flow)
+    solved = solve_nlp if single else followed
+    try:
+        w = solved(crossed, settings, report, stalled.w)
+    except ConvergenceError as error:
+        raise stalled from error
+    if not _least(shooting, stalled.w, w):
+        raise stalled
+    return crossed, w
+
+
+def _least(shooting: Shooting, before: np.ndarray, w: np.ndarray) -> bool:
+    """True when the objective at w is below that of another orbit, and grows to both sides along the orbits."""
+    value = ca.Function("value", [shooting.variables], [shooting.objective])
+    _, singular, rows = np.linalg.svd(shooting.jacobian(w).full())
+    if w.size - int(np.sum(singular > 1e-9 * singular[0])) != 1:
+        return float(value(w)) <= float(value(before)) + 1e-9
+    step = 1e-4 * rows[-1]
+    here = float(value(w))
+    return here <= float(value(before)) + 1e-9 and min(float(value(w + step)), float(value(w - step))) > here
+
+
+def followed(
+    shooting: Shooting, settings: SolveSettings, report: Callback | None, start: np.ndarray,
+    smallest: float = SMALLEST_BOX,
+) -> np.ndarray:  # fmt: skip
     """The optimum reached from an orbit through boxes of a fraction of its extent, each solved by IPOPT.
 
     A quasi-Newton step can be of any length, and the orbit's equations have many solutions: the boxes keep the
@@ -80,8 +131,8 @@ def followed(shooting: Shooting, start: np.ndarray, settings: SolveSettings, rep
             found = solve_nlp(replace(shooting, lower=lower, upper=upper), settings, report, w)
         except ConvergenceError as error:
             size /= 4
-            if size < SMALLEST_BOX:
-                raise ConvergenceError(_stopped(shooting, w)) from error
+            if size < smallest:
+                raise StalledError(_stopped(shooting, w), w) from error
             continue
         w, edge = found, 1e-4 * reach
         inside = ((w > lower + edge) | (lower == shooting.lower)) & ((w < upper - edge) | (upper == shooting.upper))
@@ -132,7 +183,7 @@ def _peak(
         ready = _at_peak(problem, place, times, states)
         shooting = transcribe(ready, _nodes(ready, count), flow)
         start = shooting.layout.join(_nodes(ready, count), ready.guess.period, free)
-        w = followed(shooting, start, settings, report)
+        w = followed(shooting, settings, report, start)
         free = shooting.layout.tail(w)[2]
         times, states = _orbit(shooting, w)
         heights.append(float(np.abs(states[:, place]).max()))

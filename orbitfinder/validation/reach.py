@@ -38,7 +38,8 @@ def _row(name: str, auto: float, folder: Path) -> Comparison:
     if not (folder / "family.json").is_file():
         return Comparison(name, repr(auto), "none", float("nan"), 0.0, "not computed")
     family = read_json(folder / "family.json")
-    ours = max(point["energy"] for point in family["points"]) + GRAVITY * _links(family) ** 2 / 2
+    places = [*family["points"], *family["events"]]  # a fold lies beyond the points on both sides of it
+    ours = max(place["energy"] for place in places) + GRAVITY * _links(family) ** 2 / 2
     ends = ", ".join(end["kind"] for end in family["ends"])
     return Comparison(name, repr(auto), f"{ours:.9f}", min(0.0, ours - auto), 0.0, f"ours ends: {ends}")
 
