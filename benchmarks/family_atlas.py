@@ -27,10 +27,12 @@ from orbitfinder.show.style import save_png
 ROOT = Path(__file__).parents[1]
 HERE = ROOT / "results" / "families"
 REPORT = {
-    "triple-1": ("triple-1", -38.35109857464619), "triple-2": ("triple-2", -36.1205384037786),
-    "quadruple-1": ("quadruple-mode-2", -77.9365603703212), "quadruple-2": ("quadruple-mode-3", -78.31380643132762),
+    "triple-1": ("triple-1", -38.35109857464619, 1.655), "triple-2": ("triple-2", -36.1205384037786, 2.925),
+    "quadruple-1": ("quadruple-mode-2", -77.9365603703212, 1.411),
+    "quadruple-2": ("quadruple-mode-3", -78.31380643132762, 0.798),
 }  # fmt: skip
-"""Each orbit of the report: the family that it is on, its energy (J)."""
+"""Each orbit of the report: the family that it is on, its energy (J) and roughly its period (s), which tells it from
+the orbit of equal energy beyond the family's fold."""
 COLOURS = 48
 
 
@@ -91,7 +93,7 @@ Hénon-Heiles; beyond E = 1/6 it goes on among escaping motions."""),
 def main() -> None:
     """Compute what is asked for, then write the page about all that is there."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default=None)
+    parser.add_argument("--only", default=None, help="a name; none computes nothing and writes the page again")
     only = parser.parse_args().only
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
@@ -134,7 +136,7 @@ def page() -> str:
                 if (HERE / entry.name / "family.json").is_file()}  # fmt: skip
     for links in ("triple", "quadruple"):
         shown = [family for name, family in families.items() if name.startswith(links)]
-        marks = {name: exact(families[home], level) for name, (home, level) in REPORT.items()
+        marks = {name: exact(families[home], *where) for name, (home, *where) in REPORT.items()
                  if name.startswith(links) and home in families}  # fmt: skip
         save_png(frequency_energy(shown, marks, title=f"Families of the {links} pendulum"), HERE / f"{links}.png")
         fewer_colours(HERE / f"{links}.png", HERE / f"{links}.png")
@@ -174,18 +176,18 @@ HOW = {
 }  # fmt: skip
 
 
-def exact(family: Family, level: float) -> tuple[float, float]:
-    """(energy, period) of the orbit at an energy that was asked for."""
-    point = min(family.points, key=lambda one: abs(one.energy - level))
+def exact(family: Family, level: float, near: float) -> tuple[float, float]:
+    """(energy, period) of the orbit at an energy that was asked for, with a period near the given one."""
+    point = min(family.points, key=lambda one: abs(one.energy - level) + 1e-3 * abs(one.period - near))
     return point.energy, point.period
 
 
 def report_rows(families: dict[str, Family]) -> list[str]:
     """The table of the report's orbits."""
     rows = []
-    for name, (home, level) in REPORT.items():
+    for name, (home, level, near) in REPORT.items():
         if home in families:
-            energy, period = exact(families[home], level)
+            energy, period = exact(families[home], level, near)
             rows.append(f"| {name} | {energy:.9f} | {period:.13f} | {home} | {HOW[name]} |")
     return rows
 

@@ -46,7 +46,7 @@ class Part:
 
 
 PARTS = (
-    Part("warm", "Warm refinement of the four report orbits, against AUTO-07p, heyoka, scipy and Octave"),
+    Part("warm", "Warm refinement of the four report orbits, against AUTO-07p, heyoka, scipy and Octave", limit=480.0),
     Part("refine", "The same from nothing: `find_orbit` against the script by hand"),
     Part("families", "Continuation: cost of a point, against AUTO-07p", ("--quick",)),
     Part("search", "Search: distinct orbits in half a minute", ("--budget", "30")),

@@ -56,6 +56,7 @@ class Row:
     """One method on one orbit: times in s, the closure of its result, or why there is none."""
 
     times: list[float] = field(default_factory=list)
+    processor: list[float] = field(default_factory=list)
     closure: float = np.nan
     note: str = ""
 
@@ -66,9 +67,10 @@ class Row:
 
 
 def ours(refiner: of.Refiner, task: Task) -> Answer:
-    began = time.perf_counter()
+    began, used = time.perf_counter(), time.process_time()
     found = refiner.refine(of.Guess(task.state, task.period))
-    return Answer(time.perf_counter() - began, found.state, found.period)
+    used = time.process_time() - used
+    return Answer(time.perf_counter() - began, found.state, found.period, used)
 
 
 def by_hand(task: Task) -> Answer:
@@ -120,6 +122,7 @@ def compare(task: Task, built: dict[int, Taylor | str], repeats: int, with_octav
             answer = method()
             if turn:
                 rows[name].times.append(answer.seconds)
+                rows[name].processor.append(answer.processor)
             if turn == repeats:
                 rows[name].closure = closure(task, answer)
     for one in opened:
@@ -128,7 +131,7 @@ def compare(task: Task, built: dict[int, Taylor | str], repeats: int, with_octav
         rows[OCTAVE] = Row()
         try:
             answer = octave.refine(task)
-            rows[OCTAVE] = Row([answer.seconds], closure(task, answer))
+            rows[OCTAVE] = Row([answer.seconds], closure=closure(task, answer))
         except Unavailable as error:
             rows[OCTAVE].note = str(error)
     said = [f"{name} {milliseconds(row.seconds) if row.times else row.note}" for name, row in rows.items()]
@@ -162,9 +165,9 @@ def verdicts(results: dict[str, dict[str, Row]]) -> list[str]:
             met = "met" if min(ratios) >= times else "MISSED"
             least = f"least {min(ratios):.3g}: {met}."
             lines.append(f"- {name}: wanted {times:.3g} times its speed on every orbit, {least}")
-    slower = max(row[INTERPRETED].seconds / row[OURS].seconds for row in results.values())
+    slower = max(np.median(row[INTERPRETED].processor) / np.median(row[OURS].processor) for row in results.values())
     lines.append(
-        f"- interpreted: wanted at most {SLOWER:g} times the compiled time, most {slower:.2f}: "
+        f"- interpreted: wanted at most {SLOWER:g} times the compiled time, most {slower:.2f} by processor time: "
         f"{'met' if slower <= SLOWER else 'MISSED'}."
     )
     worst = max(row[OURS].closure for row in results.values())

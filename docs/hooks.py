@@ -40,7 +40,15 @@ def orbit(file: str) -> str:
     return orbit_html(load_orbit(ROOT / file))
 
 
-MAKERS = {"commands": commands, "validation": validation, "orbit": orbit}
+def family(file: str) -> str:
+    """A family of the repository as notebooks show it."""
+    from orbitfinder.families.store import load_family
+    from orbitfinder.show.html import family_html
+
+    return family_html(load_family(ROOT / file))
+
+
+MAKERS = {"commands": commands, "validation": validation, "orbit": orbit, "family": family}
 
 
 def described(group: click.Group, path: tuple[str, ...] = ("orbitfinder",)) -> Iterator[str]:

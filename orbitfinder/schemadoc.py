@@ -45,8 +45,9 @@ CHOOSING = """## Choosing among orbits
 
 Pins and freed parameters are counted before anything is solved. What the count leaves free is chosen by `objective`,
 within `bounds`; an orbit nearest to the guess is found first, and the objective is followed from there by IPOPT with
-exact first derivatives and an L-BFGS Hessian. The result is a local optimum, polished and certified like any other
-orbit.
+exact first derivatives and an L-BFGS Hessian, in steps that stay on the family. The result is a local optimum, polished
+and certified like any other orbit. With two pairs of multipliers the least instability is usually a kink, where the
+two indices are opposite; that is solved as an equation. At other kinks the search says where it stopped.
 
 | objective | what is smallest (or largest) | remarks |
 |---|---|---|

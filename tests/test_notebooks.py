@@ -118,6 +118,17 @@ def test_a_family_is_a_diagram_with_three_of_its_orbits(family):
     assert "frequency (1/s)" in tags.text and len(shown) < 300_000
 
 
+def test_orbits_too_unstable_to_be_integrated_are_not_drawn(triple, family):
+    """A picture that leaves its own loop would be a lie: only samples, or a multiplier below 1e6, are drawn."""
+    wild = replace(triple, floquet_multipliers=np.array([1e9, 1e-9]))
+    assert wild._repr_html_().count("<animate ") == 5  # it has samples
+    bare = replace(wild, times=np.zeros(0), samples=np.zeros((0, 6)))
+    assert "<animate " not in bare._repr_html_()
+    points = (*family.points[:-1], replace(family.points[-1], scale=1e9))
+    last = f"E = {family.points[-1].energy:.6g} J"
+    assert last in family._repr_html_() and last not in replace(family, points=points)._repr_html_()
+
+
 def test_an_atlas_is_a_table_with_moving_orbits(triple, pendulum_orbit, tmp_path):
     with Atlas(tmp_path / "one.sqlite", triple.system, write=True) as atlas:
         atlas.add(triple)

@@ -36,7 +36,7 @@ def test_report_orbits_from_the_printed_digits(name):
     refiner = Refiner(printed_problem(name))
     found = refiner.refine()
     assert abs(found.period - PRINTED[name].period) < 1e-13
-    assert closure(refiner, found) < 1e-13 and found.residual < 2e-14
+    assert closure(refiner, found) < 1e-13 and found.residual < 1e-13
     assert np.abs(found.unfolding).max() < 1e-13
     assert energy(refiner.problem.model, found.state) == pytest.approx(refiner.problem.pin[0].value, abs=1e-13)
 

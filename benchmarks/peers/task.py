@@ -40,11 +40,12 @@ class Task:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method returned, and how long it took by its own or our clock."""
+    """What a method returned, and how long it took by its own or our clock; processor time where we know it."""
 
     seconds: float
     state: np.ndarray
     period: float
+    processor: float = np.nan
 
 
 class Unavailable(Exception):

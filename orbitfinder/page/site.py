@@ -153,11 +153,11 @@ def _add_atlas(
 ) -> tuple[Html, list[Entry]]:
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
     entries: list[Entry] = []
-    names = [str(one.document["name"]) for _, one in atlas.orbits]
-    alike = len(set(names)) < len(names) or all(re.fullmatch(r"orbit[-\d]*", name) for name in names)
+    titles = [str(one.document.get("title") or "") for _, one in atlas.orbits]
+    named = all(titles) and len(set(titles)) == len(titles)
     for place, one in atlas.orbits:
-        label = f"{atlas.name}, orbit {place}" if alike else ""
-        slug = slugs[1](f"{atlas.name}-{place}" if alike else names[len(entries)])
+        label = "" if named else f"{atlas.name}, orbit {place}"
+        slug = slugs[1](str(one.document["name"]) if named else f"{atlas.name}-{place}")
         entries.append(Entry(one, films.orbit(one.document), slug, atlas.name, label))
     own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
     data, path = atlas_data(atlas.name, entries, {one.slug for one in own}), f"atlases/{slugs[0]}.html"

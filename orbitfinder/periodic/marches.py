@@ -8,10 +8,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder.compiled import compiled, interpreted_seconds
+from orbitfinder.compiled import compiled
 from orbitfinder.errors import IntegrationError
 from orbitfinder.flow import Flow
 from orbitfinder.periodic.elimination import Linearised
+from orbitfinder.periodic.polish import tail_of
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.runge_kutta import block, variational_field
 
@@ -26,13 +27,6 @@ class Path:
     def moved(self, step: tuple[np.ndarray, np.ndarray], factor: float = 1.0) -> Path:
         """The path after a (shortened) step."""
         return Path(self.nodes + factor * step[0], self.tail + factor * step[1])
-
-
-def tail_of(flow: Flow, unfolding: np.ndarray | None = None, free: np.ndarray | None = None) -> np.ndarray:
-    """The last arguments of the flow's field: unfolding (0) and freed parameters (the model's own)."""
-    known = flow.model.parameter_values[[flow.model.parameter_index(name) for name in flow.free]]
-    return np.concatenate([np.zeros(len(flow.unfolded)) if unfolding is None else unfolding,
-                           known if free is None else free])  # fmt: skip
 
 
 def segments_needed(problem: Problem, flow: Flow, steps: int, largest: float, most: int) -> int:
@@ -51,19 +45,14 @@ def segments_needed(problem: Problem, flow: Flow, steps: int, largest: float, mo
 
 
 class Marches:
-    """The marches of one Problem with N segments, `steps` steps in a block; compiled where possible.
+    """The marches of one Problem with N segments, `steps` steps in a block; compiled where possible."""
 
-    `calls` is about how often the equations will be evaluated; None: often enough to compile them.
-    """
-
-    def __init__(self, problem: Problem, flow: Flow, segments: int, steps: int, calls: float | None = None) -> None:
+    def __init__(self, problem: Problem, flow: Flow, segments: int, steps: int) -> None:
         self.problem, self.flow, self.segments, self.steps = problem, flow, segments, steps
-        self.states = self.derivatives = 0
+        self.states, self.derivatives, self.growth = 0, 0, 1.0
         self._known, self._share = tail_of(flow), problem.boundary.fraction / segments
-        varied = variational_field(flow.field)
-        work = None if calls is None else interpreted_seconds(flow.field, calls)
-        self._march = compiled(block(flow.field, steps, segments), effort=work)
-        self._vary = compiled(block(varied, steps, segments), effort=work)
+        self._march = compiled(block(flow.field, steps, segments))
+        self._vary = compiled(block(variational_field(flow.field), steps, segments))
         self._single = block(flow.field, steps, 1)
         self._rates = flow.field.map(segments)
 
@@ -108,6 +97,7 @@ class Marches:
             early = self._rates(start[:1], path.nodes.T, tail[:named], tail[named:]).full().T
             delayed = late - np.einsum("kij,kj->ki", matrices[:, :, :size], early)
             slopes = slopes + delayed * (self._share * np.arange(count))[:, None]
+        self.growth = max(1.0, float(np.abs(matrices[:, :, :size]).max()))
         columns = np.concatenate([slopes[:, :, None], matrices[:, :, size:]], axis=2)
         none = np.zeros((0, size))
         return ends, Linearised(matrices[:, :, :size], columns, none, none, none)

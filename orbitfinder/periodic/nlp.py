@@ -29,7 +29,7 @@ class SolveSettings:
     ipopt_tolerance: float = 1e-9
     """IPOPT's own tolerance; the digits beyond it come from the polish"""
     max_iterations: int = 100
-    objective_iterations: int = 40
+    objective_iterations: int = 60
     """the same in each box where an objective or inequalities are followed with an approximate Hessian"""
     fewest_segments: int = 8
     """per period, where the problem does not say: fewer make the basin of convergence smaller"""

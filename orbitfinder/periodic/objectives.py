@@ -138,6 +138,7 @@ def followed(
         inside = ((w > lower + edge) | (lower == shooting.lower)) & ((w < upper - edge) | (upper == shooting.upper))
         if np.all(inside):
             return w
+        size = min(LARGEST_BOX, 2 * size)
     raise ConvergenceError(
         f"no orbit found: the objective still improves after {MOST_BOXES} steps along the family; give bounds, or a "
         "guess nearer to the optimum"

@@ -1,24 +1,29 @@
-"""The last digits: Newton steps on fixed-step eighth-order marches of all segments at once.
+"""The last digits: Newton steps with an eighth-order residual and the Jacobian of CVODES.
 
-CVODES asked for 1e-13 closes an orbit only to about 1e-11. The Jacobian comes from a coarse march, which is
-more than good enough for a Newton step on a residual that is right to round-off.
+CVODES asked for 1e-13 closes an orbit only to about 1e-11; its state-transition matrix is more
+than good enough for a Newton step on a residual that is right to round-off.
 """
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.flow import Flow
-from orbitfinder.periodic.marches import Marches, Path
-from orbitfinder.periodic.marches import tail_of as tail_of
+from orbitfinder.flow import Flow, integration_error
 from orbitfinder.periodic.shooting import Shooting
-from orbitfinder.runge_kutta import AGREEMENT, EVALUATIONS, MOST_DOUBLINGS, refined_march
+from orbitfinder.quiet import captured
+from orbitfinder.runge_kutta import refined_march
 
 MOST_STEPS = 6
 STEPS_PER_PERIOD = 400
 """Runge-Kutta steps in a period at least, doubled in segments that need more"""
+
+
+def tail_of(flow: Flow, unfolding: np.ndarray | None = None, free: np.ndarray | None = None) -> np.ndarray:
+    """The last arguments of the flow's field: unfolding (0) and freed parameters (the model's own)."""
+    known = flow.model.parameter_values[[flow.model.parameter_index(name) for name in flow.free]]
+    return np.concatenate([np.zeros(len(flow.unfolded)) if unfolding is None else unfolding,
+                           known if free is None else free])  # fmt: skip
 
 
 def least_steps(segments: int) -> int:
@@ -48,49 +53,16 @@ def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     return np.asarray(shooting.rows(w, np.asarray(ends).T).full().ravel())
 
 
-class _Marched:
-    """Residual and Jacobian of a Shooting by marches whose steps are halved until the ends agree, once."""
-
-    def __init__(self, shooting: Shooting, start: np.ndarray) -> None:
-        layout, fraction = shooting.layout, shooting.problem.boundary.fraction
-        steps = least_steps(round(layout.segments / fraction))
-        self.shooting, self.blocks = shooting, 1
-        self.marches = Marches(shooting.problem, shooting.flow, layout.segments, steps, EVALUATIONS)
-        path = self._path(start)
-        coarse = self.marches.ends(path, 1)
-        for _ in range(MOST_DOUBLINGS):
-            self.blocks *= 2
-            fine = self.marches.ends(path, self.blocks)
-            if np.abs(fine - coarse).max() <= AGREEMENT * max(1.0, float(np.abs(fine).max())):
-                break
-            coarse = fine
-
-    def _path(self, w: np.ndarray) -> Path:
-        layout = self.shooting.layout
-        return Path(layout.nodes(w), np.asarray(w[layout.size * layout.segments :]))
-
-    def residual(self, w: np.ndarray) -> np.ndarray:
-        """g(w)."""
-        ends = self.marches.ends(self._path(w), self.blocks)
-        return np.asarray(self.shooting.rows(w, ends.T).full().ravel())
-
-    def jacobian(self, w: np.ndarray) -> np.ndarray:
-        """dg/dw, by one coarse march of the variational equations."""
-        ends, system = self.marches.linearised(self._path(w))
-        count, size = ends.shape
-        moved = np.zeros((count * size, w.size))
-        for k in range(count):
-            here = slice(k * size, (k + 1) * size)
-            moved[here, here], moved[here, count * size :] = system.transitions[k], system.columns[k]
-        direct, through = (one.full() for one in _row_slopes(self.shooting)(w, ends.T))
-        return np.asarray(direct + through @ moved)
-
-
-def _row_slopes(shooting: Shooting) -> ca.Function:
-    """Derivatives of rows(w, ends) by w and by the ends, segment after segment."""
-    w, ends = ca.MX.sym("w", shooting.layout.total), ca.MX.sym("ends", shooting.layout.size, shooting.layout.segments)
-    rows = shooting.rows(w, ends)
-    return ca.Function("row_slopes", [w, ends], [ca.jacobian(rows, w), ca.jacobian(rows, ends)])
+def jacobian_at(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """dg/dw by the variational equations; CVODES' failure becomes an `IntegrationError`."""
+    failure: RuntimeError | None = None
+    with captured() as output:
+        try:
+            return np.asarray(shooting.jacobian(w).full())
+        except RuntimeError as error:
+            failure = error
+    nodes, period = shooting.layout.nodes(w), shooting.layout.tail(w)[0]
+    raise integration_error(f"{output.text}\n{failure}", nodes[0], 0.0, period / len(nodes))
 
 
 def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
@@ -99,13 +71,12 @@ def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
     The system is square except for brake orbits of conservative systems at rest, so the step is the
     least-squares one. Raises `ConvergenceError` when the residual grows instead.
     """
-    marched = _Marched(shooting, start)
-    w, best = start, marched.residual(start)
-    jacobian = marched.jacobian(w)
+    w, best = start, residual(shooting, start)
+    jacobian = jacobian_at(shooting, w)
     for _ in range(MOST_STEPS):
-        # not pinv: OpenBLAS gives it threads, which on a busy machine cost 100 ms where lstsq takes 0.2
-        trial = w + np.linalg.lstsq(jacobian, -best, rcond=None)[0]
-        rows = marched.residual(trial)
+        step = np.linalg.lstsq(jacobian, -best, rcond=None)[0]
+        trial = w + step
+        rows = residual(shooting, trial)
         if not np.abs(rows).max() < np.abs(best).max():
             break
         w, best = trial, rows

@@ -54,8 +54,8 @@ class WarmSettings:
     """residual to which the march that is still to be confirmed is driven"""
     agreement: float = 4e-12
     """two step sizes must agree to this, times the states; the finer is then some 2^8 times better than that"""
-    floor: float = 1e-14
-    """residual, times the states, below which nothing is gained by another step"""
+    floor: float = 1e-15
+    """residual, times the states and the largest entry of Phi (at least 10), below which all is round-off"""
     most_evaluations: int = 30
     most_doublings: int = 7
     converged: float = 1e-8
@@ -189,7 +189,8 @@ class Refiner:
             blocks, rows = 2 * blocks, finer
             if change <= self.settings.agreement * scale:
                 break
-        path, rows, _ = self._chord(path, rows, conditions, solver, blocks, self.settings.floor * scale)
+        floor = self.settings.floor * scale * max(10.0, self.marches.growth)
+        path, rows, _ = self._chord(path, rows, conditions, solver, blocks, floor)
         return path, rows, blocks
 
     def _chord(

@@ -22,6 +22,8 @@ from orbitfinder.show.svg import moving_mechanism, moving_portrait, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
+STEADY = 1e6
+"""Largest multiplier of an orbit that is drawn by integrating it; a less stable one would be seen to leave itself."""
 ROWS = 12
 """Orbits of an atlas in its table."""
 ROW = "display:flex;flex-wrap:wrap;gap:16px;align-items:center"
@@ -68,7 +70,8 @@ def orbit_html(orbit: Orbit) -> str:
         ("largest multiplier", largest), ("certificate", verdict),
     ]  # fmt: skip
     circle = unit_circle(orbit.floquet_multipliers, "Floquet multipliers and the unit circle")
-    pictures = motions(orbit.system, orbit.state, orbit.period, orbit.samples)
+    drawable = len(orbit.samples) > 1 or sizes.max(initial=0.0) < STEADY
+    pictures = motions(orbit.system, orbit.state, orbit.period, orbit.samples) if drawable else ""
     body = f'<div style="{ROW}">{pictures}{circle}{table(rows)}</div>'
     return f"<div>{heading(orbit.title or orbit.name, orbit.source)}{body}</div>"
 
@@ -120,8 +123,9 @@ def family_html(family: Family) -> str:
     events = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none"
     ends = [(f"end {k + 1}", f"{end.kind}: {end.reason}") for k, end in enumerate(family.ends)]
     rows = [("orbits", str(len(family.points))), ("parameter", family.parameter), ("events", events), *ends]
-    places = sorted({0, len(family.points) // 2, len(family.points) - 1}) if family.points else []
-    shown = "".join(_member(family, family.points[place]) for place in places)
+    steady = [point for point in family.points if point.scale < STEADY]
+    places = sorted({0, len(steady) // 2, len(steady) - 1}) if steady else []
+    shown = "".join(_member(family, steady[place]) for place in places)
     body = f'<div style="{ROW}">{diagram(family)}{table(rows)}</div><div style="{ROW}">{shown}</div>'
     return f"<div>{heading(f'Family {family.name}')}{body}</div>"
 
@@ -146,7 +150,8 @@ def atlas_html(atlas: Any) -> str:
         (str(row.id), f"{row.energy:.8g}", f"{row.period:.10g}", row.symmetry, row.stability, f"{row.instability:.4g}")
         for row in rows[:ROWS]
     ]
-    moving = "".join(motions(atlas.system, one.state, one.period) for one in (atlas.orbit(r.id) for r in rows[:3]))
+    steady = [atlas.orbit(row.id) for row in [row for row in rows if row.instability < STEADY][:3]]
+    moving = "".join(motions(atlas.system, one.state, one.period) for one in steady)
     head = ("id", "energy (J)", "period (s)", "symmetry", "stability", "largest multiplier")
     more = f"the first {ROWS} by energy and period" if len(rows) > ROWS else ""
     title = heading(f"Atlas {atlas.path.name}: {len(rows)} orbits", more)

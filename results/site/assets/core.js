@@ -89,7 +89,7 @@ var orbitfinder = (function () {
     this.path = null;
     if (m.tip < 0) return;
     this.path = new Path2D();
-    var steps = 2 * m.count;
+    var steps = Math.max(240, 2 * m.count);
     for (var k = 0; k <= steps; k++) {
       var now = m.at(k * m.period / steps), x = this.across(now, m.tip), y = this.down(now, m.tip);
       if (k) this.path.lineTo(x, y); else this.path.moveTo(x, y);
@@ -139,7 +139,7 @@ var orbitfinder = (function () {
 
   // The last quarter period of the tip's path, fading away from it.
   Scene.prototype.tail = function (time, line) {
-    var pen = this.pen, m = this.motion, parts = 4, steps = Math.max(8, Math.round(m.count / 12)), span = m.period / 4;
+    var pen = this.pen, m = this.motion, parts = 4, steps = Math.max(12, Math.round(m.count / 12)), span = m.period / 4;
     pen.strokeStyle = colours().trace;
     pen.lineWidth = line * 0.6;
     for (var part = 0; part < parts; part++) {

@@ -68,7 +68,11 @@
   function familyTraces(chosen, c) {
     var traces = curve(chosen, c.series[0]), plain = [], kinds = {};
     items.forEach(function (one, k) { if (one.event) (kinds[one.kind] = kinds[one.kind] || []).push(k); else plain.push(k); });
-    traces.push(points(chosen, plain, { name: "orbit", showlegend: false, marker: { size: 6, color: c.series[0] } }));
+    [true, false].forEach(function (stable) {
+      var which = plain.filter(function (k) { return (items[k].stability !== "unstable") === stable; });
+      traces.push(points(chosen, which, { name: "orbit", showlegend: false, marker: { size: stable ? 6 : 5,
+        color: stable ? c.series[0] : c.surface, line: { width: stable ? 0 : 1.3, color: c.series[0] } } }));
+    });
     Object.keys(kinds).forEach(function (kind) {
       traces.push(points(chosen, kinds[kind], { name: safe(kind).replace(/_/g, " "), marker: { symbol: SYMBOLS[kind] || "star",
         size: kind === "resonance" ? 6 : 10, color: kind === "resonance" ? c.series[3] : c.series[1],

@@ -13,7 +13,21 @@
     var count = it.histories.count, states = new Float32Array(orbitfinder.bytes(it.histories.data));
     var n = it.names.length / 2, times = [];
     for (var k = 0; k < count; k++) times.push(it.period * k / (count - 1));
-    function row(component) { return Array.from(states.subarray(component * count, (component + 1) * count)); }
+    // A component for plotting: Catmull-Rom through the samples, which are periodic up to whole turns.
+    var fine = Math.max(1, Math.round(960 / (count - 1))), moments = [];
+    for (var m = 0; m <= (count - 1) * fine; m++) moments.push(it.period * m / ((count - 1) * fine));
+    function row(component) {
+      var s = states.subarray(component * count, (component + 1) * count), last = count - 1, turned = s[last] - s[0], out = [];
+      function at(i) { return i < 0 ? s[last + i] - turned : i > last ? s[i - last] + turned : s[i]; }
+      for (var i = 0; i < last; i++) {
+        for (var k = 0; k < fine; k++) {
+          var u = k / fine, a = at(i - 1), b = at(i), c = at(i + 1), d = at(i + 2);
+          out.push(b + 0.5 * u * (c - a + u * (2 * a - 5 * b + 4 * c - d + u * (3 * (b - c) + d - a))));
+        }
+      }
+      out.push(s[last]);
+      return out;
+    }
     function value(component, time) {
       var place = (time / it.period - Math.floor(time / it.period)) * (count - 1), i = Math.floor(place), u = place - i;
       var o = component * count;
@@ -51,7 +65,7 @@
       plots.plot(box, function () {
         var c = orbitfinder.colours(), dashes = ["solid", "dash", "dot"];
         return { traces: it.shown.map(function (i, k) {
-          return { x: times, y: row(i + one[1]), mode: "lines", name: it.labels[i],
+          return { x: moments, y: row(i + one[1]), mode: "lines", name: it.labels[i],
             line: { color: c.series[k % c.series.length], width: 1.7, dash: dashes[Math.floor(k / c.series.length) % 3] } };
         }),
         layout: plots.layout(plots.axis("time, s", { range: [0, it.period] }), plots.axis(one[0] + ", " + one[2]),
@@ -80,8 +94,9 @@
 
   if (!it.motion) part("save-csv").hidden = true;
   part("save-json").addEventListener("click", function () { orbitfinder.save(it.name + ".json", "application/json", it.json + "\n"); });
-  part("save-toml").hidden = !it.problem;
-  part("save-toml").addEventListener("click", function () { orbitfinder.save(it.name + ".toml", "text/plain", it.problem); });
+  if (part("save-toml")) part("save-toml").addEventListener("click", function () {
+    orbitfinder.save(it.name + ".toml", "text/plain", part("problem").textContent);
+  });
   document.querySelectorAll("[data-copy]").forEach(function (button) {
     var before = button.textContent;
     button.addEventListener("click", function () {
