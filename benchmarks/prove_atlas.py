@@ -44,13 +44,23 @@ def attempt(task: tuple[str, dict[str, Any]]) -> tuple[str, dict[str, Any], dict
     return name, document, entry(prove(orbit))
 
 
+def mark(document: dict[str, Any]) -> tuple[float, ...]:
+    """What two records of one orbit, or of its mirror images, have in common."""
+    return tuple(round(document[name], 6) for name in ("energy", "period", "action"))
+
+
 def tasks(atlas: Path, folder: Path, count: int) -> list[tuple[str, dict[str, Any]]]:
-    """Names and documents of the cheapest orbits of an atlas that have no record yet."""
+    """Names and documents of the cheapest orbits of an atlas that have no record yet, each orbit once."""
     with Atlas(atlas) as opened:
         listed = [(f"{atlas.stem}-{row.id}", opened.document(row.id)) for row in opened.rows()]
-    listed.sort(key=lambda one: cost(one[1]))
     missing = count - sum((folder / f"{name}.json").is_file() for name, _ in listed)
-    return [one for one in listed if not (folder / f"{one[0]}.json").is_file()][: max(0, missing)]
+    known = {mark(json.loads(file.read_text())) for file in folder.glob("*.json")}
+    todo = []
+    for name, document in sorted(listed, key=lambda one: cost(one[1])):
+        if mark(document) not in known:
+            known.add(mark(document))
+            todo.append((name, document))
+    return todo[: max(0, missing)]
 
 
 def summary(folder: Path, failures: dict[str, str]) -> str:

@@ -154,6 +154,7 @@ def test_henon_heiles_straight_line_by_quadrature(tmp_path):
         assert abs(point.period - exact) < 1e-10
 
 
+@pytest.mark.slow
 def test_straight_line_ends_at_equilibrium_and_saddle(tmp_path):
     """Both ends have their names: the centre at E = 0 and the saddle at E = 1/6."""
     problem = load_problem(FAMILIES / "henon-heiles-straight.toml")
@@ -236,6 +237,7 @@ def test_custom_model_is_continued_from_its_orbit(tmp_path):
         continue_command(orbit, points=4, out=tmp_path / "other", settings=QUIET)
 
 
+@pytest.mark.slow
 def test_events_do_not_depend_on_the_steps(tmp_path):
     """Long and short steps find the same events, a Krein collision and its end within 0.06 J of each other included."""
     found = []

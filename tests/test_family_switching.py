@@ -156,6 +156,7 @@ def test_free_and_chosen_orbits_start_families(tmp_path):
     assert result.exit_code == 0, result.output
 
 
+@pytest.mark.slow
 def test_running_orbit_of_a_chain_with_an_orbit_file(tmp_path):
     """A running pendulum's orbit.json: winding kept, followed to where its period blows up."""
     problem = ROOT / "problems" / "examples" / "pendulum-running.toml"
