@@ -48,6 +48,8 @@ REPEATS = 2
 MESHES = ((50, 4), (100, 4), (100, 7))
 """(NTST, NCOL) that AUTO is tried with; the cheapest one whose closures are as asked for is its time."""
 CLOSURE = 1e-11
+EVERY = 4
+"""One of so many of AUTO's points is judged."""
 SYMMETRIC_WANTED, GENERAL_WANTED, INTERPRETED_WANTED = 1.0, 1.5, 5.0
 
 
@@ -175,7 +177,14 @@ static int stpnt(integer ndim, doublereal t, doublereal *u, doublereal *par) {{ 
 static int bcnd() {{ return 0; }}
 static int icnd() {{ return 0; }}
 static int fopt() {{ return 0; }}
-static int pvls() {{ return 0; }}
+static int pvls(integer ndim, const doublereal *u, doublereal *par) {{ /* fort.8 has ten digits only */
+  static FILE *stream = NULL;
+  if (!stream) stream = fopen("points.txt", "w");
+  for (integer i = 0; i < ndim; i++) fprintf(stream, "%.17g ", u[i]);
+  fprintf(stream, "%.17g\\n", par[10]);
+  fflush(stream);
+  return 0;
+}}
 """
 CONSTANTS = """
 dat = 'orbit'
@@ -185,7 +194,7 @@ NDIM = {size}
 IPS = 2
 IRS = 0
 ILP = 1
-ICP = [1, 11]
+ICP = [11, 1]
 NTST = {intervals}
 NCOL = {order}
 IAD = 3
@@ -202,8 +211,8 @@ ITMX = 8
 ITNW = 7
 NWTN = 3
 JAC = 1
-EPSL = 1e-11
-EPSU = 1e-11
+EPSL = 1e-12
+EPSU = 1e-12
 EPSS = 1e-8
 DS = {step}
 DSMIN = 1e-7
@@ -220,8 +229,9 @@ def auto(start: Start, points: int, mesh: tuple[int, int], clock: Clock) -> Run:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare(folder, start)
-        upwards = auto_run(folder, start, (11, MESHES[0], 0.01), 1, clock).energies
-        step = 0.01 if upwards[1] > upwards[0] else -0.01
+        began = energy(start.curve.propagator.model, start.found.place.nodes[0])
+        tried = auto_run(folder, start, (11, MESHES[0], 0.01), 1, clock)
+        step = 0.01 if tried.energies[1] > began else -0.01
         return auto_run(folder, start, (points, mesh, step), REPEATS, clock)
 
 
@@ -241,7 +251,7 @@ def auto_run(folder: Path, start: Start, asked: tuple[int, tuple[int, int], floa
     computed = sum(1 for row in (folder / "fort.7").read_text().splitlines() if row.split()[0] != "0")
     closures, energies = [], []
     check, n = closure_check(model), model.degrees_of_freedom
-    for state, period in list(solutions(folder / "fort.8"))[1:]:
+    for state, period in solutions(folder / "points.txt")[1::EVERY]:
         closures.append(check(state, period, np.zeros(n), 1e-15) / growth(start, state, period))
         energies.append(energy(model, state))
     return Run(min(taken) / computed, computed, max(closures), (energies[0], energies[-1]))
@@ -273,15 +283,10 @@ def prepare(folder: Path, start: Start) -> None:
         subprocess.run(command, cwd=folder, check=True, capture_output=True)
 
 
-def solutions(path: Path) -> Iterable[tuple[np.ndarray, float]]:
-    """(state at t = 0, period) of every labelled solution in a fort.8."""
-    rows = path.read_text().splitlines()
-    k = 0
-    while k < len(rows):
-        head = [int(word) for word in rows[k].split()]
-        values = " ".join(rows[k + 1 : k + 1 + head[8]]).replace("D", "E").split()
-        yield np.array([float(word) for word in values[1 : head[7]]]), float(values[len(values) - head[11] + 10])
-        k += 1 + head[8]
+def solutions(path: Path) -> list[tuple[np.ndarray, float]]:
+    """(state at t = 0, period) of every point, as the user's PVLS wrote them."""
+    rows = np.atleast_2d(np.loadtxt(path))
+    return [(row[:-1], float(row[-1])) for row in rows]
 
 
 def growth(start: Start, state: np.ndarray, period: float) -> float:
@@ -330,7 +335,7 @@ measured {worst:.1f}), closures at most {CLOSURE:g}.
 {chr(10).join(line(*row) for row in rows)}
 
 AUTO with (NTST, NCOL) of {meshes}: the first that closes as asked, or else the last; "coarse" is the first of them.
-ISP = 2, EPSL = EPSU = 1e-11, {"one thread" if cpu else "its own number of threads"}.
+ISP = 2, EPSL = EPSU = 1e-12, {"one thread" if cpu else "its own number of threads"}.
 {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, CasADi {ca.__version__}.
 """
 

@@ -28,12 +28,13 @@ def export(files: tuple[Path, ...], to: str, out: Path | None) -> None:
     """
     from orbitfinder.exports.write import export_orbit
     from orbitfinder.periodic.orbit import load_orbit
+    from orbitfinder.problemfile import checked_name
     from orbitfinder.runner import check_consistent, check_writable
 
     seen: dict[str, Path] = {}
     orbits = [(file, load_orbit(file)) for file in files]
     for file, orbit in orbits:
-        _check_name(orbit.name, file)
+        checked_name(orbit.name, f"{file}: name")
         check_consistent(orbit)
         if out is not None and seen.setdefault(orbit.name, file) != file:
             both = f"{seen[orbit.name]} and {file} are both named {orbit.name!r}"
@@ -43,15 +44,3 @@ def export(files: tuple[Path, ...], to: str, out: Path | None) -> None:
         check_writable(folder)
         for written in export_orbit(orbit, to, folder):
             click.echo(str(written))
-
-
-def _check_name(name: str, file: Path) -> None:
-    """`InputError` for a name in an orbit.json that could lead out of the folder."""
-    from pydantic_core import PydanticCustomError
-
-    from orbitfinder.schema import check_name
-
-    try:
-        check_name(name)
-    except PydanticCustomError as error:
-        raise InputError(f"{file}: name: {error.message()}, got {name!r}; rename it in the file") from error

@@ -40,8 +40,7 @@ def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 
     """The Orbit of an orbit.json, the Branch of a family.json or the Problem of any other file, with its model."""
     from orbitfinder.families.store import FORMAT
     from orbitfinder.periodic.orbit import load_orbit
-    from orbitfinder.problemfile import load_problem, read_bytes
-    from orbitfinder.schema import check_name
+    from orbitfinder.problemfile import checked_name, load_problem, read_bytes
 
     if file.suffix != ".json":
         if switch is not None:
@@ -52,7 +51,7 @@ def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 
     if switch is not None:
         raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
     orbit = load_orbit(file)
-    check_name(orbit.name)
+    checked_name(orbit.name, f"{file}: name")
     return orbit, model_of(orbit.system, file, trust)
 
 

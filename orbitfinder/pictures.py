@@ -59,12 +59,14 @@ def plot(files: tuple[Path, ...], out: Path | None) -> None:
       orbitfinder plot orbits/triple-1/orbit.json -o figures
     """
     from orbitfinder.periodic.orbit import load_orbit
+    from orbitfinder.problemfile import checked_name
     from orbitfinder.runner import check_writable
     from orbitfinder.show.plot import save_figures
 
     orbits = [(file, load_orbit(file)) for file in files]
     for file, orbit in orbits:
-        folder = file.parent if out is None else (out if len(orbits) == 1 else out / orbit.name)
+        name = checked_name(orbit.name, f"{file}: name")
+        folder = file.parent if out is None else (out if len(orbits) == 1 else out / name)
         check_writable(folder)
         for written in save_figures(orbit, folder):
             click.echo(str(written))
@@ -82,6 +84,7 @@ def animate(files: tuple[Path, ...], out: Path | None) -> None:
       orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4
     """
     from orbitfinder.periodic.orbit import load_orbit
+    from orbitfinder.problemfile import checked_name
     from orbitfinder.runner import check_writable
     from orbitfinder.show.animate import orbit_clip, save_animation
 
@@ -90,9 +93,10 @@ def animate(files: tuple[Path, ...], out: Path | None) -> None:
         raise InputError(f"--out: {out} is one file for {len(files)} orbits; name a folder")
     orbits = [(file, load_orbit(file)) for file in files]
     for file, orbit in orbits:
+        name = checked_name(orbit.name, f"{file}: name")
         if single and out is not None:
             target = out
         else:
-            target = (file.parent if out is None else out) / f"{orbit.name}.gif"
+            target = (file.parent if out is None else out) / f"{name}.gif"
         check_writable(target.parent)
         click.echo(str(save_animation(orbit_clip(orbit), target)))

@@ -42,6 +42,7 @@ SOLVING = (
     "preparation",
     "dae_orbit",
     "dae_segments",
+    "evidence",
     "dae_evidence",
     "tangent",
     "linkage_guesses",

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from orbitfinder.cli import cli
-from orbitfinder.periodic.orbit import load_orbit
+from orbitfinder.periodic.orbit import load_orbit, save_orbit
 from orbitfinder.runner import check_writable, one_line
 
 ROOT = Path(__file__).parents[1]
@@ -323,3 +323,17 @@ def test_writability_is_asked_of_the_file_system(tmp_path):
 
 def test_messages_are_one_printable_line():
     assert one_line("a\n  b\x1b[2Jc\td") == "a b [2Jc d"
+
+
+@pytest.mark.parametrize("command", [("continue",), ("plot", "-o", "FOLDER"), ("animate",), ("export", "--to", "csv")])
+def test_names_that_lead_out_of_the_folder_are_refused(command, tmp_path, report_orbits):
+    """A name in an orbit.json becomes part of a path."""
+    file = save_orbit(report_orbits["triple-1"], tmp_path / "orbit.json")
+    document = json.loads(file.read_text())
+    file.write_text(json.dumps(document | {"name": "../../away"}))
+    (tmp_path / "other.json").write_text(file.read_text())
+    name, *options = [str(tmp_path) if word == "FOLDER" else word for word in command]
+    files = [str(file), str(tmp_path / "other.json")] if name == "plot" else [str(file)]
+    result = CliRunner().invoke(cli, [name, *files, *options])
+    assert result.exit_code == 2
+    assert "name: must consist of letters" in result.output

@@ -128,14 +128,24 @@ def test_the_page_in_the_repository_is_complete():
 
 @pytest.mark.slow
 def test_the_page_in_the_repository_is_what_the_program_writes(tmp_path):
-    """Byte for byte, where heyoka and AUTO are installed as they were; else the sections computed here."""
+    """The same rows with the same verdicts; heyoka and AUTO are compared where they are at home."""
     families = ROOT / "results" / "families"
     result = CliRunner().invoke(main, ["--data", str(DATA), "--out", str(tmp_path), "--families", str(families)])
     assert result.exit_code in (0, 1)
-    written, kept = (one.read_text(encoding="utf-8").split("\n## ") for one in (tmp_path / "README.md", PAGE))
-    same = [part for part in written[1:] if "Not run:" not in part and not part.startswith(("heyoka", "AUTO"))]
-    verdicts = lambda part: re.findall(r"(PASS|\*\*FAIL\*\*)", part)  # noqa: E731
-    assert [verdicts(part) for part in same] == [verdicts(part) for part in kept[1 : 1 + len(same)]]
+    written, kept = (verdicts(one.read_text(encoding="utf-8")) for one in (tmp_path / "README.md", PAGE))
+    elsewhere = {title for title in written if title.startswith(("heyoka", "AUTO"))}
+    assert len(written) - len(elsewhere) >= 9
+    for title in written.keys() - elsewhere:
+        assert written[title] == kept[title], title
+
+
+def verdicts(text):
+    """Title of each section -> (quantity, verdict) of its rows."""
+    found = {}
+    for part in text.split("\n## ")[1:]:
+        rows = re.findall(r"^\| (.+?) \|.*\| (PASS|\*\*FAIL\*\*)", part, re.MULTILINE)
+        found[part.partition("\n")[0]] = rows
+    return found
 
 
 def test_a_comparison_is_plain_data():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from orbitfinder.mechanics.canonical import canonical
@@ -110,11 +111,19 @@ def _invariant_frame(model: Model, start: np.ndarray, field: object) -> tuple[np
     for one in model.invariants:
         if one.generator is not None:
             turn = one.generator(start[:n], flow[:n], model.parameter_values).full().ravel()
-            turns.append(np.concatenate([turn[:n], np.zeros(n)]))
+            turns.append(np.concatenate([turn[:n], _momentum_change(model, start[:n], flow[:n], turn)]))
     directions = np.asarray([*([] if model.forced else [flow]), *turns]).reshape(-1, 2 * n)
     free = flow if model.forces is None else canonical(replace(model, forces=None)).field(0.0, start).full().ravel()
     conserved = np.asarray([*([free] if model.conservative else []), *turns]).reshape(-1, 2 * n)
     return np.hstack([-conserved[:, n:], conserved[:, :n]]), directions
+
+
+def _momentum_change(model: Model, q: np.ndarray, v: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """d(momentum) along a direction (2n) of (q, v): zero for translations, not for rotations."""
+    n = q.size
+    x = ca.MX.sym("x", 2 * n)
+    change = ca.jtimes(canonical(model).momentum(x[:n], x[n:]), x, ca.DM(turn))
+    return np.asarray(ca.Function("change", [x], [change])(np.concatenate([q, v])).full().ravel())
 
 
 def _trivial_defect(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> float:

@@ -1,0 +1,43 @@
+"""The committed proofs of atlas orbits (and of the report's), replayed one by one."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+
+from orbitfinder.atlas.store import Atlas
+from orbitfinder.periodic.orbit import digest, load_orbit
+from orbitfinder.proof.record import read_entry, replay
+
+RESULTS = Path(__file__).parents[1] / "results"
+RECORDS = sorted((RESULTS / "proofs").glob("*.json"))
+WANTED = 50
+
+
+def mark(document):
+    """Energy, period and action: the same for an orbit and its mirror images."""
+    return tuple(round(document[name], 6) for name in ("energy", "period", "action"))
+
+
+def test_fifty_orbits_of_the_shipped_atlas_are_proved():
+    """Every record is whole and proved; at least fifty are distinct orbits of the shipped atlas."""
+    documents = [json.loads(file.read_text()) for file in RECORDS]
+    assert all(one["proof"]["proved"] and one["proof"]["box_radius"] < 1e-9 for one in documents)
+    assert all(digest(one) == one["record"] for one in documents)
+    marks = {mark(one) for one in documents}
+    assert len(marks) == len(documents)
+    shipped = set()
+    for file in sorted((RESULTS / "atlas").glob("*.sqlite")):
+        with Atlas(file) as atlas:
+            shipped |= {mark(vars(row)) for row in atlas.rows()}
+    assert len(marks & shipped) >= WANTED
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", RECORDS, ids=lambda file: file.stem)
+def test_record_replays(file):
+    """The proof done again contradicts nothing that is recorded."""
+    proof, wrong = replay(load_orbit(file), read_entry(file))
+    assert proof.proved and not wrong
