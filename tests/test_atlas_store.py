@@ -243,6 +243,26 @@ def test_several_writers(tmp_path, triples):
     assert len(found) == 8 and sum(new for _, new in found) == 2 and {number for number, _ in found} == {1, 2}
 
 
+def test_several_makers(tmp_path):
+    """Six connections make the tables of one new file at the same moment: each finds a whole atlas."""
+    for turn in range(20):
+        path, together, failed = tmp_path / f"{turn}.sqlite", threading.Barrier(6), []
+
+        def make(path=path, together=together, failed=failed):
+            together.wait()
+            try:
+                tables.connect(path, write=True).close()
+            except InputError as error:
+                failed.append(error)
+
+        threads = [threading.Thread(target=make) for _ in range(6)]
+        for one in threads:
+            one.start()
+        for one in threads:
+            one.join()
+        assert not failed and intact(path) == 0
+
+
 def synthetic(random):
     """The signature of a loop that no other is like."""
     loop = random.normal(size=(LOOP_SAMPLES, 6))

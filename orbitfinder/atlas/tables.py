@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 import stat
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -116,10 +117,18 @@ def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
 
 def _version(path: Path, connection: sqlite3.Connection) -> int:
     """The version of an atlas, 0 for an empty file. Raises `InputError` for everything else."""
-    mark = connection.execute("PRAGMA application_id").fetchone()[0]
-    found = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    inside = connection.in_transaction
+    if not inside:  # one look at the file, not three: another writer may be making its tables
+        connection.execute("BEGIN")
+    try:
+        mark = connection.execute("PRAGMA application_id").fetchone()[0]
+        tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        found = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    finally:
+        if not inside and connection.in_transaction:
+            connection.execute("ROLLBACK")
     if mark != APPLICATION:
-        if connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] or mark or found:
+        if tables or mark or found:
             raise InputError(f"{path}: a database of another program, not an atlas; give another file")
         return 0
     if found > VERSION:
@@ -133,7 +142,7 @@ def _version(path: Path, connection: sqlite3.Connection) -> int:
 def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
     """The connection with the file brought to this version, one transaction a version."""
     _version(path, connection)
-    connection.execute("PRAGMA journal_mode = WAL")
+    _log_ahead(connection)
     # a transaction survives the death of the process; after a power cut the last ones may be missing, none is
     # half there, and a resumed search computes the same again
     connection.execute("PRAGMA synchronous = NORMAL")
@@ -147,6 +156,19 @@ def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {found + 1}")
     return connection
+
+
+def _log_ahead(connection: sqlite3.Connection) -> None:
+    """Write-ahead logging; SQLite does not wait for others by itself when it switches to it."""
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > until:
+                raise
+            time.sleep(0.02)
 
 
 @contextlib.contextmanager

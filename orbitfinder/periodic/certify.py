@@ -20,7 +20,7 @@ from orbitfinder.periodic.evidence import is_long as is_long
 from orbitfinder.periodic.floquet import Floquet
 from orbitfinder.periodic.orbit import Certificate, Check, Orbit, digest, orbit_to_document
 from orbitfinder.periodic.symmetry import recognise
-from orbitfinder.reference import SECOND, integrate, vector_field
+from orbitfinder.reference import SECOND, TIGHTEST, integrate, vector_field
 
 LARGEST_SCALE = 1e6
 """Tolerances grow with the largest multiplier up to this factor; beyond, closure would mean nothing."""
@@ -189,7 +189,9 @@ def _record_checks(
     ]
     if model.conservative:
         defect = evidence.floquet.pair_defect
-        checks.append(_at_most("pair_defect", defect, max(allowed.trivial, 1e-15 * scale**2), "reciprocal pairs"))
+        # mu and 1/mu of a matrix of norm about mu, known to the integration's relative error: mu^2 of that
+        bound = max(allowed.trivial, TIGHTEST.relative_tolerance * scale**2)
+        checks.append(_at_most("pair_defect", defect, bound, "reciprocal pairs"))
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
     return checks

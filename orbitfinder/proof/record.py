@@ -143,13 +143,15 @@ def _meet(recorded: Any, fresh: Any) -> bool:
     if isinstance(fresh, list):
         same = isinstance(recorded, list) and len(recorded) == len(fresh)
         return same and all(_meet(a, b) for a, b in zip(recorded, fresh, strict=True))
+    loosest = max(1e-3, 2 * fresh["radius"])
     try:
-        return bool(_ball(recorded).overlaps(_ball(fresh)))
+        return bool(_ball(recorded, loosest).overlaps(_ball(fresh, loosest)))
     except (KeyError, TypeError, ValueError):
         return False
 
 
-def _ball(found: Mapping[str, Any]) -> Any:
-    if not 0 <= float(found["radius"]) < 1e-3:
+def _ball(found: Mapping[str, Any], loosest: float) -> Any:
+    """A recorded enclosure; `ValueError` when it is too loose to claim anything."""
+    if not 0 <= float(found["radius"]) <= loosest:
         raise ValueError("not an enclosure")
     return arb(str(found["value"]), float(found["radius"]))
