@@ -27,7 +27,7 @@ from orbitfinder.show.style import save_png
 
 ROOT = Path(__file__).parents[1]
 PLACE = ROOT / "results" / "atlas"
-SEARCHES = (("triple", "triple-three-energies.toml", 4000), ("quadruple", "quadruple.toml", 1500))
+SEARCHES = (("triple", "triple-three-energies.toml", 4600), ("quadruple", "quadruple.toml", 4000))
 MARGIN = 2.0
 LOWER_BOUNDS = ("minimal_period", "not_equilibrium")
 FIGURES = {

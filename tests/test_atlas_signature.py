@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from orbitfinder.atlas.refine import attempt
-from orbitfinder.atlas.signature import LOOP_SAMPLES, images, same_orbit, signature_of
+from orbitfinder.atlas.signature import DISTANCE, LOOP_SAMPLES, distance, images, same_orbit, signature_of
 from orbitfinder.atlas.starts import Target, bench, make_start
+from orbitfinder.flow import build_flow, end_state
 from orbitfinder.mechanics.chain import chain
 
 
@@ -21,6 +22,16 @@ def test_images_and_phase_shifts_are_the_same_orbit(signatures):
     for one in signatures.values():
         for image in images(one.loop):
             assert same_orbit(one, replace(one, loop=np.roll(image, LOOP_SAMPLES // 3, axis=0)))
+
+
+@pytest.mark.parametrize("share", [0.1234, 0.5017, 0.87654])
+def test_the_phase_is_found_between_the_samples(report_orbits, share):
+    """Found again from a point of the loop between two samples: the loops lie over each other far below `DISTANCE`."""
+    for orbit in report_orbits.values():
+        model = chain(orbit.state.size // 2)
+        moved = end_state(build_flow(model), orbit.state, share * orbit.period)
+        again = replace(orbit, state=moved, nodes=moved[None], times=np.zeros(0), samples=np.zeros((0, moved.size)))
+        assert distance(signature_of(orbit, model), signature_of(again, model)) < DISTANCE / 4
 
 
 def test_other_orbits_are_other(signatures):

@@ -7,7 +7,7 @@ laid over each other.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,12 +18,14 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.measure import dense
 from orbitfinder.periodic.orbit import Orbit
 
-LOOP_SAMPLES = 256
+LOOP_SAMPLES = 512
 """States that a signature keeps of its loop."""
 AGREEMENT = 1e-7
 """Energy, period and action of one orbit found twice differ by less than this, relative."""
-DISTANCE = 1e-3
-"""Loops of one orbit lie over each other to this, relative to the motion's extent."""
+DISTANCE = 5e-3
+"""Loops of one orbit lie over each other to this, relative to the motion's extent; interpolated rates err by 1e-3."""
+PHASE_STEPS = 4
+"""Gauss-Newton steps in aligning two loops."""
 BIN = 1e-6
 """Width of the bins of asinh(period) and asinh(action) that the atlas is indexed by; wider than `AGREEMENT`."""
 
@@ -129,35 +131,35 @@ def wrapped(gaps: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
 def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:
     """The gap of one image at the phase where it passes the first state of the other loop.
 
-    The phase is found among the samples, then between them by stepping along the chord, and the
-    shifted image is compared with the whole loop.
+    The phase is found among the samples, then between them by Gauss-Newton steps on the gap to that
+    state, and the shifted image is compared with the whole loop.
     """
     count, n = image.shape[0], image.shape[1] // 2
     gaps = np.abs(wrapped(image - first.loop[0], first.angles) / scale).max(axis=1)
-    found = np.inf
+    path = _path(image, first.period, n, first.angles)
+    grid, found = np.arange(count) * first.period / count, np.inf
     for k in np.argsort(gaps)[:3]:
-        shift = _phase(first, np.roll(image, -int(k), axis=0), scale)
-        moments = (np.arange(count) + k + shift) * first.period / count
-        moved = _interpolated(image, moments, first.period, n, first.angles)
+        moved = path(grid + _phase(first, path, float(grid[k]), scale))
         found = min(found, float(np.abs(wrapped(moved - first.loop, first.angles) / scale).max()))
     return found
 
 
-def _phase(first: Signature, rolled: np.ndarray, scale: np.ndarray) -> float:
-    """Fraction of a sampling interval from the image's first sample to the loop's first state."""
-    chord = wrapped(rolled[1] - rolled[-1], first.angles) / scale / 2
-    gap = wrapped(first.loop[0] - rolled[0], first.angles) / scale
-    step = float(chord @ gap / max(float(chord @ chord), 1e-300))
-    return float(np.clip(step, -1.0, 1.0))
+def _phase(first: Signature, path: Callable[[np.ndarray], np.ndarray], moment: float, scale: np.ndarray) -> float:
+    """The time (s) near a moment at which a path is nearest to the loop's first state."""
+    apart = first.period / len(first.loop) / 4
+    for _ in range(PHASE_STEPS):
+        before, here, after = path(np.array([moment - apart, moment, moment + apart]))
+        chord = wrapped(after - before, first.angles) / scale / 2
+        gap = wrapped(first.loop[0] - here, first.angles) / scale
+        step = float(chord @ gap / max(float(chord @ chord), 1e-300))
+        moment += apart * float(np.clip(step, -4.0, 4.0))
+    return moment
 
 
-def _interpolated(
-    loop: np.ndarray, moments: np.ndarray, period: float, n: int, angles: Sequence[bool]
-) -> np.ndarray:
-    """States of a closed loop at any times, by Hermite splines through its unwrapped coordinates."""
+def _path(loop: np.ndarray, period: float, n: int, angles: Sequence[bool]) -> Callable[[np.ndarray], np.ndarray]:
+    """States (k x 2n) of a closed loop at any times (k), by Hermite splines through its unwrapped coordinates."""
     closed = np.vstack([loop, loop[:1]])
     steps = wrapped(np.diff(closed, axis=0), angles)
-    path = closed[0] + np.vstack([np.zeros((1, 2 * n)), np.cumsum(steps, axis=0)])
-    spline = CubicHermiteSpline(np.linspace(0.0, period, len(path)), path[:, :n], path[:, n:])
-    inside = moments % period
-    return np.hstack([spline(inside), spline(inside, 1)])
+    whole = closed[0] + np.vstack([np.zeros((1, 2 * n)), np.cumsum(steps, axis=0)])
+    spline = CubicHermiteSpline(np.linspace(0.0, period, len(whole)), whole[:, :n], whole[:, n:])
+    return lambda moments: np.hstack([spline(moments % period), spline(moments % period, 1)])

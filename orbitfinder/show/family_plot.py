@@ -81,6 +81,8 @@ def frequency_energy(
 
     `marks` are further orbits to show, name -> (energy, period).
     """
+    from matplotlib.lines import Line2D
+
     names = ", ".join(family.name for family in families)
     figure = new_figure(8.0, 5.6, title or f"{names}: frequency and energy")
     axes = figure.subplots()
@@ -98,11 +100,13 @@ def frequency_energy(
             (line,) = axes.plot(event.energy, 1.0 / event.period, marker, color=colour, markerfacecolor=face,
                                 markersize=size, linestyle="none")  # fmt: skip
             shown.setdefault(text, line)
-        last = family.points[-1]
-        axes.annotate(family.name, (last.energy, 1.0 / last.period), fontsize=8, color=colour, parse_math=False)
+    if len(families) > 1:
+        names_shown = [Line2D([], [], color=COLOURS[k % len(COLOURS)]) for k in range(len(families))]
+        axes.legend(names_shown, [family.name for family in families], loc="upper right", frameon=False)
     for name, (energy, period) in (marks or {}).items():
         axes.plot(energy, 1.0 / period, "*", color="black", markersize=10)
-        axes.annotate(f" {name}", (energy, 1.0 / period), fontsize=8, parse_math=False)
+        offset = {"xytext": (6, 8), "textcoords": "offset points"}
+        axes.annotate(name, (energy, 1.0 / period), fontsize=9, parse_math=False, **offset)
     dress(axes, "energy (J)", "frequency (1/s)")
     if shown:
         figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
