@@ -219,7 +219,7 @@ def test_a_failed_write_leaves_the_former_page(failure, tmp_path, monkeypatch):
                      "events": [], "ends": []}), "points: list should have at least 1 item"),
         (json.dumps({"format": "orbitfinder/family", "name": "f", "system": {}, "parameter": "energy",
                      "points": [{"period": 1.0}], "events": [], "ends": []}), r"points\[0\].state: field required"),
-        (json.dumps(document()).replace("0.20781961527012896", "1e999"), "not finite"),
+        (json.dumps(document()).replace(repr(document()["state"][0]), "1e999"), "not finite"),
         ("[" * 100_000, "nested too deeply|corrupt JSON"),
     ],
 )  # fmt: skip

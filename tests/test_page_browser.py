@@ -86,7 +86,7 @@ def test_page_loads_without_a_word_on_the_console(browser, pages, kind):
     assert not [name for name in loaded if not name.startswith(("file:", "data:"))]
 
 
-@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("width", [360, 390, 1400])
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_layout_and_contrast_hold(browser, pages, kind, theme, width):
