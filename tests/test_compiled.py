@@ -1,6 +1,7 @@
 """Compiled functions: the same numbers, nothing compiled twice, and the interpreter whenever something is wrong."""
 
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -178,7 +179,7 @@ def test_key_depends_on_everything(monkeypatch, fresh):
     compiled(example(3.0))
     assert len(list(fresh.glob("*.so"))) == 2
     forget(monkeypatch)
-    monkeypatch.setattr(rooms, "flags", lambda size: ("-O0",))
+    monkeypatch.setattr(rooms, "flags", lambda size, tuning: ("-O0",))
     compiled(example())
     forget(monkeypatch)
     other = rooms.find_compiler
@@ -357,9 +358,28 @@ def test_modes(monkeypatch):
 
 
 def test_flags_and_expectation():
-    assert flags(1000)[0] == "-O2" and flags(10**6)[0] == "-O1"
-    assert not {"-ffast-math", "-Ofast", "-march=native"} & set(flags(1000)) and "-ffp-contract=off" in flags(1000)
+    assert flags(1000)[0] == "-O3" and flags(10**6)[0] == "-O1"
+    assert not {"-ffast-math", "-Ofast"} & set(flags(1000)) and "-ffp-contract=off" in flags(1000)
+    assert flags(1000, ("-march=native",))[-1] == "-march=native"
     assert expected_seconds(10**6) > expected_seconds(1000) > 0
+
+
+def test_each_processor_has_its_own_entries(tmp_path, monkeypatch):
+    """What "native" defines is part of the identity; a compiler that does not know the flag goes without it."""
+    real = shutil.which("cc")
+    if real is None:
+        pytest.skip("no cc")
+    said = []
+    for number, body in enumerate(("echo '#define __WIDE__ 1'", "echo '#define __NARROW__ 1'", "exit 1")):
+        script = tmp_path / f"cc{number}"
+        script.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) {body};; *) exec {real} "$@";; esac\n')
+        script.chmod(0o755)
+        monkeypatch.setenv("CC", str(script))
+        said.append(find_compiler())
+    assert [one.tuning for one in said] == [("-march=native",), ("-march=native",), ()]
+    assert len({one.identity for one in said}) == 3
+    forget(monkeypatch)
+    assert compiled(example()).is_a("External")
 
 
 # ---- the cache -------------------------------------------------------------------------------------

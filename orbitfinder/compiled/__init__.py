@@ -143,7 +143,7 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
     """The compiled function, from this process, from the disk or made now."""
     code = _code(function)
     compiler = find_compiler()
-    key = cache.key_of(code, compiler.identity, " ".join(flags(len(code))), ca.__version__)
+    key = cache.key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
     if key in _libraries:
         return _libraries[key]
     place = cache.folder()
