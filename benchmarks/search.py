@@ -33,8 +33,8 @@ from scipy.optimize import least_squares
 import orbitfinder as of
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.starts import Target, bench, make_start
-from orbitfinder.atlas.workers import one_thread
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.onethread import children_on_one_thread
 
 ROOT = Path(__file__).parents[1]
 LINKS, ENERGY, PERIODS, SEED, PROCESSES = 3, -30.0, (0.5, 6.0), 0, 2
@@ -102,7 +102,7 @@ def by_hand(which: int, budget: float, processor: bool, found: multiprocessing.Q
 def search_by_hand(budget: float, processor: bool) -> Result:
     context = multiprocessing.get_context("spawn")
     found = context.Queue()
-    with one_thread():
+    with children_on_one_thread():
         crew = [context.Process(target=by_hand, args=(which, budget, processor, found)) for which in range(PROCESSES)]
         for process in crew:
             process.start()

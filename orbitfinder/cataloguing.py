@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from orbitfinder.clioptions import FILES, json_option, print_json
 from orbitfinder.errors import InputError
-from orbitfinder.searching import FILES, json_option, print_json, print_summary
+from orbitfinder.searching import print_summary
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.store import Filter, Row

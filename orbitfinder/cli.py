@@ -5,8 +5,6 @@ Exit codes: 0 everything certified, 1 something did not converge or certify, 2 b
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +23,7 @@ from orbitfinder import (
     proving,
     searching,
 )
-from orbitfinder.compileoption import compile_option
+from orbitfinder.clioptions import FILES, JSON_KEY, compile_option, json_option, print_json, trust_option
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.version import __version__
 
@@ -33,7 +31,6 @@ if TYPE_CHECKING:
     from orbitfinder.periodic.orbit import Certificate
 
 NOT_CERTIFIED, BAD_INPUT, INTERRUPTED = 1, 2, 130
-FILES = click.Path(path_type=Path)
 
 
 class Commands(click.Group):
@@ -75,33 +72,8 @@ def _complain(ctx: click.Context, error: OrbitfinderError) -> None:
 
     message = one_line(error)
     click.echo(f"Error: {message}", err=True)
-    if ctx.meta.get("orbitfinder.json"):
-        _print_json({"format": "orbitfinder/error", "error": message})
-
-
-def _print_json(document: Any) -> None:
-    click.echo(json.dumps(_finite(document), indent=1, allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    """The same document with null for every NaN and infinity, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _remember_json(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
-    ctx.meta["orbitfinder.json"] = value
-    return value
-
-
-json_option = click.option(
-    "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
-    help="Print one JSON document on standard output instead of text.",
-)  # fmt: skip
-trust_option = click.option("--trust", is_flag=True, help="Execute Python problem files; only for files you have read.")
+    if ctx.meta.get(JSON_KEY):
+        print_json({"format": "orbitfinder/error", "error": message})
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -123,7 +95,7 @@ def cli() -> None:
 @click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 256), help="Processes side by side.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the certified orbits.")
 @compile_option
-@trust_option
+@trust_option()
 @json_option
 def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, trust: bool, as_json: bool) -> None:
     """Find and certify the orbit of each problem FILE.
@@ -149,7 +121,7 @@ def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, trust: boo
     if as_json:
         passed = all(outcome.passed for outcome in outcomes)
         results = [outcome.document() for outcome in outcomes]
-        _print_json({"format": "orbitfinder/run", "passed": passed, "results": results})
+        print_json({"format": "orbitfinder/run", "passed": passed, "results": results})
     else:
         for outcome in outcomes:
             _print_outcome(outcome)
@@ -174,7 +146,7 @@ def _print_outcome(outcome: Any) -> None:
 @cli.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
 @click.option("--proof", is_flag=True, help="Replay the recorded proof of each file too (see `orbitfinder prove`).")
-@trust_option
+@trust_option()
 @json_option
 def verify(files: tuple[Path, ...], proof: bool, trust: bool, as_json: bool) -> None:
     """Recompute the certificate of each ORBIT.json from the file alone.
@@ -204,7 +176,7 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool, as_json: bool) -> 
                 click.echo(f"  {results[-1]['proof']['message']}")
     passed = all(result["passed"] and result.get("proof", result)["passed"] for result in results)
     if as_json:
-        _print_json({"format": "orbitfinder/verify", "passed": passed, "results": results})
+        print_json({"format": "orbitfinder/verify", "passed": passed, "results": results})
     if not passed:
         click.get_current_context().exit(NOT_CERTIFIED)
 
@@ -225,7 +197,7 @@ def _print_certificate(heading: str, certificate: Certificate) -> None:
 @click.argument("file", type=FILES)
 @click.option("--duration", type=float, default=None, help="Time to simulate in s; default: [simulate] duration or 10.")
 @click.option("--out", default=None, type=FILES, help="Write DIR/<name>/simulation.csv.")
-@trust_option
+@trust_option()
 @json_option
 def simulate(file: Path, duration: float | None, out: Path | None, trust: bool, as_json: bool) -> None:
     """Simulate the system of a problem FILE from its state and report what becomes of the energy.
@@ -248,7 +220,7 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool, 
     if out is not None:
         document["written"] = str(write_csv(result, out / loaded.name / "simulation.csv"))
     if as_json:
-        _print_json({"format": "orbitfinder/simulation"} | document)
+        print_json({"format": "orbitfinder/simulation"} | document)
         return
     click.echo(f"{result.name}: {result.times[-1]:g} s simulated")
     click.echo(f"  {'energy':<22}{document['energy']:.12g} J")

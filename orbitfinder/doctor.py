@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import shutil
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import click
 
+from orbitfinder.clioptions import json_option, print_json
 from orbitfinder.version import __version__
 
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
@@ -47,7 +47,7 @@ def essential() -> Iterator[Finding]:
     fits = sys.version_info[:2] >= (3, 11)
     remedy = "" if fits else "use Python 3.11 to 3.13"
     yield Finding("python", OK if fits else BROKEN, platform.python_version(), remedy)
-    for name in ("casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich"):
+    for name in ("casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl"):
         yield _package(name)
     yield from _plugins()
     yield _main_job()
@@ -189,7 +189,7 @@ def defects() -> Iterator[Finding]:
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document on standard output instead of text.")
+@json_option
 def doctor(as_json: bool) -> None:
     """Check this installation: packages, CasADi plugins and known defects, compiler, cache, extras.
 
@@ -205,7 +205,7 @@ def doctor(as_json: bool) -> None:
     usable = all(finding.status != BROKEN for finding in findings)
     if as_json:
         document = {"format": "orbitfinder/doctor", "version": __version__, "usable": usable}
-        click.echo(json.dumps(document | {"findings": [asdict(one) for one in findings]}, indent=1))
+        print_json(document | {"findings": [asdict(one) for one in findings]})
     else:
         click.echo(f"orbitfinder {__version__} on {platform.platform()}")
         for finding in findings:

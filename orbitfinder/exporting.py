@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
+from orbitfinder.clioptions import FILES
 from orbitfinder.errors import InputError
-
-FILES = click.Path(path_type=Path)
 
 
 @click.command()

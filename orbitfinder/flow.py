@@ -10,16 +10,17 @@ that CasADi makes of an integrator can be silently wrong (casadi issue 4383) and
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder.compiled import interpreted_seconds, with_derivatives
+from orbitfinder.compiled import interpreted_seconds, mode, with_derivatives
 from orbitfinder.errors import IntegrationError
 from orbitfinder.mechanics.model import Invariant, Model
 from orbitfinder.quiet import captured
@@ -27,6 +28,8 @@ from orbitfinder.runge_kutta import variational_field
 
 EVALUATIONS = 20_000
 """About how often one search for an orbit evaluates the variational equations."""
+SMALL = 16
+"""State size up to which eight flows are remembered, at 5 to 25 MB; beyond it one (10 links 42 MB, 20 links 290)"""
 
 
 @dataclass(frozen=True)
@@ -91,9 +94,56 @@ def build_flow(
     settings: IntegratorSettings | None = None,
 ) -> Flow:
     """Flow of a Model; `free` names physical parameters kept variable, `unfolded` the invariants
-    whose unfolding acceleration s_k u_k(q, v) is added to the equations of motion."""
-    field = vector_field(model, free, unfolded)
-    return Flow(model, settings or IntegratorSettings(), tuple(free), tuple(unfolded), field)
+    whose unfolding acceleration s_k u_k(q, v) is added to the equations of motion.
+
+    The last few are remembered: a second search on the same Model builds no integrator anew.
+    """
+    return remembered(Flow, model, free, unfolded, settings)
+
+
+def remembered(
+    kind: type[Flow],
+    model: Model,
+    free: Sequence[str],
+    unfolded: Sequence[Invariant],
+    settings: IntegratorSettings | None,
+) -> Flow:
+    """The Flow of this kind that was built last from the same things, or a new one."""
+    kept = _small if 2 * model.degrees_of_freedom <= SMALL else _large
+    conditions = (mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))  # what decides on compiling
+    return kept(
+        kind, Same(model), model.parameter_values.tobytes(), tuple(free), tuple(map(Same, unfolded)),
+        settings or IntegratorSettings(), conditions,
+    )  # fmt: skip
+
+
+class Same:
+    """Something as a key of a cache, equal to nothing but itself."""
+
+    def __init__(self, thing: Any) -> None:
+        self.thing = thing
+
+    def __hash__(self) -> int:
+        return id(self.thing)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.thing is self.thing
+
+
+def _built(
+    kind: type[Flow],
+    model: Same,
+    _values: bytes,
+    free: tuple[str, ...],
+    unfolded: tuple[Same, ...],
+    settings: IntegratorSettings,
+    _conditions: tuple[str | None, ...],
+) -> Flow:
+    invariants = tuple(one.thing for one in unfolded)
+    return kind(model.thing, settings, free, invariants, vector_field(model.thing, free, invariants))
+
+
+_small, _large = lru_cache(maxsize=8)(_built), lru_cache(maxsize=1)(_built)
 
 
 def vector_field(model: Model, free: Sequence[str], unfolded: Sequence[Invariant]) -> ca.Function:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder import interrupt
-from orbitfinder.compileoption import compile_option
+from orbitfinder.clioptions import FILES, compile_option, trust_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from orbitfinder.periodic.problem import Problem
 
     Origin = Orbit | Problem | Branch
-
-FILES = click.Path(path_type=Path)
 
 
 def numbers(text: str) -> tuple[float, ...]:
@@ -98,7 +96,7 @@ def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
 @click.option("--out", default="families", show_default=True, type=FILES, help="Folder for DIR/<name>/family.json.")
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the family.")
 @compile_option
-@click.option("--trust", is_flag=True, help="Execute Python problem files and modules; only what you have read.")
+@trust_option("Execute Python problem files and modules; only what you have read.")
 def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
 

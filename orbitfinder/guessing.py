@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from orbitfinder.clioptions import FILES, json_option, print_json, trust_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
     from orbitfinder.proposing import Proposal, Proposals
 
-FILES = click.Path(path_type=Path)
 SHOWN = 8
 """State components or shape entries that are printed; the rest is in --json."""
-
-
-def _remember_json(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
-    ctx.meta["orbitfinder.json"] = value
-    return value
 
 
 @click.command()
@@ -30,11 +24,8 @@ def _remember_json(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
 @click.option("--amplitude", default=0.1, show_default=True, type=float, help="Largest angle of the modes in rad.")
 @click.option("--out", default=None, type=FILES, help="Write a problem file with one of them, the others as comments.")
 @click.option("--pick", default=None, metavar="NAME", help="Which one --out takes, such as mode-2 or return-1.")
-@click.option("--trust", is_flag=True, help="Execute Python problem files; only for files you have read.")
-@click.option(
-    "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
-    help="Print one JSON document on standard output instead of text.",
-)  # fmt: skip
+@trust_option()
+@json_option
 def guess(
     file: Path, duration: float | None, count: int, amplitude: float, out: Path | None, pick: str | None,
     trust: bool, as_json: bool,
@@ -68,7 +59,7 @@ def guess(
         document = {"format": "orbitfinder/guesses", "name": proposals.name, "states": list(proposals.state_names),
                     "guesses": [one.document() for one in proposals.found], "notes": list(proposals.notes),
                     "written": str(written) if written else None}  # fmt: skip
-        click.echo(json.dumps(document, indent=1, allow_nan=False))
+        print_json(document)
         return
     _print(proposals)
     if written is not None:

@@ -7,8 +7,7 @@ from pathlib import Path
 import click
 
 from orbitfinder import interrupt
-
-FILES = click.Path(path_type=Path)
+from orbitfinder.clioptions import FILES
 
 
 @click.command()

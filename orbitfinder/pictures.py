@@ -7,10 +7,8 @@ from pathlib import Path
 import click
 
 from orbitfinder import interrupt
-from orbitfinder.compileoption import compile_option
+from orbitfinder.clioptions import FILES, compile_option
 from orbitfinder.errors import InputError
-
-FILES = click.Path(path_type=Path)
 
 
 @click.command()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,28 +9,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder import interrupt
+from orbitfinder.clioptions import FILES, json_option, print_json, trust_option
 
 if TYPE_CHECKING:
     from orbitfinder.proof.refine import Refined
     from orbitfinder.proof.theorem import Proof
 
-FILES = click.Path(path_type=Path)
 NOT_PROVED = 1
 SYMMETRIES = ("none", "reflection", "brake", "reversal", "brake+reflection")
 
 
-def _remember_json(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
-    ctx.meta["orbitfinder.json"] = value
-    return value
-
-
-json_option = click.option(
-    "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
-    help="Print one JSON document on standard output instead of text.",
-)  # fmt: skip
-trust_option = click.option(
-    "--trust", is_flag=True, help="Import the Python module that a system was made with; only if you have read it."
-)
+TRUST = "Import the Python module that a system was made with; only if you have read it."
 
 
 @click.command(name="prove")
@@ -43,7 +31,7 @@ trust_option = click.option(
 @click.option("--bits", type=int, default=None, help="Precision of the ball arithmetic.  [default: 106]")
 @click.option("--tolerance", type=float, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
 @click.option("--record/--no-record", default=True, show_default=True, help="Write the proof into the ORBIT.json.")
-@trust_option
+@trust_option(TRUST)
 @json_option
 def prove_command(
     files: tuple[Path, ...], symmetry: str | None, segments: int | None, order: int | None, bits: int | None,
@@ -88,7 +76,7 @@ def _say(line: str) -> None:
 def _finish(kind: str, results: list[dict[str, Any]], as_json: bool) -> None:
     passed = all(result["proved"] for result in results)
     if as_json:
-        click.echo(json.dumps({"format": kind, "passed": passed, "results": results}, indent=1, allow_nan=False))
+        print_json({"format": kind, "passed": passed, "results": results})
     if not passed:
         click.get_current_context().exit(NOT_PROVED)
 
@@ -136,7 +124,7 @@ def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
 @click.option("--bits", type=int, default=None, help="Precision of the arithmetic; default: by the digits.")
 @click.option("--symmetry", type=click.Choice(SYMMETRIES), default=None, help="Default: the recorded one.")
 @click.option("--enclose/--no-enclose", default=True, show_default=True, help="Prove the digits; slower.")
-@trust_option
+@trust_option(TRUST)
 @json_option
 def refine_command(
     file: Path, digits: int, order: int | None, bits: int | None, symmetry: str | None, enclose: bool, trust: bool,
@@ -160,7 +148,7 @@ def refine_command(
     model = provable_model(orbit, file.parent if trust else None)
     found = refine(orbit, settings, digits, model, symmetry, enclose, _say)
     if as_json:
-        click.echo(json.dumps(refined_document(found), indent=1, allow_nan=False))
+        print_json(refined_document(found))
     else:
         _print_refined(str(file), found)
     if enclose and not found.enclosed:

@@ -21,12 +21,12 @@ from orbitfinder.errors import IntegrationError
 @lru_cache(maxsize=32)
 def marcher(field: ca.Function, steps: int) -> ca.Function:
     """`march((t, x), (h, s, free))` -> (t, x) after 1..steps steps, of a field f(t, x, s, free)."""
-    return _step(field, ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym).mapaccum("march", steps)
+    return one_step(field, ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym).mapaccum("march", steps)
 
 
 @lru_cache(maxsize=64)
-def _step(field: ca.Function, symbol: Any) -> ca.Function:
-    """One step of (t, x) with parameters (h, s, free)."""
+def one_step(field: ca.Function, symbol: Any, error: bool = False) -> ca.Function:
+    """One step of z = (t, x) with p = (h, s, free), or the estimate of its error in x (SciPy's norm, per component)."""
     size, rest = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
     z, p = symbol("z", size + 1), symbol("p", 1 + rest)
     h, s, free = p[0], p[1 : 1 + field.size1_in(2)], p[1 + field.size1_in(2) :]
@@ -34,7 +34,11 @@ def _step(field: ca.Function, symbol: Any) -> ca.Function:
     for shift, row in zip(DOP853.C, DOP853.A, strict=True):
         stages.append(field(z[0] + float(shift) * h, z[1:] + h * _combined(row, stages), s, free))
     after = ca.vertcat(z[0] + h, z[1:] + h * _combined(DOP853.B, stages))
-    return ca.Function("step", [z, p], [after])
+    if not error:
+        return ca.Function("step", [z, p], [after])
+    stages.append(field(after[0], after[1:], s, free))
+    fifth, third = h * _combined(DOP853.E5, stages), h * _combined(DOP853.E3, stages)
+    return ca.Function("error", [z, p], [fifth**2 / ca.sqrt(fifth**2 + 0.01 * third**2 + 1e-300)])
 
 
 def _combined(weights: np.ndarray, stages: list[Any]) -> Any:
@@ -87,25 +91,30 @@ def refined_march(
 
 
 @lru_cache(maxsize=64)
-def variational_field(field: ca.Function) -> ca.Function:
-    """f and its variations as one field of y = (x, vec[Phi | dx/ds | dx/dfree]), columns of length 2n.
+def variational_field(field: ca.Function, quadrature: ca.Function | None = None) -> ca.Function:
+    """f and its variations as one field of y = (x, vec[Phi | dx/ds | dx/dfree], S), columns of length 2n.
 
     Phi' = (df/dx) Phi and w_k' = (df/dx) w_k + df/ds_k, with df/dx formed once: on the triple pendulum 849
-    operations instead of the 2117 of one directional derivative per column.
+    operations instead of the 2117 of one directional derivative per column. S' = quadrature(t, x, s, free), where
+    there is one.
     """
-    if not field.is_a("SXFunction"):
-        return _matrix_variations(field)
-    t, x, s, free = (ca.SX.sym(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free")))
+    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
+    inputs = [symbol(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
+    t, x, s, free = inputs
     size, extra = x.numel(), s.numel() + free.numel()
-    rate = field(t, x, s, free)
+    rate = field(*inputs)
     slopes, forcing = ca.jacobian(rate, x), ca.jacobian(rate, ca.vertcat(s, free))
-    inputs = [t, x, s, free]
+    added = type(x)(0, 1) if quadrature is None else quadrature(*inputs)
+    outputs = [rate, slopes, forcing, added]
+    if not field.is_a("SXFunction"):
+        return _with_columns(ca.Function("slopes", inputs, outputs), size, extra)
     if size > WIDE:
-        return _with_columns(ca.Function("slopes", inputs, ca.cse([rate, slopes, forcing]), NOT_INLINED), size, extra)
+        return _with_columns(ca.Function("slopes", inputs, ca.cse(outputs), NOT_INLINED), size, extra)
     columns = ca.SX.sym("columns", size, size + extra)
-    found = ca.cse([rate, slopes @ columns + ca.horzcat(ca.SX(size, size), forcing)])
-    whole = ca.vertcat(x, ca.vec(columns))
-    return ca.Function("variations", [t, whole, s, free], [ca.vertcat(found[0], ca.vec(found[1]))], NOT_INLINED)
+    found = ca.cse([rate, slopes @ columns + ca.horzcat(ca.SX(size, size), forcing), added])
+    whole = ca.vertcat(x, ca.vec(columns), ca.SX.sym("S", added.numel()))
+    found[1] = ca.vec(found[1])
+    return ca.Function("variations", [t, whole, s, free], [ca.vertcat(*found)], NOT_INLINED)
 
 
 NOT_INLINED = {"never_inline": True}
@@ -116,31 +125,31 @@ SHORT = 500
 """Operations up to which a field is written out in each stage: 1.2 times faster on three and four links"""
 
 
-def _matrix_variations(field: ca.Function) -> ca.Function:
-    """The same for a field of matrix expressions."""
-    t, x, s, free = (ca.MX.sym(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free")))
-    rate = field(t, x, s, free)
-    outputs = [rate, ca.jacobian(rate, x), ca.jacobian(rate, ca.vertcat(s, free))]
-    return _with_columns(ca.Function("slopes", [t, x, s, free], outputs), x.numel(), s.numel() + free.numel())
-
-
 def _with_columns(slopes: ca.Function, size: int, extra: int) -> ca.Function:
     t, s, free = ca.MX.sym("t"), ca.MX.sym("s", slopes.size1_in(2)), ca.MX.sym("free", slopes.size1_in(3))
-    whole = ca.MX.sym("whole", size * (1 + size + extra))
-    columns = ca.reshape(whole[size:], size, size + extra)
-    rate, matrix, forcing = slopes(t, whole[:size], s, free)
+    end = size * (1 + size + extra)
+    whole = ca.MX.sym("whole", end + slopes.size1_out(3))
+    columns = ca.reshape(whole[size:end], size, size + extra)
+    rate, matrix, forcing, added = slopes(t, whole[:size], s, free)
     moving = ca.densify(matrix) @ columns + ca.horzcat(ca.MX(size, size), forcing)
-    return ca.Function("variations", [t, whole, s, free], [ca.vertcat(rate, ca.vec(moving))], NOT_INLINED)
+    return ca.Function("variations", [t, whole, s, free], [ca.vertcat(rate, ca.vec(moving), added)], NOT_INLINED)
+
+
+def step_of(field: ca.Function, error: bool = False) -> ca.Function:
+    """`one_step` as it compiles best: a short field is written out in each stage, a long one called."""
+    if not field.is_a("SXFunction"):
+        return one_step(field, ca.MX.sym, error)
+    if field.n_instructions() <= SHORT:
+        return one_step(field, ca.SX.sym, error)
+    inputs = field.sx_in()
+    return one_step(ca.Function("rates", inputs, field.call(inputs), NOT_INLINED), ca.MX.sym, error)
 
 
 @lru_cache(maxsize=64)
 def block(field: ca.Function, steps: int, lanes: int) -> ca.Function:
     """`block(z, p)` -> z after that many steps, for `lanes` columns z = (t, y) and p = (h, s, free) at once."""
     size, rest = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
-    scalar = field.is_a("SXFunction") and field.n_instructions() <= SHORT
-    if field.is_a("SXFunction") and not scalar:
-        field = ca.Function("rates", field.sx_in(), field.call(field.sx_in()), NOT_INLINED)
     z, p = ca.MX.sym("z", size + 1), ca.MX.sym("p", 1 + rest)
-    folded = _step(field, ca.SX.sym if scalar else ca.MX.sym).fold(steps)
+    folded = step_of(field).fold(steps)
     whole = ca.Function("block", [z, p], [folded(z, ca.repmat(p, 1, steps))])
     return whole if lanes == 1 else whole.map(lanes)

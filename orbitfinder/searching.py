@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
 import re
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder import interrupt
-from orbitfinder.compileoption import compile_option
+from orbitfinder.clioptions import FILES, compile_option, json_option, print_json, trust_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from orbitfinder.atlas.search import Limits, Tally
     from orbitfinder.problemfile import ProblemFile
 
-FILES = click.Path(path_type=Path)
 SPEAK_EVERY = 5.0
 """Seconds between two lines of progress where there is no terminal."""
 REFRESH_EVERY = 0.25
@@ -52,17 +50,6 @@ def _budget(_: click.Context, __: click.Parameter, text: str | None) -> float | 
     return value
 
 
-def _remember_json(ctx: click.Context, _: click.Parameter, value: bool) -> bool:
-    ctx.meta["orbitfinder.json"] = value
-    return value
-
-
-json_option = click.option(
-    "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
-    help="Print one JSON document on standard output instead of text.",
-)  # fmt: skip
-
-
 @click.command(name="search")
 @click.argument("file", type=FILES, metavar="FILE")
 @click.option("--atlas", "book", required=True, type=FILES, metavar="FILE.sqlite", help="Where the orbits are kept.")
@@ -71,7 +58,7 @@ json_option = click.option(
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0, 2**63 - 1), help="Chooses the starts.")
 @click.option("--workers", default=2, show_default=True, type=click.IntRange(0, 256), help="Processes; 0: no other.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://head:8786, instead of processes.")
-@click.option("--trust", is_flag=True, help="Import the Python function of the system; only for files you have read.")
+@trust_option("Import the Python function of the system; only for files you have read.")
 @compile_option
 @json_option
 def search(file: Path, book: Path, scheduler: str | None, trust: bool, as_json: bool, **options: Any) -> None:
@@ -215,16 +202,3 @@ def print_summary(summary: Summary) -> None:
         click.echo(f"  failed {rest:>6}: other reasons")
     total, error = summary.estimate
     click.echo(f"  such starts can find at least about {total:.0f} +- {error:.0f} orbits in all (Chao1)")
-
-
-def print_json(document: Any) -> None:
-    """One JSON document on standard output, null for what JSON has no number for."""
-    click.echo(json.dumps(_finite(document), indent=1, allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -11,9 +11,9 @@ LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 
 # low to high; modules of one floor may import each other
 FLOORS = (
-    ("version", "errors", "quiet", "suggest", "interrupt", "display"),
+    ("version", "errors", "quiet", "suggest", "interrupt", "display", "onethread", "jsontext"),
     ("mechanics", "systems"),
-    ("flow", "dae_flow", "reference", "runge_kutta", "compiled", "taylor", "defects"),
+    ("flow", "dae_flow", "reference", "buffered", "runge_kutta", "compiled", "taylor", "defects"),
     ("periodic",),
     ("families",),
     ("atlas",),
@@ -28,7 +28,7 @@ FLOORS = (
     ),
     (
         "console", "runner", "pictures", "following", "searching", "cataloguing", "guessing", "proving", "paging",
-        "exporting", "doctor", "completion", "compileoption", "cli", "__main__",
+        "exporting", "doctor", "completion", "clioptions", "cli", "__main__",
     ),
 )
 SOLVING = (
@@ -43,6 +43,7 @@ SOLVING = (
     "dae_orbit",
     "dae_segments",
     "evidence",
+    "hamilton",
     "dae_evidence",
     "tangent",
     "linkage_guesses",
@@ -62,6 +63,7 @@ CASADI = (
     "flow",
     "dae_flow",
     "reference",
+    "buffered",
     "runge_kutta",
     "compiled",
     "taylor",

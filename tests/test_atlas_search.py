@@ -260,14 +260,6 @@ def test_chao1_estimates_an_urn():
     assert len(counts) < total and abs(total - 200) < 3 * error
 
 
-def test_environment_of_workers_is_put_back(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    with workers.one_thread():
-        assert os.environ["OMP_NUM_THREADS"] == os.environ["OPENBLAS_NUM_THREADS"] == "1"
-    assert os.environ["OMP_NUM_THREADS"] == "7" and "OPENBLAS_NUM_THREADS" not in os.environ
-
-
 def test_a_search_is_registered_once(triple, task, one, tmp_path):
     with Atlas(tmp_path / "a.sqlite", write=True, model=triple) as atlas:
         assert register(atlas, task, one) == (1, 0) == register(atlas, task, one)

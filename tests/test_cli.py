@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from orbitfinder.cli import cli
+from orbitfinder.jsontext import finite
 from orbitfinder.periodic.orbit import load_orbit, save_orbit
 from orbitfinder.runner import check_writable, one_line
 
@@ -337,3 +338,16 @@ def test_names_that_lead_out_of_the_folder_are_refused(command, tmp_path, report
     result = CliRunner().invoke(cli, [name, *files, *options])
     assert result.exit_code == 2
     assert "name: must consist of letters" in result.output
+
+
+def test_shared_options_are_written_once():
+    """--json and --trust stand in one module; the commands take them from there."""
+    modules = (ROOT / "orbitfinder").glob("*.py")
+    written = [path.name for path in modules for name in ("json", "trust") if f'"--{name}"' in path.read_text("utf-8")]
+    assert written == ["clioptions.py", "clioptions.py"]
+
+
+def test_json_has_null_for_what_is_no_number():
+    """NaN and infinities at any depth become null, everything else stays."""
+    found = finite({"a": [1.5, float("nan"), (float("inf"), "x")], "b": {"c": -float("inf")}, "d": None})
+    assert found == {"a": [1.5, None, [None, "x"]], "b": {"c": None}, "d": None}

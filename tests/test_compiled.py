@@ -15,9 +15,9 @@ import pytest
 from click.testing import CliRunner
 
 from orbitfinder import compiled as rooms
+from orbitfinder.clioptions import compile_option
 from orbitfinder.compiled import available, cache, compiled, compiling, mode, set_mode, statistics, with_derivatives
 from orbitfinder.compiled.compiler import CompilerError, expected_seconds, find_compiler, flags, make_library
-from orbitfinder.compileoption import compile_option
 from orbitfinder.errors import InputError
 from orbitfinder.flow import IntegratorSettings, build_flow
 from orbitfinder.mechanics.chain import chain

@@ -5,27 +5,27 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import pendulum_period
 
-from orbitfinder.compiled import compiling
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.flow import build_flow, transition
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.chain_lagrange import chain_lagrange
 from orbitfinder.mechanics.model import energies
-from orbitfinder.periodic import harmonic_balance
+from orbitfinder.periodic import chain_evidence, harmonic_balance, quarter
 from orbitfinder.periodic.certify import certify
 from orbitfinder.periodic.chain_evidence import gather_chain
 from orbitfinder.periodic.conditions import pin
 from orbitfinder.periodic.evidence import gather, is_long
 from orbitfinder.periodic.guesses import normal_mode
 from orbitfinder.periodic.harmonic_balance import Series
-from orbitfinder.periodic.long_chain import balanced, build_chain, find_long_chain, shot, suits
+from orbitfinder.periodic.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
 from orbitfinder.periodic.nlp import SolveSettings
 from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.quarter import Quarter
+from orbitfinder.periodic.quarter import MOST_DOUBLINGS, Quarter
 from orbitfinder.periodic.solve import find_orbit
 from orbitfinder.systems import henon_heiles
 
@@ -73,13 +73,19 @@ def test_closed_form_agrees_with_the_recursion():
 
 def test_closed_form_variations_agree_with_automatic_differentiation():
     model = chain(6, **UNEQUAL)
-    closed, quarter, random = chain_lagrange(model), Quarter(model), np.random.default_rng(2)
+    closed, random = chain_lagrange(model), np.random.default_rng(2)
     x, columns = random.normal(0, 1, 12), random.normal(0, 1, (12, 7))
     found = closed.variational(0.0, np.concatenate([x, columns.ravel("F")]))
-    a, by_place, by_rate = quarter.linearised(x[:6], x[6:])
-    wanted = np.vstack([columns[6:], by_place @ columns[:6] + by_rate @ columns[6:]])
-    assert np.abs(found[12:].reshape(12, 7, order="F") - wanted).max() <= 1e-11 * np.abs(wanted).max()
-    assert found[:12] == pytest.approx(np.concatenate([x[6:], a]), rel=1e-11, abs=1e-11)
+    y, p = ca.SX.sym("y", 12), model.parameter_values
+    rate = ca.vertcat(y[6:], model.acceleration(0, y[:6], y[6:], p))
+    field = ca.Function("field", [y], [rate, ca.jacobian(rate, y)])
+    wanted = [part.full() for part in field(x)]
+    assert found[:12] == pytest.approx(wanted[0].ravel(), rel=1e-11, abs=1e-11)
+    varied = wanted[1] @ columns
+    assert np.abs(found[12:].reshape(12, 7, order="F") - varied).max() <= 1e-11 * np.abs(varied).max()
+    a, by_place, by_rate = closed.linearised(x[:6], x[6:])
+    assert a == pytest.approx(found[6:12], rel=1e-12)
+    assert np.abs(np.hstack([by_place, by_rate]) - wanted[1][6:]).max() <= 1e-11 * np.abs(wanted[1]).max()
 
 
 def test_momentum_frame_is_canonical():
@@ -106,18 +112,18 @@ def test_closed_form_refuses_what_is_no_chain():
 
 
 def test_columns_agree_with_the_variational_equations_of_the_flow():
-    """More columns than a block holds, along a motion that does not start at rest."""
+    """Along a motion that does not start at rest."""
     model = chain(12)
     state = np.random.default_rng(4).normal(0, 0.2, 24)
     end, matrix = transition(build_flow(model), state, 0.5)
-    quarter = Quarter(model)
-    assert np.abs(quarter.columns(state, 0.5, 20, np.eye(24)) - matrix).max() <= 1e-9 * np.abs(matrix).max()
-    assert np.abs(quarter.refined(state, 0.5, 2, 4)[-1] - end).max() <= 1e-11 * np.abs(end).max()
+    known = Quarter(model)
+    assert np.abs(known.columns(state, 0.5, 160, np.eye(24)) - matrix).max() <= 1e-9 * np.abs(matrix).max()
+    assert np.abs(known.refined(state, 0.5, 2, 4)[-1] - end).max() <= 1e-11 * np.abs(end).max()
 
 
 def test_harmonic_balance_converges_spectrally_to_the_pendulum():
     """The period of one link at 1 rad is an elliptic integral; its error falls by decades with each harmonic."""
-    quarter = Quarter(chain(1))
+    closed = chain_lagrange(chain(1))
 
     def at_one(place: np.ndarray, _: float) -> tuple[float, np.ndarray, float]:
         return float(place[0] - 1.0), np.ones(1), 0.0
@@ -125,7 +131,7 @@ def test_harmonic_balance_converges_spectrally_to_the_pendulum():
     errors = []
     for count in (2, 3, 4, 5):
         first = Series(np.ones((1, 1)), 3.8).padded(count)
-        found = harmonic_balance.correct(first, quarter.linearised, at_one)
+        found = harmonic_balance.correct(first, closed.linearised, at_one)
         assert found is not None
         errors.append(abs(found[0].period - pendulum_period(1.0)))
     assert errors[-1] < 1e-8
@@ -134,7 +140,7 @@ def test_harmonic_balance_converges_spectrally_to_the_pendulum():
 
 def test_harmonic_balance_gives_up_on_nonsense():
     """A frequency of the wrong sign, numbers that are not finite and a singular matrix are no solutions."""
-    quarter = Quarter(chain(1))
+    closed = chain_lagrange(chain(1))
 
     def nowhere(place: np.ndarray, _: float) -> tuple[float, np.ndarray, float]:
         return float("nan"), np.ones(1), 0.0
@@ -143,16 +149,35 @@ def test_harmonic_balance_gives_up_on_nonsense():
         return 1.0, np.zeros(1), 0.0
 
     for row in (nowhere, singular):
-        assert harmonic_balance.correct(Series(np.ones((1, 1)), 3.8), quarter.linearised, row) is None
+        assert harmonic_balance.correct(Series(np.ones((1, 1)), 3.8), closed.linearised, row) is None
 
 
-def test_compiled_columns_are_the_interpreted_ones():
-    """The same numbers to round-off through the compiled slopes, where there is a compiler."""
-    state, found = np.random.default_rng(5).normal(0, 0.2, 22), []
-    for mode in ("off", "on"):
-        with compiling(mode):
-            found.append(Quarter(chain(11)).columns(state, 0.2, 4, np.eye(22)))
-    assert np.abs(found[1] - found[0]).max() <= 1e-12 * np.abs(found[0]).max()
+def test_a_closed_form_that_is_not_the_chains_is_noticed(twelve, monkeypatch):
+    """Weights off by 1e-6 are an error where the multipliers would be wrong; the right ones agree to round-off."""
+    chain = build_chain(mode_problem(12, 0.5))
+    assert chain.quarter.disagreement(twelve.samples[:129:32]) <= 1e-11
+    wrong = replace(chain.closed, weights=chain.closed.weights * (1 + 1e-6))
+    monkeypatch.setattr(quarter, "chain_lagrange", lambda model: wrong)
+    with pytest.raises(OrbitfinderError, match="closed form of this chain's equations .* please report"):
+        measured(build_chain(mode_problem(12, 0.5)), twelve.state[:12], twelve.period)
+
+
+def test_halving_stops_where_it_no_longer_helps(monkeypatch):
+    """With an agreement that round-off cannot reach, steps are halved until the change is round-off, not for ever."""
+    known = Quarter(chain(12))
+    counts, path = [], Quarter.path
+
+    def counted(self, state, duration, count, inner=1):
+        counts.append(inner)
+        return path(self, state, duration, count, inner)
+
+    monkeypatch.setattr(Quarter, "path", counted)
+    monkeypatch.setattr(quarter, "AGREEMENT", 0.0)
+    state = np.concatenate([np.linspace(0.1, 0.5, 12), np.zeros(12)])
+    fine = known.refined(state, 1.0, 1, 2)
+    assert counts[-1] < 2 * 2**MOST_DOUBLINGS
+    monkeypatch.undo()
+    assert np.abs(fine[-1] - known.refined(state, 1.0, 1, 2)[-1]).max() <= 1e-10
 
 
 # --- against the ordinary search -------------------------------------------------------------------
@@ -187,6 +212,29 @@ def test_evidence_agrees_with_hamiltons_equations():
     assert largest_difference(found.floquet.multipliers, generic.floquet.multipliers) <= 1e-7
     assert found.symplectic <= 1e-10 and found.trivial <= 1e-10
     assert "Lagrange" in found.formulation and "Hamilton" in generic.formulation
+
+
+def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
+    """Of a reflection symmetric motion; one that is not at -x(0) after T/2 is followed all the way."""
+    lengths, integrate = [], chain_evidence.integrate
+
+    def noted(field, start, times, *others):
+        lengths.append(times[-1] / twelve.period)
+        return integrate(field, start, times, *others)
+
+    monkeypatch.setattr(chain_evidence, "integrate", noted)
+    turns = np.zeros(12, int)
+    half = gather_chain(chain(12), twelve.state, twelve.period, turns)
+    assert lengths == [1.0, 0.5]
+    monkeypatch.setattr(chain_evidence, "REFLECTED", -1.0)
+    whole = gather_chain(chain(12), twelve.state, twelve.period, turns)
+    assert lengths == [1.0, 0.5, 1.0, 1.0]
+    assert largest_difference(half.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
+    assert half.symplectic <= 1e-9 and half.trivial <= 1e-9
+    monkeypatch.undo()
+    monkeypatch.setattr(chain_evidence, "integrate", noted)
+    gather_chain(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)
+    assert lengths[-1] == pytest.approx(1.0)
 
 
 def test_evidence_without_gravity_knows_the_angular_momentum():
@@ -265,12 +313,12 @@ def test_shooting_that_stalls_is_an_error():
 
 
 def test_states_that_overflow_are_an_integration_error():
-    quarter = Quarter(chain(12))
+    known = Quarter(chain(12))
     wild = np.concatenate([np.zeros(12), np.full(12, 1e200) * np.arange(12)])
     with pytest.raises(IntegrationError, match="the state is not finite"):
-        quarter.path(wild, 1.0, 1)
+        known.path(wild, 1.0, 1)
     with pytest.raises(IntegrationError, match="the variations are not finite"):
-        quarter.columns(wild, 1.0, 1, np.eye(24)[:, :2])
+        known.columns(wild, 1.0, 8, np.eye(24)[:, :2])
 
 
 def test_a_falsified_long_orbit_fails_its_certificate(twelve):

@@ -10,6 +10,7 @@ SIAM Journal 11 (1963) 431-441.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -115,7 +116,8 @@ def energy_row(one: System, state: np.ndarray) -> tuple[float, np.ndarray]:
     return float(total) - one.problem.pin[0].value, gradient.full().ravel()
 
 
-def boundary(problem: Problem, n: int) -> tuple[np.ndarray, np.ndarray]:
+@lru_cache(maxsize=8)
+def boundary(symmetry: str, n: int) -> tuple[np.ndarray, np.ndarray]:
     """A and B (2n x 2n) of the boundary rows A x(0) + B x(end) - shift (see `conditions.boundary_rows`)."""
     unit, zero = np.eye(n), np.zeros((n, n))
     rates_at_start = np.block([[zero, unit], [zero, zero]])
@@ -124,7 +126,7 @@ def boundary(problem: Problem, n: int) -> tuple[np.ndarray, np.ndarray]:
         "reflection": (np.eye(2 * n), np.eye(2 * n)),
         "brake": (rates_at_start, np.block([[zero, zero], [zero, unit]])),
         "brake+reflection": (rates_at_start, np.block([[zero, zero], [unit, zero]])),
-    }[problem.symmetry]
+    }[symmetry]
 
 
 def displacement(problem: Problem, shift: np.ndarray) -> np.ndarray:
@@ -136,7 +138,7 @@ def displacement(problem: Problem, shift: np.ndarray) -> np.ndarray:
 
 def rows(one: System, path: Path, ends: np.ndarray) -> np.ndarray:
     """Unscaled residual for given end states (N x 2n)."""
-    first, last = boundary(one.problem, ends.shape[1] // 2)
+    first, last = boundary(one.problem.symmetry, ends.shape[1] // 2)
     closing = first @ path.nodes[0] + last @ ends[-1] - displacement(one.problem, one.shift)
     energy, _ = energy_row(one, path.nodes[0])
     return np.concatenate(
@@ -152,7 +154,7 @@ def linearised(one: System, path: Path) -> tuple[np.ndarray, np.ndarray]:
     ends, slopes = derivatives(one.march, path.nodes, duration, rounded(duration / one.step), path.unfolding)
     speed = rates(one.march, ends, path.unfolding) * span
     columns = np.concatenate([slopes[:, :, :size], speed[:, :, None], slopes[:, :, size:]], axis=2)
-    first, last = boundary(one.problem, size // 2)
+    first, last = boundary(one.problem.symmetry, size // 2)
     columns[-1] = last @ columns[-1]
     jacobian = np.zeros((one.rows.size, one.columns.size))
     for k in range(count):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from orbitfinder.atlas.signature import Signature, resampled
 from orbitfinder.atlas.starts import Bench, Start, make_start, strategy_of
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.certify import certify, closest_return, gap
+from orbitfinder.periodic.certify import certify, gap, return_distances
 from orbitfinder.periodic.conditions import pin
 from orbitfinder.periodic.floquet import analyse, reduce_monodromy
 from orbitfinder.periodic.measure import action, frame, full_period
@@ -214,9 +215,9 @@ def minimal(one: Bench, loop: Loop, settings: QuickSettings) -> Loop:
         raise ConvergenceError("period outside the range")
     angles = np.asarray(one.model.angles or (False,) * one.model.degrees_of_freedom)
     covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
-    covers = [k for k in covers if closest_return(loop.times, loop.states, angles, [k])[0] < COVER]
-    if covers:
-        loop = uncovered(one, loop, max(covers), settings)
+    near = np.asarray(return_distances(loop.times, loop.states, angles, covers)) < COVER if covers else []
+    if np.any(near):
+        loop = uncovered(one, loop, max(compress(covers, near)), settings)
     if not low <= loop.path.period <= high:
         raise ConvergenceError("period outside the range")
     return loop

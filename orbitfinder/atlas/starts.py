@@ -18,6 +18,7 @@ from orbitfinder.flow import Flow, build_flow
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.periodic.conditions import SYMMETRIES, unfolded_invariants
 from orbitfinder.periodic.guesses import normal_modes
+from orbitfinder.periodic.hamilton import prepare
 from orbitfinder.periodic.symmetry import check_symmetry
 
 METHOD = 1
@@ -84,6 +85,7 @@ def bench(model: Model, target: Target) -> Bench:
         raise InputError(
             f"energy: {target.energy:.9g} J is not above {lowest:.9g} J, the system at rest; give a larger energy"
         )
+    prepare(model)
     known = symmetries(model)
     unfolded = {name: unfolded_invariants(model, SYMMETRIES[name]) for name in known}
     built = {kinds: build_march(model, kinds) for kinds in dict.fromkeys(unfolded.values())}

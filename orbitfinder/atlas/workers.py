@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -16,13 +14,12 @@ from orbitfinder.atlas.refine import Attempt, Numbers
 from orbitfinder.atlas.starts import Bench
 from orbitfinder.atlas.task import Known, Order, Task, perform, prepared
 from orbitfinder.errors import OrbitfinderError
+from orbitfinder.onethread import children_on_one_thread
 
 MOST_TRIES = 2
 """A start whose worker died is tried once more; then it has cost itself and nothing else."""
 DIED = "worker died"
 MOST_FALSE_STARTS = 3
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables that keep the linear algebra of a worker on one processor."""
 LAST_WORDS = 5.0
 """Seconds that workers get to end by themselves."""
 
@@ -180,25 +177,10 @@ class Local:
         ours, theirs = context.Pipe()
         # a daemon dies with this process in every orderly end; a killed parent is noticed by the closed pipe
         process = context.Process(target=serve, args=(theirs, self._task.text(), self._task.seed), daemon=True)
-        with interrupt.held_back(), one_thread():
+        with interrupt.held_back(), children_on_one_thread():
             process.start()
         theirs.close()
         return Worker(process, ours)
-
-
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Processes started in the block keep their linear algebra on one processor each."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def serve(pipe: Connection, text: str, seed: int) -> None:

@@ -21,7 +21,7 @@ from orbitfinder.families.exact import exact_points
 from orbitfinder.families.mesh import refined, settled
 from orbitfinder.families.points import Batch, End, Event, FamilyPoint, FamilySettings, make_point
 from orbitfinder.families.stability import Spectrum
-from orbitfinder.families.strips import avoided, strip_tests
+from orbitfinder.families.strips import avoided
 from orbitfinder.families.system import Aim, Curve, Place, Solution, advanced, bend, correct, distance, head_of, tangent
 from orbitfinder.families.walk import Stand, Walk, stand_at, trend_of
 
@@ -172,7 +172,7 @@ def _events(interval: Interval, settings: FamilySettings) -> list[tuple[float, E
     if not settings.events:
         return []
     try:
-        return find_events(interval, settings, 0.0, strip_tests(interval, settings.resonances))
+        return find_events(interval, settings, 0.0)
     except (ConvergenceError, IntegrationError) as error:
         if interval.length > SHORTEST_SEARCH:
             raise

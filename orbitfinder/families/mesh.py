@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import rates, step_errors, variation_errors
@@ -19,6 +20,8 @@ VARIATION_ERROR = 1e-10
 """Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
 SPARE = 5.0
 """A mesh is looked at again when the motion alone would do with this many times fewer steps."""
+WIDENED = 5
+"""Steps over which the density of a fresh mesh is spread."""
 GROWTH = 30.0
 """Segments are added until each one's state-transition matrix is below this."""
 MOST_SEGMENTS = 60
@@ -56,13 +59,18 @@ def wanted_steps(curve: Curve, found: Solution) -> np.ndarray:
     return np.maximum(motion, _density(varied, VARIATION_ERROR))
 
 
+def _spread(density: np.ndarray) -> np.ndarray:
+    """The density widened to its neighbours, so that the mesh still fits when the motion has moved a little."""
+    return np.asarray(uniform_filter1d(maximum_filter1d(density, WIDENED, mode="nearest"), WIDENED, mode="nearest"))
+
+
 def remeshed(curve: Curve, found: Solution) -> Place:
     """The place on a mesh that spreads the error estimate evenly, with as many segments as the growth asks for.
 
     Nodes are interpolated and must be corrected again.
     """
     place, states = found.place, found.march.states
-    density = np.maximum(wanted_steps(curve, found), 0.15)
+    density = _spread(np.maximum(wanted_steps(curve, found), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
     count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
     if not density.sum() < MOST_STEPS:

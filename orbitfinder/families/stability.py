@@ -13,6 +13,9 @@ from orbitfinder.periodic.floquet import Floquet, analyse, reciprocal_pairs, red
 UNRESOLVED = 1e7
 """The reciprocal of a multiplier beyond this is taken from it, not from the eigenvalue solver."""
 
+CONVEX = 1e-3
+"""Weight of the squared distance in the matching, which decides between equal sums of distances."""
+
 
 @dataclass(frozen=True)
 class Spectrum:
@@ -150,13 +153,14 @@ def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int
 def matching(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
     """The order in which `found` continues `previous` (complex arrays), so that curves along a family do not swap.
 
-    The assignment of least total distance from where each curve is heading (`slope`, its last change).
+    The assignment of least total distance from where each curve is heading (`slope`, its last change); of equal
+    ones, and moving together makes them equal, the one that keeps the order.
     """
     if previous.shape != found.shape:
         return np.arange(found.size)
     expected = previous if slope is None else previous + slope
     gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
-    return np.asarray(linear_sum_assignment(gaps)[1])
+    return np.asarray(linear_sum_assignment(gaps + CONVEX * gaps**2)[1])
 
 
 def matched(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dposv, dpotrs
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
@@ -37,46 +38,54 @@ class ChainLagrange:
 
     def mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """M_ij = m_ij cos(q_i - q_j)."""
-        return self.coupling * np.cos(q[:, None] - q[None, :])
+        return _weighed(self.coupling, np.stack([np.cos(q), np.sin(q)]))
 
     def field(self, _: float, x: np.ndarray) -> np.ndarray:
         """x' = (v, a) with M a = -h, h_i = sum_j m_ij sin(q_i - q_j) v_j^2 + g_i sin q_i."""
-        q, v = np.split(x, 2)
-        cosine, sine = np.cos(q), np.sin(q)
-        matrix = self.coupling * (np.outer(cosine, cosine) + np.outer(sine, sine))
-        return np.concatenate([v, self._acceleration(matrix, self._swing(cosine, sine), v, sine)[0]])
+        n = self.weights.size
+        v, parts = x[n:], np.stack([np.cos(x[:n]), np.sin(x[:n])])
+        return np.concatenate([v, _solved(_weighed(self.coupling, parts), self._pull(parts, v))[1]])
 
-    def _swing(self, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
-        """S_ij = m_ij sin(q_i - q_j)."""
-        return np.asarray(self.coupling * (np.outer(sine, cosine) - np.outer(cosine, sine)))
+    def _pull(self, parts: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """-h from (cos q, sin q) (2 x n): the sines of differences written out, so that no matrix of them is made."""
+        along, across = (parts * (v * v)) @ self.coupling
+        cosine, sine = parts
+        return np.asarray(cosine * across - sine * (along + self.weights))
 
-    def _acceleration(
-        self, matrix: np.ndarray, swing: np.ndarray, v: np.ndarray, sine: np.ndarray
-    ) -> tuple[np.ndarray, tuple[np.ndarray, bool]]:
-        factor = cho_factor(matrix, lower=True, check_finite=False)
-        bias = swing @ (v * v) + self.weights * sine
-        return -cho_solve(factor, bias, check_finite=False), factor
+    def linearised(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Accelerations a(q, v) (n) and their slopes da/dq and da/dv (n x n each)."""
+        factor, a, slopes = self._slopes(q, v)
+        by_state = -_backed(factor, slopes)
+        return a, by_state[:, : q.size], by_state[:, q.size :]
+
+    def _slopes(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cholesky factor of M, accelerations a, and [dr/dq | dr/dv] (n x 2n) of r = M a + h at fixed a.
+
+        dr_i/dq_k = S_ik a_k - M_ik v_k^2 with S_ik = m_ik sin(q_i - q_k) off the diagonal, the diagonal
+        minus the sum of those of its row plus g_i cos q_i; dr_i/dv_k = 2 S_ik v_k.
+        """
+        n = q.size
+        parts = np.stack([np.cos(q), np.sin(q)])
+        matrix = _weighed(self.coupling, parts)
+        swing = self.coupling * (parts[::-1].T @ (parts * [[1.0], [-1.0]]))
+        factor, a = _solved(matrix.copy(), self._pull(parts, v))
+        slopes = np.empty((n, 2 * n))
+        by_place, by_rate = slopes[:, :n], slopes[:, n:]
+        np.multiply(swing, a, out=by_place)
+        by_place -= matrix * (v * v)
+        by_place[np.diag_indices(n)] += self.weights * parts[0] - by_place.sum(axis=1)
+        np.multiply(swing, 2.0 * v, out=by_rate)
+        return factor, a, slopes
 
     def variational(self, _: float, z: np.ndarray) -> np.ndarray:
-        """z' for z = (x, vec Y), Y (2n x k) by columns: Y_q' = Y_v, M Y_v' = -(dr/dq Y_q + dr/dv Y_v).
-
-        With r = M a + h: dr_i/dq_k = S_ik a_k - C_ik v_k^2 off the diagonal, the diagonal minus the sum
-        of those of its row with the signs of i, plus g_i cos q_i; dr_i/dv_k = 2 S_ik v_k.
-        """
+        """z' for z = (x, vec Y), Y (2n x k) by columns: Y_q' = Y_v, M Y_v' = -(dr/dq Y_q + dr/dv Y_v)."""
         n = self.weights.size
-        q, v, columns = z[:n], z[n : 2 * n], z[2 * n :].reshape(2 * n, -1, order="F")
-        cosine, sine = np.cos(q), np.sin(q)
-        matrix = self.coupling * (np.outer(cosine, cosine) + np.outer(sine, sine))
-        swing = self._swing(cosine, sine)
-        a, factor = self._acceleration(matrix, swing, v, sine)
-        slope = swing * a - matrix * (v * v)
-        slope[np.diag_indices(n)] += self.weights * cosine - slope.sum(axis=1)
-        found = np.empty_like(z)
-        found[:n], found[n : 2 * n] = v, a
-        rates = found[2 * n :].reshape(2 * n, -1, order="F")
-        rates[:n] = columns[n:]
-        right = slope @ columns[:n] + (2.0 * swing * v) @ columns[n:]
-        rates[n:] = -cho_solve(factor, right, overwrite_b=True, check_finite=False)
+        found, rows = np.empty_like(z), z[2 * n :].reshape(-1, 2 * n)  # the rows are the columns of Y
+        factor, a, slopes = self._slopes(z[:n], z[n : 2 * n])
+        found[:n], found[n : 2 * n] = z[n : 2 * n], a
+        rates = found[2 * n :].reshape(-1, 2 * n)
+        rates[:, :n] = rows[:, n:]
+        np.negative(_backed(factor, (rows @ slopes.T).T).T, out=rates[:, n:])
         return found
 
     def momentum_frame(self, x: np.ndarray) -> np.ndarray:
@@ -101,6 +110,25 @@ class ChainLagrange:
         along, across = v * np.cos(q), v * np.sin(q)
         kinetic = 0.5 * (np.sum(along @ self.coupling * along, 1) + np.sum(across @ self.coupling * across, 1))
         return kinetic, -np.cos(q) @ self.weights
+
+
+def _weighed(coupling: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """M from m and (cos q, sin q)."""
+    return np.asarray(coupling * (parts.T @ parts))
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cholesky factor and solution of a symmetric matrix, which is overwritten; NaN where it is not positive definite.
+
+    LAPACK without SciPy's checks, which at 100 links take as long as the solution.
+    """
+    factor, found, info = dposv(matrix.T, right, lower=True, overwrite_a=True)
+    return factor, found if info == 0 else np.full_like(found, np.nan)
+
+
+def _backed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The solution for more right-hand sides (n x k), which are overwritten where they are stored by columns."""
+    return np.asarray(dpotrs(factor, right, lower=True, overwrite_b=True)[0])
 
 
 def chain_lagrange(model: Model) -> ChainLagrange:

@@ -99,7 +99,7 @@ def holonomic_equations(system: Holonomic) -> HolonomicEquations:
     y = ca.vertcat(q, p)
     rate = ca.vertcat(velocity, inner(q, velocity))
     columns, action = ca.SX.sym("Y", 2 * k, 2 * k), ca.SX.sym("S")
-    slopes = ca.jtimes(rate, y, columns)
+    slopes = ca.jacobian(rate, y) @ columns
     t = ca.SX.sym("t")
     extended = ca.vertcat(y, ca.vec(columns), action)
     level = ca.vertcat(phi, jacobian @ velocity)

@@ -16,6 +16,8 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
+from orbitfinder.jsontext import finite
+
 ASSETS = "assets"
 
 
@@ -56,15 +58,6 @@ def script_data(key: str, payload: Any) -> str:
     for letter in "<>&":
         text = text.replace(letter, f"\\u{ord(letter):04x}")
     return f"orbitfinder.put({json.dumps(key)},{text});\n"
-
-
-def finite(value: Any) -> Any:
-    """The same document with None for every number that is not finite."""
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def slug_maker() -> Callable[[str], str]:

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.flow import vector_field as equations_of_motion
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.onethread import one_thread
 from orbitfinder.periodic.evidence import SAMPLES as SAMPLES
 from orbitfinder.periodic.evidence import Evidence as Evidence
 from orbitfinder.periodic.evidence import gap as gap
 from orbitfinder.periodic.evidence import gather as gather
 from orbitfinder.periodic.evidence import is_long as is_long
 from orbitfinder.periodic.floquet import Floquet
+from orbitfinder.periodic.hamilton import accelerations
 from orbitfinder.periodic.orbit import Certificate, Check, Orbit, digest, orbit_to_document
 from orbitfinder.periodic.symmetry import recognise
 from orbitfinder.reference import SECOND, TIGHTEST, integrate, vector_field
@@ -47,6 +47,7 @@ class Tolerances:
     multipliers: float = 1e-6
 
 
+@one_thread()
 def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | None = None) -> Certificate:
     """The certificate of an orbit, from its state and period alone.
 
@@ -103,10 +104,8 @@ def _at_least(name: str, value: float, tolerance: float, note: str = "") -> Chec
 
 def _second_closure(model: Model, orbit: Orbit, turns: np.ndarray) -> float:
     """Closure of the accelerations themselves at a second tolerance: other equations, other steps."""
-    field = equations_of_motion(model, (), ())
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", orbit.state.size)
-    function = ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])
-    ends = integrate(vector_field(function), orbit.state, np.array([0.0, orbit.period]), SECOND)
+    field = vector_field(accelerations(model))
+    ends = integrate(field, orbit.state, np.array([0.0, orbit.period]), SECOND)
     return gap(ends[0], ends[-1], turns)
 
 
@@ -153,7 +152,14 @@ def _minimal_period(orbit: Orbit, evidence: Evidence, model: Model, tolerance: f
 def closest_return(
     times: np.ndarray, states: np.ndarray, angles: np.ndarray, covers: Sequence[int] = range(2, LARGEST_COVER + 1)
 ) -> tuple[float, int]:
-    """Relative distance of x(T/k) from x(0), angles modulo 2 pi, at its smallest over k; and that k.
+    """Relative distance of x(T/k) from x(0), angles modulo 2 pi, at its smallest over k; and that k."""
+    return min(zip(return_distances(times, states, angles, covers), covers, strict=True))
+
+
+def return_distances(
+    times: np.ndarray, states: np.ndarray, angles: np.ndarray, covers: Sequence[int]
+) -> list[float]:
+    """Distance of x(T/k) from x(0) for each k, angles modulo 2 pi, relative to the motion's extent.
 
     States between samples come from a periodic spline of the deviation, good to about 1e-9.
     """
@@ -162,14 +168,11 @@ def closest_return(
     n = states.shape[1] // 2
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     extent = np.maximum(np.ptp(states, axis=0).max(), 1e-300)
-    found = []
-    for cover in covers:
-        moment = times[-1] / cover
-        position = spline(moment) - states[0, :n]
-        position = np.where(angles, (position + np.pi) % (2 * np.pi) - np.pi, position)
-        rate = spline(moment, 1) - states[0, n:]
-        found.append((float(max(np.abs(position).max(), np.abs(rate).max()) / extent), cover))
-    return min(found)
+    moments = times[-1] / np.asarray(covers, float)
+    position = spline(moments) - states[0, :n]
+    position = np.where(angles, (position + np.pi) % (2 * np.pi) - np.pi, position)
+    rate = spline(moments, 1) - states[0, n:]
+    return [float(one) for one in np.abs(np.hstack([position, rate])).max(axis=1) / extent]
 
 
 def _record_checks(

@@ -22,6 +22,8 @@ from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceS
 LONGEST_PHASE = 0.15
 """Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
 8e-13."""
+REFLECTED = 1e-9
+"""rad and rad/s: x(T/2) is this near to -x(0) where half a period stands for the whole"""
 
 
 def gather_chain(
@@ -30,7 +32,8 @@ def gather_chain(
     """`Evidence` of a state (2n) and a period of a long chain.
 
     The motion is integrated at `settings`, its variations (2n columns) at the second tolerance, which
-    keeps eight digits of the multipliers and saves half the steps.
+    keeps eight digits of the multipliers and saves half the steps. Where the motion found here is at -x(0)
+    after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2.
     """
     closed = chain_lagrange(model)
     times = np.linspace(0.0, period, SAMPLES + 1)
@@ -39,7 +42,9 @@ def gather_chain(
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     span = float(np.ptp(potential)) + float(kinetic.max())
-    monodromy = _monodromy(closed, state, period)
+    reflected = np.abs(states[SAMPLES // 2] + states[0]).max() <= REFLECTED
+    monodromy = _transition(closed, state, period / 2 if reflected else period)
+    monodromy = monodromy @ monodromy if reflected else monodromy
     flow, turned = _canonical_directions(closed, model, state)
     directions = np.vstack([flow, *turned])
     n = turns.size
@@ -65,11 +70,14 @@ def _off(found: np.ndarray, wanted: np.ndarray) -> float:
     return float(np.abs(found - wanted).max() / max(np.abs(wanted).max(), 1e-300))
 
 
-def _monodromy(closed: ChainLagrange, state: np.ndarray, period: float) -> np.ndarray:
-    """Phi(T) in the canonical coordinates of `momentum_frame` (2n x 2n), started from the linear modes' shapes."""
+def _transition(closed: ChainLagrange, state: np.ndarray, duration: float) -> np.ndarray:
+    """Phi(duration) in the canonical coordinates of `momentum_frame` (2n x 2n), started from the linear modes' shapes.
+
+    The frames at the two ends differ; at -x it is that at x, since every entry is even in (q, v) together.
+    """
     modes = np.kron(np.eye(2), closed.modes)
     extended = np.concatenate([state, modes.ravel("F")])
-    end = integrate(closed.variational, extended, np.array([0.0, period]), SECOND)[-1]
+    end = integrate(closed.variational, extended, np.array([0.0, duration]), SECOND)[-1]
     columns = end[state.size :].reshape(modes.shape, order="F")
     after, before = closed.momentum_frame(end[: state.size]), closed.momentum_frame(state)
     return np.asarray(np.linalg.solve((before @ modes).T, (after @ columns).T).T)

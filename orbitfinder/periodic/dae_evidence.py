@@ -36,7 +36,7 @@ def gather_constrained(
     start = np.concatenate([chosen[:k], equations.momentum(chosen[:k], chosen[k:]).full().ravel()])
     times = np.linspace(0.0, period, SAMPLES + 1)
     extended = np.concatenate([start, np.eye(2 * k).ravel("F"), [0.0]])
-    path = integrate(vector_field(equations.variational), extended, times, settings)
+    path = integrate(vector_field(equations.variational), extended, times[[0, -1]], settings)
     field = vector_field(equations.field)
     momenta = integrate(field, start, times, settings, period / STEPS_PER_PERIOD)
     states = _in_own_coordinates(system, equations, momenta)

@@ -21,7 +21,7 @@ import numpy as np
 
 from orbitfinder.dae_flow import DaeSettings
 from orbitfinder.errors import InputError
-from orbitfinder.flow import Flow, IntegratorSettings, custom_jacobian, vector_field
+from orbitfinder.flow import Flow, IntegratorSettings, custom_jacobian, remembered
 from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.model import Invariant, Model
 
@@ -104,8 +104,9 @@ def build_dae_flow(
             "baumgarte: shooting on a DAE needs alpha > 0 and beta > 0 (without them closure and consistency are "
             f"over-determined), got alpha = {stabilisation.alpha:g}, beta = {stabilisation.beta:g}; 10 and 10 do"
         )
-    equations = vector_field(model, free, unfolded)
-    return DaeFlow(model, settings or IntegratorSettings(), tuple(free), tuple(unfolded), equations)
+    found = remembered(DaeFlow, model, free, unfolded, settings)
+    assert isinstance(found, DaeFlow)
+    return found
 
 
 def forward_sensitivities(flow: DaeFlow, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:

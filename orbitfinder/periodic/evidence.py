@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
+from orbitfinder.periodic.hamilton import hamilton
 from orbitfinder.reference import STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, integrate, vector_field
 
 SAMPLES = 512
@@ -51,12 +51,12 @@ def gather(
 
         return gather_chain(model, state, period, turns, settings)
     n = model.degrees_of_freedom
-    equations = canonical(model)
+    equations = hamilton(model)
     values = model.parameter_values
     start = np.concatenate([state[:n], equations.momentum(state[:n], state[n:]).full().ravel()])
     times = np.linspace(0.0, period, SAMPLES + 1)
     extended = np.concatenate([start, np.eye(2 * n).ravel("F"), [0.0]])
-    path = integrate(vector_field(equations.variational), extended, times, settings)
+    path = integrate(vector_field(equations.variational), extended, times[[0, -1]], settings)
     field = vector_field(equations.field)
     momenta = integrate(field, start, times, settings, period / STEPS_PER_PERIOD)
     states = _velocities(momenta, field, n)
@@ -113,7 +113,7 @@ def _invariant_frame(model: Model, start: np.ndarray, field: object) -> tuple[np
             turn = one.generator(start[:n], flow[:n], model.parameter_values).full().ravel()
             turns.append(np.concatenate([turn[:n], _momentum_change(model, start[:n], flow[:n], turn)]))
     directions = np.asarray([*([] if model.forced else [flow]), *turns]).reshape(-1, 2 * n)
-    free = flow if model.forces is None else canonical(replace(model, forces=None)).field(0.0, start).full().ravel()
+    free = flow if model.forces is None else hamilton(replace(model, forces=None)).field(0.0, start).full().ravel()
     conserved = np.asarray([*([free] if model.conservative else []), *turns]).reshape(-1, 2 * n)
     return np.hstack([-conserved[:, n:], conserved[:, :n]]), directions
 
@@ -122,7 +122,7 @@ def _momentum_change(model: Model, q: np.ndarray, v: np.ndarray, turn: np.ndarra
     """d(momentum) along a direction (2n) of (q, v): zero for translations, not for rotations."""
     n = q.size
     x = ca.MX.sym("x", 2 * n)
-    change = ca.jtimes(canonical(model).momentum(x[:n], x[n:]), x, ca.DM(turn))
+    change = ca.jtimes(hamilton(model).momentum(x[:n], x[n:]), x, ca.DM(turn))
     return np.asarray(ca.Function("change", [x], [change])(np.concatenate([q, v])).full().ravel())
 
 

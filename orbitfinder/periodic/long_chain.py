@@ -18,8 +18,8 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import lu_factor, lu_solve
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
+from orbitfinder.mechanics.chain_lagrange import ChainLagrange
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
 from orbitfinder.periodic import harmonic_balance
@@ -47,6 +47,8 @@ GROWTHS = (1.7, 1.4, 1.2)
 another."""
 DIRECT = 0.05
 """A guess that misses q = 0 by less than this, relative, after a quarter of its period is corrected directly."""
+AGREEMENT = 1e-8
+"""Closed form and recursion agree to this, relative: both lose cond(M) of the mass matrix, 5e4 at 100 links."""
 UNUSED = ("relative_tolerance", "absolute_tolerance", "ipopt_tolerance")
 """Entries of the provenance about CVODES and IPOPT, neither of which is used here"""
 MOST_STEPS, MOST_MATRICES, SHRINKING, WORST = 20, 4, 0.3, 1e-9
@@ -54,12 +56,16 @@ MOST_STEPS, MOST_MATRICES, SHRINKING, WORST = 20, 4, 0.3, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A long chain with what is derived from it once: its quarter flow, its closed form, its pin."""
+    """A long chain with what is derived from it once: its equations and its pin."""
 
     problem: Problem
     quarter: Quarter
-    closed: ChainLagrange
     pin: Callable[[Pin], PinRow]
+
+    @property
+    def closed(self) -> ChainLagrange:
+        """Its equations in closed form."""
+        return self.quarter.closed
 
     @property
     def fastest(self) -> float:
@@ -122,7 +128,7 @@ def build_chain(problem: Problem) -> Chain:
     n = model.degrees_of_freedom
     if name in model.state_names[n:]:
         raise InputError(f"pin: {name} is 0 where a brake orbit starts; pin an angle, the energy or the period")
-    return Chain(problem, Quarter(model), chain_lagrange(model), _pin_rows(model))
+    return Chain(problem, Quarter(model), _pin_rows(model))
 
 
 def _pin_rows(model: Model) -> Callable[[Pin], PinRow]:
@@ -158,10 +164,10 @@ def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> 
         report(f"harmonic balance at {fraction:.3f} of the pin", len(found.coefficients), found.tail, found.period)
 
     for growth in GROWTHS:
-        found = harmonic_balance.follow(start, chain.quarter.linearised, _walk(chain), told, growth)
+        found = harmonic_balance.follow(start, chain.closed.linearised, _walk(chain), told, growth)
         if found is not None and pin.name == "period":
             again = harmonic_balance.resolved(
-                found, chain.quarter.linearised, chain.pin(pin), harmonic_balance.FINE_TAIL
+                found, chain.closed.linearised, chain.pin(pin), harmonic_balance.FINE_TAIL
             )
             found = None if again is None else again[0]
         if found is not None:
@@ -190,7 +196,7 @@ def _from_guess(chain: Chain) -> Series | None:
     cosines = np.cos(np.outer(orders, orders) * np.pi / (4 * count))
     series = Series(2 / count * cosines.T @ spline(orders * np.pi / (4 * count)), 2 * np.pi / guess.period)
     found = harmonic_balance.resolved(
-        series, chain.quarter.linearised, chain.pin(chain.problem.pin[0]), harmonic_balance.FINE_TAIL
+        series, chain.closed.linearised, chain.pin(chain.problem.pin[0]), harmonic_balance.FINE_TAIL
     )
     return found[0] if found is not None and harmonic_balance.near(series, found[0]) else None
 
@@ -268,7 +274,8 @@ def _newton_matrix(
     """d(q(T/4), pin)/d(q0, T), n + 1 square."""
     n = chain.quarter.links
     state = np.concatenate([place[0], np.zeros(n)])
-    columns = chain.quarter.columns(state, place[1] / 4, chain.chunks(place[1], NEWTON_PHASE), np.eye(2 * n)[:, :n])
+    steps = CHUNK * chain.chunks(place[1], NEWTON_PHASE)
+    columns = chain.quarter.columns(state, place[1] / 4, steps, np.eye(2 * n)[:, :n])
     return np.block([[columns[:n], end[n:, None] / 4], [by_place[None, :], np.array([[by_period]])]])
 
 
@@ -282,7 +289,7 @@ def multipliers(chain: Chain, start: np.ndarray, period: float) -> Floquet:
     n, closed = chain.quarter.links, chain.closed
     modes = np.kron(np.eye(2), closed.modes)
     first = np.concatenate([start, np.zeros(n)])
-    columns = chain.quarter.columns(first, period / 4, chain.chunks(period, MULTIPLIER_PHASE), modes)
+    columns = chain.quarter.columns(first, period / 4, CHUNK * chain.chunks(period, MULTIPLIER_PHASE), modes)
     before, after = closed.momentum_frame(first), closed.momentum_frame(chain.end(start, period))
     matrix = np.linalg.solve((before @ modes).T, (after @ columns).T).T
     unit = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
@@ -301,6 +308,12 @@ def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
     state = np.concatenate([start, np.zeros(start.size)])
     states = chain.quarter.refined(state, period, SAMPLES, chain.chunks(4 * period, PATH_PHASE, SAMPLES))
     times = np.linspace(0.0, period, SAMPLES + 1)
+    apart = chain.quarter.disagreement(states[: SAMPLES // 4 + 1 : SAMPLES // 16])
+    if not apart < AGREEMENT:
+        raise OrbitfinderError(
+            f"multipliers: the closed form of this chain's equations and the derivatives of its accelerations differ "
+            f"by {apart:.2g}, relative; please report this with the problem file"
+        )
     floquet = multipliers(chain, start, period)
     turns = np.zeros(start.size, int)
     return Orbit(

@@ -14,6 +14,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.flow import Flow, build_flow, end_state, transition
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.onethread import one_thread
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.dae_segments import build_dae_flow
@@ -32,6 +33,7 @@ NEAR_BOUND = 1e-6
 """A quantity this near to the end of its range, relative, is held there by it."""
 
 
+@one_thread()
 def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress: Callback | None = None) -> Orbit:
     """The periodic orbit that a Problem singles out, with its certificate.
 

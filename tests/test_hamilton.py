@@ -1,0 +1,67 @@
+"""The certificate's equations are derived once a model, and compiled for those whose orbits are many."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from orbitfinder.compiled import available, compiling
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.periodic import hamilton as module
+from orbitfinder.periodic.certify import certify
+from orbitfinder.periodic.hamilton import KEPT, accelerations, hamilton, prepare
+
+
+@pytest.fixture(autouse=True)
+def forgetful(monkeypatch):
+    """Each test begins with nothing remembered."""
+    monkeypatch.setattr(module, "_known", {})
+
+
+def test_equations_are_derived_once():
+    """The same model gives the same functions; another value, force or model gives others."""
+    model = chain(2)
+    assert hamilton(model) is hamilton(replace(model, points=None))
+    assert accelerations(model) is accelerations(model)
+    longer = with_parameters(model, {model.parameter_names[0]: 1.5})
+    n = model.degrees_of_freedom
+    t, q, v, p = ca.SX.sym("t"), ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("p", model.parameter_values.size)
+    damped = replace(model, forces=ca.Function("damping", [t, q, v, p], [-v]))
+    others = [hamilton(one) for one in (model, longer, damped, chain(2))]
+    assert len({id(one) for one in others}) == 4
+    y = np.array([0.3, 0.1, 0.2, 0.5])
+    rates = [one.field(0.0, y).full().ravel() for one in others]
+    np.testing.assert_array_equal(rates[0], rates[3])
+    assert np.abs(rates[1] - rates[0]).max() > 0.1 and np.abs(rates[2] - rates[0]).max() > 0.1
+
+
+def test_only_so_many_are_remembered():
+    """The oldest equations make room; they are derived again when asked for."""
+    models = [chain(1, length=1.0 + k) for k in range(KEPT + 1)]
+    first, *_ = [hamilton(one) for one in models]
+    assert len(module._known) == KEPT and hamilton(models[0]) is not first
+
+
+@pytest.mark.skipif(not available()[0], reason="no C compiler")
+def test_prepared_equations_give_the_same_certificate(report_orbits):
+    """Compiled: every check within 1e-13 of the interpreted one, a tenth of what closure allows."""
+    orbit, model = report_orbits["triple-1"], chain(3)
+    before = certify(orbit, model)
+    with compiling("on"):
+        prepare(model)
+    assert hamilton(model).field.class_name() != "SXFunction"
+    after = certify(orbit, model)
+    assert after.passed and [one.name for one in after.checks] == [one.name for one in before.checks]
+    for one, two in zip(before.checks, after.checks, strict=True):
+        assert two.value == pytest.approx(one.value, abs=1e-13)
+
+
+def test_nothing_is_compiled_where_that_is_off():
+    """Prepared equations stay what they were."""
+    model = chain(2)
+    known = hamilton(model)
+    with compiling("off"):
+        prepare(model)
+    assert hamilton(model).field is known.field and hamilton(model).variational is known.variational
