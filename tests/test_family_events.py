@@ -169,7 +169,7 @@ def test_collisions_around_a_short_real_stretch():
         half = 0.05 - 2 * s * s  # half of a - d; real where it is above c
         return symplectic(-0.51 + half, -0.51 - half, 0.03)
 
-    found = named(one_step(family, -0.2, 0.21))
+    found = named(one_step(family, -0.15, 0.16))
     assert [one[2] for one in found if one[0] == "collision"] == pytest.approx([-0.1, 0.1], abs=1e-9)
     passed = np.sqrt((0.05 - np.sqrt(0.03**2 + 0.01**2)) / 2)
     assert [one[2] for one in found if one[1] == 3] == pytest.approx([-passed, passed], abs=1e-9)
@@ -277,9 +277,9 @@ def oscillator():
     Variations are coupled by c A^2 cos(2 t) / 2, so that sqrt(a) + sqrt(b) near 2 collides.
     """
     q, v, p = ca.SX.sym("q", 3), ca.SX.sym("v", 3), ca.SX.sym("p")
-    b, c = (2 - 0.305) ** 2, 0.15
+    b, c = (2 - 0.345) ** 2, 0.15
     potential = 0.5 * q[0] ** 2 + 0.5 * p * q[1] ** 2 + 0.5 * b * q[2] ** 2 + c * q[0] ** 2 * q[1] * q[2]
-    symbols = Symbols(q, v, p, ["a"], [0.29**2])
+    symbols = Symbols(q, v, p, ["a"], [0.325**2])
     return lagrange(ca.dot(v, v) / 2, potential, symbols, names=["x", "y", "z"])
 
 
@@ -290,7 +290,7 @@ def test_real_family_with_resonance_and_collision_in_one_step(tmp_path):
     for step in (0.15, 0.01):
         settings = FamilySettings(longest_step=step, first_step=step, certify=False, directions="forward")
         family = continue_command(
-            problem, "a", until=0.14, out=tmp_path / str(step), settings=settings, model=problem.model
+            problem, "a", until=0.13, out=tmp_path / str(step), settings=settings, model=problem.model
         )
         found.append([(event.kind, event.detail, event.parameter) for event in family.events])
     assert [one[:2] for one in found[0]] == [one[:2] for one in found[1]]
