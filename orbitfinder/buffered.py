@@ -15,8 +15,8 @@ class Buffered:
     """A function of dense matrices; every input and output is the transpose of CasADi's (k x rows for k columns)."""
 
     def __init__(self, function: ca.Function) -> None:
-        self._function = _dense(function)  # kept, or it is freed under the evaluation
-        self._buffer, self._evaluate = self._function.buffer()
+        self.function = _dense(function)  # kept, or it is freed under the evaluation
+        self._buffer, self._evaluate = self.function.buffer()
         self.inputs = [np.zeros((function.size2_in(k), function.size1_in(k))) for k in range(function.n_in())]
         self.outputs = [np.zeros((function.size2_out(k), function.size1_out(k))) for k in range(function.n_out())]
         for k, one in enumerate(self.inputs):

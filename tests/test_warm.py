@@ -48,7 +48,7 @@ def test_compiled_and_interpreted_agree(tmp_path, monkeypatch):
     with compiling("on"):
         fast = Refiner(printed_problem("triple-2"))
         found = fast.refine()
-    assert fast.marches._march.is_a("External") and fast.marches._vary.is_a("External")
+    assert fast.marches._march.function.is_a("External") and fast.marches._vary.function.is_a("External")
     np.testing.assert_allclose(found.state, plain.state, rtol=0, atol=1e-13)
     assert abs(found.period - plain.period) < 1e-13
 

@@ -215,8 +215,10 @@ def minimal(one: Bench, loop: Loop, settings: QuickSettings) -> Loop:
         raise ConvergenceError("period outside the range")
     angles = np.asarray(one.model.angles or (False,) * one.model.degrees_of_freedom)
     covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
-    near = np.asarray(return_distances(loop.times, loop.states, angles, covers)) < COVER if covers else []
-    if np.any(near):
+    near: list[bool] = []
+    if covers:
+        near = [far < COVER for far in return_distances(loop.times, loop.states, angles, covers)]
+    if any(near):
         loop = uncovered(one, loop, max(compress(covers, near)), settings)
     if not low <= loop.path.period <= high:
         raise ConvergenceError("period outside the range")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
+from orbitfinder.buffered import Buffered
 from orbitfinder.compiled import compiled
 from orbitfinder.errors import IntegrationError
 from orbitfinder.flow import Flow
@@ -51,10 +50,10 @@ class Marches:
         self.problem, self.flow, self.segments, self.steps = problem, flow, segments, steps
         self.states, self.derivatives, self.growth = 0, 0, 1.0
         self._known, self._share = tail_of(flow), problem.boundary.fraction / segments
-        self._march = compiled(block(flow.field, steps, segments))
-        self._vary = compiled(block(variational_field(flow.field), steps, segments))
-        self._single = block(flow.field, steps, 1)
-        self._rates = flow.field.map(segments)
+        self._march = Buffered(compiled(block(flow.field, steps, segments)))
+        self._vary = Buffered(compiled(block(variational_field(flow.field), steps, segments)))
+        self._single = Buffered(block(flow.field, steps, 1))
+        self._rates = Buffered(flow.field.map(segments))
 
     def start(self, guess: Guess) -> Path:
         """The path of a guess: sampled from its trajectory, else simulated from its state."""
@@ -65,36 +64,36 @@ class Marches:
             return Path(np.stack([np.interp(moments, guess.times, row) for row in guess.states.T], axis=1), tail)
         p, nodes = np.concatenate([[span / self.steps], self._known]), [state]
         for k in range(1, self.segments):
-            nodes.append(self._single(np.concatenate([[(k - 1) * span], nodes[-1]]), p).full().ravel()[1:])
+            nodes.append(self._single(np.concatenate([[(k - 1) * span], nodes[-1]]), p)[0].ravel()[1:])
         return Path(np.asarray(nodes), tail)
 
     def ends(self, path: Path, blocks: int) -> np.ndarray:
         """End states (N x 2n) by so many blocks of steps. Raises `IntegrationError` where one is not finite."""
-        z: Any = np.vstack([self._clock(path), path.nodes.T])
-        p = ca.DM(self._parameters(path, self.steps * blocks))
+        z, p = np.column_stack([self._clock(path), path.nodes]), self._parameters(path, self.steps * blocks)
         self.states += 1
         for _ in range(blocks):
-            z = self._march(z, p)
-        return _finite(z.full()[1:].T, path)
+            (z,) = self._march(z, p)
+        return _finite(z[:, 1:], path)
 
     def linearised(self, path: Path, blocks: int = 1) -> tuple[np.ndarray, Linearised]:
         """End states (N x 2n) and their derivatives by so many blocks; the closing rows are still missing."""
         count, size = path.nodes.shape
         extra, named = path.tail.size - 1, len(self.flow.unfolded)
-        unit = np.eye(size, size + extra).ravel("F")
-        start = np.vstack([self._clock(path), path.nodes.T, np.tile(unit[:, None], (1, count))])
-        z, p = ca.DM(start), ca.DM(self._parameters(path, self.steps * blocks))
+        z = np.zeros((count, 1 + size * (1 + size + extra)))
+        z[:, 0], z[:, 1 : 1 + size] = self._clock(path), path.nodes
+        z[:, 1 + size :] = np.eye(size, size + extra).ravel("F")
+        p = self._parameters(path, self.steps * blocks)
         for _ in range(blocks):
-            z = self._vary(z, p)
-        found = _finite(z.full().T, path)
+            (z,) = self._vary(z, p)
+        found = _finite(z, path)
         self.derivatives += 1
         ends = found[:, 1 : 1 + size]
         matrices = found[:, 1 + size :].reshape(count, size + extra, size).transpose(0, 2, 1)
-        tail = np.tile(path.tail[1:, None], (1, count))
-        late = self._rates(found[:, :1].T, ends.T, tail[:named], tail[named:]).full().T
+        s, free = path.tail[1 : 1 + named], path.tail[1 + named :]
+        (late,) = self._rates(found[:, :1], ends, s, free)
         slopes = late * self._share  # by the period: the segment gets longer ...
         if self.problem.model.forced:  # ... and begins later
-            early = self._rates(start[:1], path.nodes.T, tail[:named], tail[named:]).full().T
+            (early,) = self._rates(self._clock(path)[:, None], path.nodes, s, free)
             delayed = late - np.einsum("kij,kj->ki", matrices[:, :, :size], early)
             slopes = slopes + delayed * (self._share * np.arange(count))[:, None]
         self.growth = max(1.0, float(np.abs(matrices[:, :, :size]).max()))
@@ -104,17 +103,16 @@ class Marches:
 
     def standstill(self, path: Path) -> float:
         """Largest component of T f at the nodes: 0 at an equilibrium."""
-        tail, named = np.tile(path.tail[1:, None], (1, self.segments)), len(self.flow.unfolded)
-        rates = self._rates(self._clock(path)[None, :], path.nodes.T, tail[:named], tail[named:]).full()
+        tail, named = path.tail[1:], len(self.flow.unfolded)
+        (rates,) = self._rates(self._clock(path)[:, None], path.nodes, tail[:named], tail[named:])
         return float(np.abs(rates).max() * path.tail[0])
 
     def _clock(self, path: Path) -> np.ndarray:
         return np.asarray(path.tail[0] * self._share * np.arange(self.segments))
 
     def _parameters(self, path: Path, steps: int) -> np.ndarray:
-        """h, unfolding and freed parameters of each segment."""
-        column = np.concatenate([[path.tail[0] * self._share / steps], path.tail[1:]])
-        return np.tile(column[:, None], (1, self.segments))
+        """h, unfolding and freed parameters, the same for each segment."""
+        return np.concatenate([[path.tail[0] * self._share / steps], path.tail[1:]])
 
 
 def _finite(numbers: np.ndarray, path: Path) -> np.ndarray:
