@@ -112,7 +112,7 @@ def remembered(
     kept = _small if 2 * model.degrees_of_freedom <= SMALL else _large
     conditions = (mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))  # what decides on compiling
     return kept(
-        kind, Same(model), model.parameter_values.tobytes(), tuple(free), tuple(map(Same, unfolded)),
+        Same(kind), Same(model), model.parameter_values.tobytes(), tuple(free), tuple(map(Same, unfolded)),
         settings or IntegratorSettings(), conditions,
     )  # fmt: skip
 
@@ -131,7 +131,7 @@ class Same:
 
 
 def _built(
-    kind: type[Flow],
+    kind: Same,
     model: Same,
     _values: bytes,
     free: tuple[str, ...],
@@ -140,7 +140,8 @@ def _built(
     _conditions: tuple[str | None, ...],
 ) -> Flow:
     invariants = tuple(one.thing for one in unfolded)
-    return kind(model.thing, settings, free, invariants, vector_field(model.thing, free, invariants))
+    found: Flow = kind.thing(model.thing, settings, free, invariants, vector_field(model.thing, free, invariants))
+    return found
 
 
 _small, _large = lru_cache(maxsize=8)(_built), lru_cache(maxsize=1)(_built)

@@ -117,8 +117,10 @@ class FindTable(Table):
         "joint), period in s, or a state component at t = 0 such as theta1; "
         "when left out, the orbit nearest to the guess",
     )
-    symmetry: Literal["none", "brake", "reflection", "brake+reflection"] = Field(
-        "none", description="symmetry imposed on the orbit: none, brake, reflection or brake+reflection"
+    symmetry: Literal["none", "brake", "reflection", "reversal", "brake+reflection"] = Field(
+        "none",
+        description="symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits "
+        "included) or brake+reflection",
     )
     winding: list[int] | None = Field(
         None, description="whole turns of each coordinate in one period, one whole number per coordinate"

@@ -32,7 +32,7 @@ amplitude = 0.2          # rad, the largest angle
 
 [find]
 pin = {{ energy = -43.9 }} # J, zero at the fixed joint; or period, or a state such as theta1; left out: nearest
-symmetry = "none"        # none | brake | reflection | brake+reflection
+symmetry = "none"        # none | brake | reflection | reversal | brake+reflection
 # segments = 4           # shooting segments; chosen automatically when left out
 
 # [expected]             # the certificate fails when the orbit disagrees

@@ -58,6 +58,7 @@ SOLVING = (
     "second_variation",
 )
 CASADI = (
+    "onethread",
     "mechanics",
     "systems",
     "flow",

@@ -287,7 +287,7 @@ def test_real_family_with_resonance_and_collision_in_one_step(tmp_path):
     """Long steps find what short ones do, the resonance in the same step as a collision included."""
     problem = Problem(oscillator(), Guess(np.array([0.5, 0, 0, 0, 0, 0]), 2 * np.pi), pin(energy=0.125), name="line")
     found = []
-    for step in (0.15, 0.01):
+    for step in (0.15, 0.03):
         settings = FamilySettings(longest_step=step, first_step=step, certify=False, directions="forward")
         family = continue_command(
             problem, "a", until=0.13, out=tmp_path / str(step), settings=settings, model=problem.model

@@ -1,6 +1,7 @@
 """Finding orbits, against the report, the reference data, closed forms and each other."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -17,7 +18,9 @@ from orbitfinder.periodic.certify import certify
 from orbitfinder.periodic.conditions import SYMMETRIES, nearest, pin
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.solve import Progress, SolveSettings, find_orbit, initial_nodes
+from orbitfinder.problemfile import load_problem
 
+PROBLEMS = Path(__file__).parents[1] / "problems"
 MODES = reference("normal_modes.json")
 REPORT = reference("report_orbits.json")
 
@@ -114,6 +117,40 @@ def test_a_running_pendulum_has_its_exact_period(turns):
     assert orbit.period == pytest.approx(exact, rel=1e-12)
     assert orbit.winding == (turns,)
     assert orbit.certificate.failures == ()
+
+
+@pytest.mark.parametrize("winding", [(-1,), None])
+def test_a_running_pendulum_in_half_its_period(winding):
+    """Reversal: from hanging to upright and on; the turns are given, or those of the guess; the start is moved there."""
+    lift = 8.0 + 4.9
+    exact = 4 * ellipk(2 * 4.9 / lift) / np.sqrt(6 * lift)
+    guess = Guess([0.7, -np.sqrt(6 * (8.0 + 4.9 * np.cos(0.7)))], 1.02 * exact)
+    orbit = find_orbit(Problem(chain(1), guess, pin=pin(energy=8.0), symmetry="reversal", winding=winding))
+    assert orbit.period == pytest.approx(exact, rel=1e-12)
+    assert orbit.winding == (-1,) and orbit.symmetry == "reversal"
+    assert orbit.state[0] % np.pi == pytest.approx(0.0, abs=1e-12)
+    assert orbit.certificate.failures == ()
+
+
+def test_the_second_report_orbit_in_half_its_period():
+    """triple-2 with its symmetry imposed: the period of the general formulation to 1e-10, its multipliers to 1e-9."""
+    imposed = load_problem(PROBLEMS / "examples" / "triple-reversal.toml")
+    orbit, general = find_orbit(imposed), find_orbit(replace(imposed, symmetry="none"))
+    assert orbit.certificate.failures == () and orbit.symmetry == general.symmetry == "reversal"
+    assert orbit.period == pytest.approx(general.period, abs=1e-10)
+    same_multipliers(orbit.floquet_multipliers, [(mu.real, mu.imag) for mu in general.floquet_multipliers], 1e-9)
+    assert np.abs(orbit.state[:3]).max() < 1e-12
+    assert len(initial_nodes(imposed, build_flow(chain(3)), SolveSettings())) < len(general.nodes)
+
+
+def test_an_odd_motion_of_a_system_with_a_second_invariant():
+    """A free double pendulum (no gravity): where it starts fixes its turning too, so nothing is unfolded."""
+    free = chain(2, gravity=0.0)
+    guess = Guess([0.0, 0.0, 0.0, 3.0], 2.2)
+    orbit = find_orbit(Problem(free, guess, pin=pin(energy=1.5), symmetry="reversal"))
+    assert orbit.certificate.failures == () and orbit.winding == (0, 1) and orbit.symmetry == "reversal"
+    general = find_orbit(Problem(free, Guess(orbit.state, 1.001 * orbit.period), pin=pin(energy=1.5), winding=(0, 1)))
+    assert general.period == pytest.approx(orbit.period, abs=1e-10)
 
 
 FEW = ["triple-mode-1-E0.1", "triple-mode-2-E6", "triple-mode-3-E20", "quadruple-mode-2-E1", "quadruple-mode-4-E20"]

@@ -61,7 +61,7 @@ def test_derivative_in_the_starting_time():
     assert np.abs(slope).max() > 1e-3
 
 
-@pytest.mark.parametrize("symmetry", ["none", "brake", "reflection", "brake+reflection"])
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
 def test_monodromy_over_a_part_of_the_period(symmetry):
     """Variables.monodromy is Phi(T) whatever part of the period is integrated: its trace is that of the orbit."""
     problem = fast_mode(0.5, pin=of.pin(energy=-18.0), symmetry=symmetry)

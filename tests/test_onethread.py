@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
+import casadi
 import numpy as np
 import pytest
 from conftest import pendulum_period
@@ -59,6 +61,16 @@ def test_searches_and_certificates_run_on_one_thread(monkeypatch):
     assert of.certify(orbit).passed
     assert seen == [("measure", {1}), ("gather", {1}), ("gather", {1})]
     assert threads() == {2}
+
+
+def test_the_blas_of_ipopt_is_limited_too():
+    """CasADi's wheel brings a third OpenBLAS, under a name that threadpoolctl does not know by itself."""
+    with one_thread():
+        found = {one["internal_api"]: one["num_threads"] for one in threadpool_info()}
+    path = Path(casadi.__file__).parent
+    if not list(path.glob("libcasadi-tp-openblas.so*")):
+        pytest.skip("this CasADi is not a Linux wheel")
+    assert found["casadi_openblas"] == 1
 
 
 def test_environment_of_children_is_put_back(monkeypatch):

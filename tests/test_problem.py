@@ -128,7 +128,7 @@ def test_a_system_driven_at_an_unknown_period_is_refused():
         Problem(driven(None), Guess([0.1, 0.0], 3.0))
 
 
-@pytest.mark.parametrize("symmetry", ["brake", "reflection", "brake+reflection"])
+@pytest.mark.parametrize("symmetry", ["brake", "reflection", "reversal", "brake+reflection"])
 def test_a_symmetry_that_the_equations_lack_is_refused(symmetry):
     """A damped, skewed pendulum has neither symmetry; asking for one is an InputError, not a wrong orbit."""
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
@@ -155,6 +155,7 @@ GOOD = [0.1, 0.1, 0.0, 0.0]
         (dict(winding=(1,)), "winding: 1 numbers for 2 coordinates"),
         (dict(winding=(1, 0), symmetry="brake"), r"winding: a brake orbit comes back, so \[1, 0\] cannot hold"),
         (dict(winding=(1, 0), symmetry="reflection"), "winding: a reflection orbit comes back"),
+        (dict(pin=pin(theta2=0.1), symmetry="reversal"), "pin: theta2 is a multiple of pi, or 0, where a reversal orbit"),
         (dict(segments=0), "segments: must be at least 1, got 0"),
         (dict(segments=-4), "segments: must be at least 1, got -4"),
         (dict(tolerance=0.0), "tolerance: must be positive and at most 1e-06, got 0.0"),

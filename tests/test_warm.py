@@ -10,7 +10,7 @@ from orbitfinder.errors import ConvergenceError, CountError, InputError, Integra
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.periodic import elimination
-from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.conditions import SYMMETRIES, pin
 from orbitfinder.periodic.elimination import Linearised, eliminated
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.warm import Refined, Refiner, WarmSettings
@@ -66,12 +66,12 @@ def test_guesses_one_refiner(seed):
     assert closure(refiner, other) < 1e-13
 
 
-@pytest.mark.parametrize("symmetry", ["none", "brake", "reflection", "brake+reflection"])
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
 @pytest.mark.parametrize("segments", [1, 3])
 def test_every_formulation_has_the_exact_period(symmetry, segments):
     """The single pendulum at 2 rad, by the elliptic integral."""
     exact, level = pendulum_period(2.0), -4.9 * np.cos(2.0)
-    state = [0.0, np.sqrt(6 * (level + 4.9))] if symmetry == "reflection" else [2.0, 0.0]
+    state = [0.0, np.sqrt(6 * (level + 4.9))] if symmetry in ("reflection", "reversal") else [2.0, 0.0]
     problem = Problem(
         chain(1), Guess(state, 1.02 * exact), pin=pin(energy=level), symmetry=symmetry, segments=segments
     )
@@ -79,10 +79,11 @@ def test_every_formulation_has_the_exact_period(symmetry, segments):
     assert abs(found.period - exact) < 1e-13 and found.nodes.shape == (segments, 2)
 
 
-def test_running_orbit_and_its_turns():
+@pytest.mark.parametrize("symmetry", ["none", "reversal"])
+def test_running_orbit_and_its_turns(symmetry):
     """Whole turns are taken from the guess's motion where the problem does not say."""
     speed = np.sqrt(6 * (8.0 + 4.9))
-    refiner = Refiner(Problem(chain(1), Guess([0.0, speed], 0.86), pin=pin(energy=8.0)))
+    refiner = Refiner(Problem(chain(1), Guess([0.0, speed], 0.86), pin=pin(energy=8.0), symmetry=symmetry))
     found = refiner.refine()
     assert found.turns.tolist() == [1] and closure(refiner, found) < 1e-13
 

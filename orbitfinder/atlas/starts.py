@@ -87,7 +87,8 @@ def bench(model: Model, target: Target) -> Bench:
         )
     prepare(model)
     known = symmetries(model)
-    unfolded = {name: unfolded_invariants(model, SYMMETRIES[name]) for name in known}
+    imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
+    unfolded = {name: unfolded_invariants(model, SYMMETRIES[name]) for name in known if name in imposed}
     built = {kinds: build_march(model, kinds) for kinds in dict.fromkeys(unfolded.values())}
     one = Bench(
         model, target,
@@ -101,7 +102,7 @@ def bench(model: Model, target: Target) -> Bench:
 
 def possible(name: str, known: Sequence[str]) -> bool:
     """True when the model has the symmetries that a strategy relies on."""
-    return {"reversal": "brake+reflection"}.get(name, STRATEGIES[name][0]) in known
+    return {"reversal": "reversal"}.get(name, STRATEGIES[name][0]) in known
 
 
 def symmetries(model: Model) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from orbitfinder.atlas.refine import Attempt, Numbers, attempt
 from orbitfinder.atlas.signature import AGREEMENT
 from orbitfinder.atlas.starts import Bench, Target, bench, strategy_of
 from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.onethread import one_thread
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ def prepared(text: str) -> Bench:
     return bench(build_model(task["system"], folder), Target(task["energy"], tuple(task["periods"])))
 
 
+@one_thread()
 def perform(one: Bench, seed: int, order: Order, known: Known) -> Attempt:
     """One start; whatever goes wrong in it is its reason."""
     began = time.process_time()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,45 +16,57 @@ from orbitfinder.reference import vector_field as numpy_field
 
 CHECKED = replace(TIGHTEST, max_evaluations=100_000)
 """Ten times what a tame period needs at the finest of `LONGEST_STEPS`."""
+PIECE_STEPS = 40
+"""A piece between two nodes is integrated in at least so many steps."""
 LONGEST_STEPS = (np.inf, 1 / 400, 1 / 1600)
 """Longest steps of the check, in periods, each tried only when the one before says that the orbit does not close."""
 
 
-class ClosureCheck(Protocol):
-    """The largest gap round the loop of an orbit; `allowed` is what will be asked of it."""
+class ClosureCheck:
+    """The closure of orbits by independent means, at the model's parameters or at freed ones.
+
+    Hamilton's equations, derived from the energies alone, by SciPy's adaptive DOP853 at its tightest.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._model, self._at = model, dict[str, float]()
+        self._field, self._momentum = _hamiltonian(model)
 
     def __call__(
         self, state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,
         free: Mapping[str, float] | None = None,
     ) -> float:
-        """The gap, in rad and rad/s."""
-
-
-def closure_check(model: Model) -> ClosureCheck:
-    """The closure of orbits by independent means, at the model's parameters or at freed ones.
-
-    Hamilton's equations, derived from the energies alone, by SciPy's adaptive DOP853 at its tightest.
-    """
-    n = model.degrees_of_freedom
-    prepared: list[tuple[dict[str, float], Any, Any]] = [({}, *_hamiltonian(model))]
-
-    def check(
-        state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,
-        free: Mapping[str, float] | None = None,
-    ) -> float:
-        if prepared[0][0] != dict(free or {}):
-            prepared[0] = (dict(free or {}), *_hamiltonian(with_parameters(model, free or {})))
-        _, field, momentum = prepared[0]
-        start, gap = np.concatenate([state[:n], momentum(state[:n], state[n:]).full().ravel()]), np.inf
+        """The largest gap round the loop of an orbit (rad, rad/s); `allowed` is what will be asked of it."""
+        n, gap = state.size // 2, np.inf
         for longest in LONGEST_STEPS:
-            end = integrate(field, start, np.array([0.0, period]), CHECKED, longest * period)[-1]
-            moved = end[:n] - state[:n] - 2 * np.pi * turns
-            gap = float(max(np.abs(moved).max(), np.abs(field(0.0, end)[:n] - state[n:]).max()))
+            end = self._end(state, period, longest, free)
+            moved = np.concatenate([end[:n] - state[:n] - 2 * np.pi * turns, end[n:] - state[n:]])
+            gap = float(np.abs(moved).max())
             if gap <= 0.5 * allowed:
                 break
         return gap
 
-    return check  # type: ignore[return-value]
+    def ends(
+        self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None
+    ) -> np.ndarray:
+        """Where each piece of an orbit ends (N x 2n) that begins at a node (N x 2n) and lasts so long (s)."""
+        pieces = zip(nodes, durations, strict=True)
+        return np.stack([self._end(node, duration, 1 / PIECE_STEPS, free) for node, duration in pieces])
+
+    def _end(self, state: np.ndarray, duration: float, longest: float, free: Mapping[str, float] | None) -> np.ndarray:
+        """(q, v) after a time, by steps no longer than a share of it."""
+        if self._at != dict(free or {}):
+            self._at = dict(free or {})
+            self._field, self._momentum = _hamiltonian(with_parameters(self._model, self._at))
+        n = state.size // 2
+        start = np.concatenate([state[:n], self._momentum(state[:n], state[n:]).full().ravel()])
+        end = integrate(self._field, start, np.array([0.0, duration]), CHECKED, longest * duration)[-1]
+        return np.concatenate([end[:n], self._field(0.0, end)[:n]])
+
+
+def closure_check(model: Model) -> ClosureCheck:
+    """The independent check of a model's orbits."""
+    return ClosureCheck(model)
 
 
 def _hamiltonian(model: Model) -> tuple[Any, Any]:

@@ -13,6 +13,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 
+import numpy as np
+
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.collisions import collisions, look, meeting
 from orbitfinder.families.passages import Measure, Test, located, passages
@@ -27,6 +29,15 @@ from orbitfinder.families.system import Curve, head_of
 
 ROUNDS = 4
 """How often collisions are looked for again after orbits between them were seen."""
+
+
+BLURRED = 1e-6
+"""Uncertainty of the stability indices beyond which none of their passages can be told from round-off."""
+
+
+def blur(probe: Probe) -> float:
+    """What round-off in the largest multiplier leaves uncertain in every stability index."""
+    return float(np.finfo(float).eps * np.abs(probe.about.floquet.multipliers).max(initial=1.0))
 
 
 def _slope(name: str) -> Measure:
@@ -47,6 +58,8 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Probe, Test]]:
     Raises `ConvergenceError` when they cannot be told apart within so long a step.
     """
     if interval.first.indices.shape != interval.last.indices.shape or not interval.first.indices.size:
+        return []
+    if max(blur(interval.first), blur(interval.last)) > BLURRED:
         return []
     touched = [(interval.probe(place), test) for test, place in strips(interval)]
     look(interval)

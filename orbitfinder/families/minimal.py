@@ -99,9 +99,14 @@ def _autonomous(model: Model) -> Any:
     return type(field)("autonomous", [t, x], [field(t, x, s, free)])
 
 
-def bar_states(system: Mapping[str, Any], states: np.ndarray) -> np.ndarray:
-    """States (k x 2 bars) of all bars, angles then rates, from minimal ones (k x 2 (bars - 2)) of a family's system."""
-    native = _native(system)
+def bar_states(
+    system: Mapping[str, Any], states: np.ndarray, free: Mapping[str, float] | None = None
+) -> np.ndarray:
+    """States (k x 2 bars) of all bars, angles then rates, from minimal ones (k x 2 (bars - 2)) of a family's system.
+
+    `free` are the values that a point has of freed parameters.
+    """
+    native = _native(system, free)
     theta = bar_angles(native, system["independent"], system["branch"])
     n = len(system["independent"])
     slope = theta.jacobian()
@@ -113,13 +118,18 @@ def bar_states(system: Mapping[str, Any], states: np.ndarray) -> np.ndarray:
     return np.asarray(rows)
 
 
-def native_state(system: Mapping[str, Any], state: np.ndarray) -> np.ndarray:
+def native_state(
+    system: Mapping[str, Any], state: np.ndarray, free: Mapping[str, float] | None = None
+) -> np.ndarray:
     """The state of the linkage as a native DAE (6 a bar) that a minimal state of a family stands for."""
-    angles, rates = np.split(bar_states(system, state)[0], 2)
-    return linkage_state(_native(system), angles, rates)
+    angles, rates = np.split(bar_states(system, state, free)[0], 2)
+    return linkage_state(_native(system, free), angles, rates)
 
 
-def _native(system: Mapping[str, Any]) -> ConstrainedModel:
+def _native(system: Mapping[str, Any], free: Mapping[str, float] | None = None) -> ConstrainedModel:
     if "independent" not in system:
         raise InputError("system: not a linkage in minimal coordinates; give the system of a linkage's family")
-    return build_constrained({key: value for key, value in system.items() if key not in ("independent", "branch")})
+    found = build_constrained({key: value for key, value in system.items() if key not in ("independent", "branch")})
+    names, values = found.parameter_names, dict(free or {})
+    numbers = [values.get(name, value) for name, value in zip(names, found.parameter_values, strict=True)]
+    return replace(found, parameter_values=np.array(numbers, float))

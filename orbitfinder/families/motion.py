@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +25,14 @@ class Motion:
     joints: np.ndarray | None
 
 
+def at_values(model: Model, free: Mapping[str, float]) -> Model:
+    """The same equations at other values of some parameters."""
+    numbers = model.parameter_values.copy()
+    for name, value in free.items():
+        numbers[model.parameter_index(name)] = value
+    return replace(model, parameter_values=numbers)
+
+
 def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
     """`count` orbits at equal arclengths from one end of a family to the other. Raises `InputError`."""
     points = [point for point in family.points if point.mesh.size]
@@ -36,5 +45,6 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
     found = []
     for k in chosen:
         states = full_samples(curve, at_place(curve, place_of(points[k])), SAMPLES)[1]
-        found.append(Motion(points[k], states, positions(model, states) if model.points is not None else None))
+        there = at_values(model, points[k].free)
+        found.append(Motion(points[k], states, positions(there, states) if model.points is not None else None))
     return found

@@ -18,6 +18,10 @@ CLOSURE = 1e-11
 """Largest independent closure of an accepted point, times max(1, largest multiplier)."""
 
 
+PIECEWISE = 1e3
+"""Largest multiplier beyond which an orbit is checked piece by piece as well."""
+
+
 @dataclass(frozen=True)
 class FamilySettings:
     """How a family is followed. Lengths are arclengths in the family's metric (rad for angles)."""
@@ -50,7 +54,10 @@ class FamilyPoint:
     """One periodic orbit of a family, complete: what an Orbit says, and where it is on the family.
 
     `closure` is by the independent integrator, `scale` = max(1, largest multiplier) what its allowed
-    value 1e-11 is multiplied by. `indices` are the stability indices in the order that follows each
+    value 1e-11 is multiplied by. Where that is more than 1e-8, one turn says little, and the orbit is
+    checked piece by piece as well: `defect` is the largest gap between where the same integrator
+    leaves one of the shooting nodes and the next node, of which 1e-11 times the growth over a piece is
+    allowed; elsewhere it is the closure itself. `indices` are the stability indices in the order that follows each
     curve along the family, of the map whose power `root` is the monodromy. `tangent` is d(x(0), T,
     free)/d(arclength); `nodes` and `mesh` rebuild the shooting unknowns. `role`: step | at | end.
     """
@@ -79,6 +86,7 @@ class FamilyPoint:
     step: float
     role: str = "step"
     wall_time: float = 0.0
+    defect: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -181,6 +189,11 @@ def make_point(
     closure = 0.0 if check is None else check(place.nodes[0], place.period, winding(curve), allowed, free)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} with largest multiplier {largest:.3g}")
+    defect = closure
+    if check is not None and largest > PIECEWISE:
+        defect, growth = piecewise_defect(curve, found, check, free)
+        if not defect <= CLOSURE * growth:
+            raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
     where.setdefault("indices", about.indices)
     point = FamilyPoint(
         value=parameter_value(curve, place, parameter),
@@ -189,6 +202,7 @@ def make_point(
         energy=parameter_value(curve, place, "energy"),
         action=found.march.action / p.symmetry.fraction,
         closure=closure,
+        defect=defect,
         scale=max(1.0, largest),
         floquet_multipliers=about.floquet.multipliers,
         pair_defect=about.floquet.pair_defect,
@@ -204,6 +218,23 @@ def make_point(
         **where,
     )
     return point, about
+
+
+def piecewise_defect(
+    curve: Curve, found: Solution, check: Check, free: Mapping[str, float]
+) -> tuple[float, float]:
+    """The largest gap between the pieces of an orbit (rad, rad/s), the boundary's included, and the largest growth.
+
+    The growth of a piece is the 2-norm of its state-transition matrix.
+    """
+    place, size = found.place, curve.propagator.size
+    count = len(place.nodes)
+    durations = np.diff(place.mesh[:: (place.mesh.size - 1) // count]) * place.period
+    ends = check.ends(place.nodes, durations, free)
+    boundary = curve.first @ place.nodes[0] + curve.last @ ends[-1] - curve.constant
+    gaps = np.concatenate([(ends[:-1] - place.nodes[1:]).ravel(), boundary])
+    growth = max(np.linalg.norm(matrix[:, :size], 2) for matrix in found.march.sensitivities)
+    return float(np.abs(gaps).max()), max(1.0, float(growth))
 
 
 def winding(curve: Curve) -> np.ndarray:

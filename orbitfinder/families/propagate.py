@@ -113,17 +113,44 @@ def _quantities(model: Model, free: tuple[str, ...]) -> tuple[ca.Function, ca.Fu
     return quantities, ca.Function("momenta", [x, chosen], momenta.call(whole))
 
 
+CHUNK = 64
+"""Columns that are evaluated in one call where they do not depend on each other"""
+
+
 @lru_cache(maxsize=256)
-def _buffered(function: ca.Function, steps: int, segments: int) -> Buffered:
-    """All steps of all segments, or with `steps` = 1 so many separate columns."""
-    along = function.mapaccum("march", steps) if steps > 1 else function
-    return Buffered(along.map(segments) if segments > 1 else along)
+def _along(step: ca.Function, steps: int) -> Buffered:
+    """All steps of one segment."""
+    return Buffered(step.mapaccum("march", steps) if steps > 1 else step)
+
+
+@lru_cache(maxsize=32)
+def _across(function: ca.Function) -> Buffered:
+    return Buffered(function.map(CHUNK))
+
+
+def _marched(step: ca.Function, starts: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    """Every step's result (M x ...), segment after segment."""
+    steps = len(parameters) // len(starts)
+    walk = _along(step, steps)
+    found = [walk(start, parameters[k * steps : (k + 1) * steps])[0] for k, start in enumerate(starts)]
+    return np.concatenate(found)
+
+
+def _evaluated(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
+    """A function at k places (k x ...), in chunks of equal size, so that one map serves every k."""
+    count, many = len(arguments[0]), _across(function)
+    found = []
+    for begin in range(0, count, CHUNK):
+        rows = np.minimum(np.arange(begin, begin + CHUNK), count - 1)
+        found.append(many(*(one[rows] for one in arguments))[0])
+    return np.concatenate(found)[:count]
 
 
 def rates(propagator: Propagator, states: np.ndarray, tail: np.ndarray) -> np.ndarray:
     """dx/dt (k x 2n) at states (k x 2n); `tail` is (T, s, free)."""
-    s, free = np.split(tail[1:], [propagator.unfolding])
-    return _buffered(propagator.field, 1, len(states))(0.0, states, s, free)[0]
+    rest = np.tile(tail[1:], (len(states), 1))
+    s, free = np.split(rest, [propagator.unfolding], axis=1)
+    return _evaluated(propagator.field, np.zeros((len(states), 1)), states, s, free)
 
 
 @dataclass(frozen=True)
@@ -158,7 +185,7 @@ def march(propagator: Propagator, nodes: np.ndarray, mesh: np.ndarray, tail: np.
     start = np.zeros((count, propagator.step.size1_in(0)))
     start[:, 1 : 1 + size] = nodes
     start[:, 1 + size : -1] = np.eye(size, columns).ravel("F")
-    path = _buffered(propagator.step, steps, count)(start, _parameters(mesh, tail))[0]
+    path = _marched(propagator.step, start, _parameters(mesh, tail))
     if not np.all(np.isfinite(path)):
         raise IntegrationError("the state is not finite", segment=0, state=nodes[0])
     last = path[steps - 1 :: steps]
@@ -172,13 +199,13 @@ def glide(propagator: Propagator, nodes: np.ndarray, mesh: np.ndarray, tail: np.
     count = len(nodes)
     steps = (mesh.size - 1) // count
     start = np.column_stack([np.zeros(count), nodes])
-    return _buffered(propagator.move, steps, count)(start, _parameters(mesh, tail))[0][steps - 1 :: steps, 1:]
+    return _marched(propagator.move, start, _parameters(mesh, tail))[steps - 1 :: steps, 1:]
 
 
 def step_errors(propagator: Propagator, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
     """Estimated error of every step (M), relative to the size of the motion."""
     start = np.column_stack([np.zeros(mesh.size - 1), states[:-1]])
-    errors = np.abs(_buffered(propagator.trial, 1, mesh.size - 1)(start, _parameters(mesh, tail))[0])
+    errors = np.abs(_evaluated(propagator.trial, start, _parameters(mesh, tail)))
     extent = np.abs(states).max(axis=0)
     return np.asarray((errors / np.maximum(extent, extent.max() * 1e-2)).max(axis=1))
 
@@ -194,7 +221,7 @@ def variation_errors(
     start = np.zeros((count, propagator.step.size1_in(0)))
     start[:, 1 : 1 + size] = states[:-1]
     start[:, 1 + size : 1 + size + size * size] = np.eye(size).ravel()
-    errors = _buffered(propagator.trial_all, 1, count)(start, _parameters(mesh, tail))[0][:, size : size + size * size]
+    errors = _evaluated(propagator.trial_all, start, _parameters(mesh, tail))[:, size : size + size * size]
     clock = np.sqrt(weights[:size])
     scale = (clock[None, :] / clock[:, None]).ravel()  # columns first: entry (i, j) stands at j size + i
     return np.asarray((np.abs(errors) * scale).max(axis=1))

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.linear import Broyden, Factors
 from orbitfinder.families.propagate import March, Propagator, boundary_matrices, glide, march
 
 NEWTON_READY = 1e-11
@@ -184,32 +185,30 @@ def _moved(place: Place, step: np.ndarray) -> Place:
 def _approached(
     curve: Curve, guess: Place, aim: Aim, phases: np.ndarray, reference: Place, slope: np.ndarray
 ) -> Place:
-    """The guess improved by marches of the state alone, with the Jacobian `slope` and Broyden's updates of it.
+    """The guess improved by Broyden's method on marches of the state alone, from the Jacobian `slope`.
 
-    Source: C. G. Broyden, Math. Comp. 19 (1965) 577-593. Stops where a step no longer helps.
+    Stops where a step no longer helps.
     """
     place, best = guess, np.inf
     matrix = np.vstack([slope, np.zeros((1, slope.shape[1]))])
     cut, size = guess.nodes.size, curve.propagator.size
     matrix[cut : cut + len(phases), :size] = phases
     matrix[-1] = _aim(curve, guess, aim)[1]
-    step, kept = np.zeros(slope.shape[1]), guess
+    kept = guess
+    try:
+        method = Broyden(Factors(matrix))
+    except np.linalg.LinAlgError:
+        return guess
     for _ in range(MOST_NEWTON):
         ends = glide(curve.propagator, place.nodes, place.mesh, place.tail)
         rows = np.append(_rows(curve, place, ends, phases, reference), _aim(curve, place, aim)[0])
         largest = float(np.abs(rows).max())
         if not largest < 0.5 * best:
-            return kept
+            break
         kept, best = place, largest
         if largest < APPROACHED:
             break
-        if step.any():
-            matrix += np.outer(rows, step) / (step @ step)
-        try:
-            step = np.linalg.solve(matrix, -rows)
-        except np.linalg.LinAlgError:
-            break
-        place = _moved(place, step)
+        place = _moved(place, method.step(rows))
     return kept
 
 
@@ -238,7 +237,7 @@ def correct(
         if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
         try:
-            step = np.linalg.solve(np.vstack([jacobian, last]), -rows)
+            step = -Factors(np.vstack([jacobian, last])).solve(rows)
         except np.linalg.LinAlgError:
             step = np.linalg.lstsq(np.vstack([jacobian, last]), -rows, rcond=1e-12)[0]
         place = _moved(place, step)
@@ -260,7 +259,7 @@ def tangent(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
     row = _spread(curve.weights * along, found.place)
     right = np.zeros(len(found.jacobian) + 1)
     right[-1] = 1.0
-    whole = np.linalg.solve(np.vstack([found.jacobian, row]), right)
+    whole = Factors(np.vstack([found.jacobian, row])).solve(right)
     length = np.sqrt(curve.weights @ head_of(whole, found.place) ** 2)
     return np.asarray(whole / length)
 

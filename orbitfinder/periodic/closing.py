@@ -18,7 +18,8 @@ def closing(problem: Problem) -> tuple[ca.Function, ca.Function]:
     pins), and their derivatives by the first three."""
     model, n = problem.model, problem.model.degrees_of_freedom
     first, last = ca.MX.sym("first", 2 * n), ca.MX.sym("last", 2 * n)
-    tail, shift = ca.MX.sym("tail", 1 + len(problem.free)), ca.MX.sym("shift", n)
+    tail = ca.MX.sym("tail", 1 + len(problem.free))
+    shift = ca.MX.sym("shift", 2 * n if problem.symmetry == "reversal" else n)
     count = len(phase_directions(problem, np.asarray(problem.guess.state, float)))
     directions, reference = ca.MX.sym("directions", 2 * n, count), ca.MX.sym("reference", 2 * n)
     pins, parameters = ca.MX.sym("pins", len(problem.pin)), model.parameters(problem.free, tail[1:])

@@ -67,6 +67,7 @@ SYMMETRIES: Mapping[str, Symmetry] = {
         Symmetry("none", 1.0, True, True, True, True),
         Symmetry("reflection", 0.5, True, False, True, False),
         Symmetry("brake", 0.5, False, True, False, True),
+        Symmetry("reversal", 0.5, False, False, False, False),
         Symmetry("brake+reflection", 0.25, False, False, False, False),
     )
 }
@@ -85,7 +86,8 @@ def boundary_rows(symmetry: Symmetry, start: Any, end: Any, shift: np.ndarray) -
     """The rows (2n) that join the end of the horizon to its start.
 
     none: x(T) - x(0) - shift; reflection: x(T/2) + x(0) - shift; brake: v(0), v(T/2);
-    brake+reflection: v(0), q(T/4) - shift/2. `shift` (n) holds multiples of 2 pi.
+    brake+reflection: v(0), q(T/4) - shift/2, where `shift` (n) holds multiples of 2 pi; reversal:
+    q(0) - shift[:n], q(T/2) - shift[n:], where it (2n) holds multiples of pi.
     """
     n = start.numel() // 2
     if symmetry.name == "none":
@@ -94,6 +96,8 @@ def boundary_rows(symmetry: Symmetry, start: Any, end: Any, shift: np.ndarray) -
         return end + start - ca.vertcat(shift, np.zeros(n))
     if symmetry.name == "brake":
         return ca.vertcat(start[n:], end[n:])
+    if symmetry.name == "reversal":
+        return ca.vertcat(start[:n] - shift[:n], end[:n] - shift[n:])
     return ca.vertcat(start[n:], end[:n] - shift / 2)
 
 

@@ -50,7 +50,7 @@ def eliminated(system: Linearised) -> Solver:
             carried = transition @ carried + defect
         if count > 1:
             carried = system.transitions[-1] @ carried
-        # not pinv: OpenBLAS gives it threads, which on a busy machine cost 100 ms where lstsq takes 0.2
+        # not pinv: outside `one_thread` OpenBLAS gives it threads, on a busy machine 100 ms where lstsq takes 0.2
         change = -np.linalg.lstsq(matrix, rows + system.last @ carried, rcond=CUTOFF)[0]
         nodes, tail = [change[:size]], change[size:]
         for transition, own, defect in zip(system.transitions, system.columns, defects, strict=False):

@@ -62,12 +62,12 @@ class Variables:
         """Phi(T) (2n x 2n), whose derivatives come from second-order variational equations.
 
         Over a symmetric part of the period: a reflection repeats the half's matrix P, Phi = P P; a brake
-        orbit runs back, Phi = B P^-1 B P with B reversing the rates.
+        orbit runs back, Phi = B P^-1 B P with B reversing the rates, or, of a reversal orbit, the places.
         """
         whole = ca.MX.eye(self.start.numel())
         for one in self.transitions():
             whole = one @ whole
-        if "brake" in self.symmetry.name:
+        if "brake" in self.symmetry.name or self.symmetry.name == "reversal":
             n = self.model.degrees_of_freedom
             back = ca.MX(ca.diag(ca.DM(np.concatenate([np.ones(n), -np.ones(n)]))))
             whole = back @ ca.solve(whole, back @ whole)

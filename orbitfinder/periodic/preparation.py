@@ -10,13 +10,17 @@ import numpy as np
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.flow import Flow, end_state
 from orbitfinder.flow import vector_field as equations_of_motion
-from orbitfinder.periodic.problem import Problem
+from orbitfinder.periodic.polish import segment, tail_of
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.shooting import boundary_shift, far_end, half_turns
 from orbitfinder.reference import SECOND, integrate, vector_field
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
 WINDING_MARGIN = 0.25
 """The guess's angles have turned a whole number of times when they are within this many turns of it."""
+SECTION = 1e-3
+"""Coordinates this near to where an odd motion starts are left to the solver."""
 DERIVED = ("chain", "linkage")
 """Systems whose invariants this library derives; those of all others are tried on a simulation."""
 
@@ -62,12 +66,37 @@ def at_forcing_period(problem: Problem) -> Problem:
     return replace(problem, guess=replace(guess, period=period, times=times))
 
 
+def at_section(problem: Problem, flow: Flow) -> Problem:
+    """The Problem with its guess moved along its motion to where an odd motion starts; others are left alone.
+
+    That is the instant at which every angle is nearest to a multiple of pi and every other coordinate to 0.
+    """
+    guess, n = problem.guess, problem.model.degrees_of_freedom
+    if problem.symmetry != "reversal" or problem.model.forced:
+        return problem
+    try:
+        states = guess.states if guess.states is not None else segment(
+            flow, np.asarray(guess.state, float), (0.0, guess.period), tail_of(flow)
+        )  # fmt: skip
+    except IntegrationError:
+        return problem  # the search itself will say where
+    q = np.asarray(states, float)[:, :n]
+    away = np.abs(q - half_turns(np.asarray(problem.model.angles), q)).max(axis=1)
+    best = int(away.argmin())
+    if away[0] <= max(2 * away[best], SECTION) and guess.states is None:
+        return problem
+    return replace(problem, guess=Guess(np.asarray(states[best], float), guess.period))
+
+
 def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ...] | None:
     """Whole turns of each angle over the guess's motion, or None when it does not come near a whole number."""
     model, guess = problem.model, problem.guess
     n = model.degrees_of_freedom
-    if problem.symmetry != "none" or not any(model.angles):
+    if problem.symmetry not in ("none", "reversal") or not any(model.angles):
         return None
+    if problem.symmetry == "reversal":
+        shift = boundary_shift(problem, nodes, far_end(problem, nodes, flow))
+        return tuple(int(k) for k in np.round((shift[n:] - shift[:n]) / np.pi))
     if guess.states is not None:
         end = np.asarray(guess.states[-1], float)
     else:

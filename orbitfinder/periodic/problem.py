@@ -65,7 +65,7 @@ class Count:
 class Problem:
     """What to find. `pin=()` takes the orbit nearest to the guess.
 
-    `symmetry` is none | brake | reflection | brake+reflection; `winding` the whole turns of each
+    `symmetry` is none | brake | reflection | reversal | brake+reflection; `winding` the whole turns of each
     coordinate in one period; `segments` the shooting intervals of the horizon (None: chosen from
     the instability of the guess); `tolerance` the closure that the certificate asks for; `free`
     physical parameters the solver may change; `expected` {"period": (value, tolerance)} that the
@@ -198,6 +198,11 @@ def _check(problem: Problem) -> None:
         model.parameter_index(name)
     for one in problem.pin:
         check_pin(model, one)
+        if problem.symmetry == "reversal" and one.name in model.state_names[: size // 2]:
+            raise InputError(
+                f"pin: {one.name} is a multiple of pi, or 0, where a reversal orbit starts; pin its rate, the energy "
+                "or the period"
+            )
     check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
     for condition in problem.constraints:
         check_constraint(condition)
@@ -264,8 +269,8 @@ def _check_winding(problem: Problem) -> None:
         raise InputError(f"winding: {len(problem.winding)} numbers for {n} coordinates; give one per coordinate")
     if any(k and not angle for k, angle in zip(problem.winding, problem.model.angles, strict=True)):
         raise InputError(f"winding: {list(problem.winding)} turns a coordinate that is not an angle; set it to 0")
-    if any(problem.winding) and problem.symmetry != "none":
+    if any(problem.winding) and problem.symmetry not in ("none", "reversal"):
         raise InputError(
             f"winding: a {problem.symmetry} orbit comes back, so {list(problem.winding)} cannot hold; "
-            "use symmetry = 'none' for running orbits"
+            "use symmetry = 'none' or 'reversal' for running orbits"
         )

@@ -110,7 +110,7 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     tail = [ca.MX.sym("period"), ca.MX.sym("unfolding", layout.unfolding), ca.MX.sym("free", layout.free)]
     w = ca.vertcat(*parts, *tail)
     given = ca.MX.sym("ends", size, layout.segments)
-    far = _far_end(problem, nodes, flow)
+    far = far_end(problem, nodes, flow)
     shift = boundary_shift(problem, nodes, far)
     known = _variables(problem, flow, parts, tail, given)
     rows = ca.Function("rows", [w, given], [_rows(problem, (nodes[0], shift, far), known)])
@@ -200,24 +200,26 @@ def _rows(
     return ca.vertcat(*rows)
 
 
-def _far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
+def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
     """The guess's state at the end of the horizon, where the boundary rows need it.
 
-    Of brake+reflection that is the centre of the swing, of a brake orbit under constraints the other rest.
+    Of brake+reflection that is the centre of the swing, of reversal the other one, of a brake orbit under
+    constraints the other rest.
     """
     constrained = problem.model.native is not None and problem.symmetry == "brake"
-    if problem.symmetry != "brake+reflection" and not constrained:
+    if problem.symmetry not in ("brake+reflection", "reversal") and not constrained:
         return None
     duration = problem.guess.period * problem.boundary.fraction / len(nodes)
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 
 
 def boundary_shift(problem: Problem, guess: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:
-    """Multiples of 2 pi (n) by which the boundary rows are displaced.
+    """Multiples of 2 pi (n) by which the boundary rows are displaced; of pi (2n), at start and end, for reversal.
 
     The winding for a full period; for a reflection, the multiple that the guess is nearest to
     (the motion may be symmetric about an upright link): its mean over half a period, or its `end`
-    after a quarter, 0 where that is not given.
+    after a quarter, 0 where that is not given. Reversal: the half turns nearest to the start, and from
+    there the winding, or where that is not given those nearest to the `end`.
     """
     n = problem.model.degrees_of_freedom
     if problem.symmetry == "none":
@@ -225,9 +227,19 @@ def boundary_shift(problem: Problem, guess: np.ndarray, end: np.ndarray | None =
     angles = np.asarray(problem.model.angles)
     if problem.symmetry == "brake":
         return np.zeros(n)
+    if problem.symmetry == "reversal":
+        first = half_turns(angles, guess[0, :n])
+        if end is None or problem.winding is not None:
+            return np.concatenate([first, first + np.pi * problem.turns])
+        return np.concatenate([first, half_turns(angles, end[:n])])
     quarter = np.zeros(n) if end is None else end[:n]
     centre = np.mean(guess[:, :n], axis=0) if problem.symmetry == "reflection" else quarter
     return np.where(angles, 2 * np.pi * np.round(centre / np.pi), 0.0)
+
+
+def half_turns(angles: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """The multiple of pi nearest to each angle, 0 for other coordinates."""
+    return np.where(angles, np.pi * np.round(q / np.pi), 0.0)
 
 
 def phase_directions(problem: Problem, state: np.ndarray) -> list[np.ndarray]:

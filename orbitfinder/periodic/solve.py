@@ -25,7 +25,7 @@ from orbitfinder.periodic.nlp import SolveSettings as SolveSettings
 from orbitfinder.periodic.objectives import chosen
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.polish import polish
-from orbitfinder.periodic.preparation import at_forcing_period, check_invariants, winding_of
+from orbitfinder.periodic.preparation import at_forcing_period, at_section, check_invariants, winding_of
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import Shooting, transcribe
 
@@ -57,6 +57,7 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     unfolded = unfolded_invariants(problem.model, problem.boundary)
     build = build_flow if problem.model.native is None else build_dae_flow
     flow = build(problem.model, problem.free, unfolded, settings.integrator)
+    problem = at_section(problem, flow)
     nodes = initial_nodes(problem, flow, settings)
     if problem.winding is None:
         problem = replace(problem, winding=winding_of(problem, flow, nodes))

@@ -122,9 +122,9 @@ def check_symmetry(model: Model, state: np.ndarray, symmetry: str, cycles: int =
     """`InputError` when the equations lack a symmetry that is asked for, tried at states around one (2n).
 
     Brake needs a(-t, q, -v) = a(t, q, v); reflection needs a(t + T/2, -q, -v) = -a(t, q, v), where
-    T is `cycles` periods of the forcing.
+    T is `cycles` periods of the forcing; reversal needs a(-t, -q, v) = -a(t, q, v).
     """
-    if model.native is not None and "reflection" in symmetry:
+    if model.native is not None and symmetry not in ("none", "brake"):
         raise InputError(
             f"symmetry: {symmetry!r} cannot be imposed in redundant coordinates, where x -> -x moves the joints; "
             "use symmetry = 'brake' or 'none' (symmetric orbits are recognised)"
@@ -132,9 +132,13 @@ def check_symmetry(model: Model, state: np.ndarray, symmetry: str, cycles: int =
     half = 0.0
     if model.forcing_period is not None:
         half = cycles * float(model.forcing_period(model.parameter_values)) / 2
-    for name, places, rates, shift in (("brake", 1, -1, 0.0), ("reflection", -1, -1, half)):
+    film = "running the film backwards"
+    for name, places, rates, shift, meaning in (
+        ("brake", 1, -1, 0.0, film),
+        ("reflection", -1, -1, half, "x -> -x"),
+        ("reversal", -1, 1, 0.0, f"{film} in a mirror"),
+    ):
         if name in symmetry and _broken(model, state, (places, rates, shift)):
-            meaning = "running the film backwards" if name == "brake" else "x -> -x"
             raise InputError(
                 f"symmetry: this system's equations change under {meaning}, so {symmetry!r} cannot be imposed; "
                 "use symmetry = 'none' (symmetric orbits are recognised)"
@@ -145,7 +149,7 @@ def _broken(model: Model, state: np.ndarray, signs: tuple[int, int, float]) -> b
     places, rates, shift = signs
     random = np.random.default_rng(0)
     q, v = np.split(np.asarray(state, float), 2)
-    direction = -1.0 if places > 0 else 1.0
+    direction = -1.0 if places != rates else 1.0
     for _ in range(4):
         place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(), v.size)
         if model.native is not None:  # off the constraints the stabilisation is damped

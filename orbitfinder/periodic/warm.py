@@ -84,7 +84,7 @@ class Refined:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What one guess fixes: phase reference and directions (2n x k), displacement (n), pins."""
+    """What one guess fixes: phase reference and directions (2n x k), displacement (n, or 2n), pins."""
 
     reference: np.ndarray
     directions: np.ndarray
@@ -129,10 +129,10 @@ class Refiner:
         if self.marches.standstill(path) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
         extra = len(self.flow.unfolded)
-        turns = conditions.shift / (2 * np.pi) if self.problem.symmetry == "none" else 0.0 * conditions.shift
+        turns = _turns(self.problem, conditions.shift)
         return Refined(
             path.nodes[0], float(path.tail[0]), path.nodes, path.tail[1 : 1 + extra], path.tail[1 + extra :],
-            np.round(turns).astype(int), _largest(rows), self.marches.steps * blocks, self.marches.states,
+            turns, _largest(rows), self.marches.steps * blocks, self.marches.states,
             self.marches.derivatives,
         )  # fmt: skip
 
@@ -246,6 +246,14 @@ class Refiner:
 
 def _largest(rows: Rows) -> float:
     return max(float(np.abs(part).max(initial=0.0)) for part in rows)
+
+
+def _turns(problem: Problem, shift: np.ndarray) -> np.ndarray:
+    """Whole turns of each coordinate in one period (n) that a displacement stands for."""
+    n = problem.model.degrees_of_freedom
+    if problem.symmetry == "reversal":
+        shift = 2 * (shift[n:] - shift[:n])
+    return np.round(shift / (2 * np.pi) * (problem.symmetry in ("none", "reversal"))).astype(int)
 
 
 def _checked(guess: Guess, size: int) -> Guess:

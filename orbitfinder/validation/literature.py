@@ -27,8 +27,6 @@ ARENSTORF = (
     ("-2.00158510637908252240537862224", "17.0652165601579625588917206249"),
     ("-2.0317326295573368357302057924", "11.124340337266085134999734047"),
 )
-SEGMENTS = 16
-"""Of an Arenstorf orbit: the close passage amplifies more than its multiplier, by which they are chosen, tells."""
 EIGHT = {"x1": "0.97000436", "y1": "-0.24308753", "vx3": "-0.93240737", "vy3": "-0.86473146"}
 EIGHT_PERIOD = "6.32591398"
 CASCADE = (("0.969309", 0.9692), ("0.986709", 0.9867))
@@ -93,7 +91,7 @@ def arenstorf(rate: str, period: str) -> list[Comparison]:
 
     def rows() -> list[Comparison]:
         guess = Guess([0.994, 0.0, 0.0, float(rate)], float(period))
-        problem = Problem(restricted_three_body(0.012277471), guess, pin(x=0.994), segments=SEGMENTS)
+        problem = Problem(restricted_three_body(0.012277471), guess, pin(x=0.994))
         orbit = find_orbit(problem)
         return [
             number("period", period, orbit.period, 1e-9),
