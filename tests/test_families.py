@@ -6,22 +6,24 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import ellipk
 
-from orbitfinder.errors import InputError
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branching import switch
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.command import continue_command
 from orbitfinder.families.continuation import follow
 from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
-from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.points import FamilySettings, make_point, place_of
 from orbitfinder.families.stability import matched
 from orbitfinder.families.start import begin, curve_of
 from orbitfinder.families.store import load_family, read_journal
+from orbitfinder.families.system import at_place
 from orbitfinder.families.walk import Walk, first_point
 from orbitfinder.flow import build_flow
 from orbitfinder.mechanics.chain import chain
@@ -256,7 +258,7 @@ import sys
 sys.path.insert(0, {root!r})
 from orbitfinder.families.command import continue_command
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.points import FamilySettings, make_point, place_of
 from orbitfinder.flow import build_flow
 from orbitfinder.mechanics.chain import chain
 settings = FamilySettings(directions="forward", longest_step={step})
@@ -322,14 +324,54 @@ def test_torn_line_is_dropped(tmp_path):
     assert curve_of(kept.header["curve"], chain(1), settings).propagator.symmetry.name == "brake+reflection"
 
 
+@pytest.fixture(scope="module")
+def wild():
+    """The double pendulum's slow mode where its largest multiplier is far above what one turn can close to."""
+    settings = FamilySettings(events=False)
+    start = begin(mode_problem(chain(2), 1, 0.5), settings, symmetry="brake+reflection")
+    check = closure_check(start.curve.propagator.model)
+    walk = Walk(start.curve, settings, 1, first_point(start, settings, check), check, until=19.55)
+    points = [point for batch in follow(walk) for point in batch.points]
+    return walk, points[-1]
+
+
+def test_very_unstable_orbits_fit_piece_by_piece(wild):
+    """Round the loop nothing is left, from node to node everything is."""
+    _, point = wild
+    assert point.scale > 1e9 and point.closure > 1e-6
+    assert 0 < point.defect < 1e-10 and len(point.nodes) > 2
+
+
+def test_broken_piece_is_refused(wild):
+    """One node moved by 1e-6: the loop's tolerance would let it pass, the pieces do not."""
+    walk, point = wild
+    place = place_of(point)
+    nodes = place.nodes.copy()
+    nodes[1, 0] += 1e-6
+    moved = at_place(walk.curve, replace(place, nodes=nodes))
+    with pytest.raises(ConvergenceError, match="the pieces of the orbit fit only to .* with growth"):
+        make_point(walk.curve, moved, point.tangent, "energy", walk.check, index=0, arclength=0.0, step=0.1)
+
+
+def test_no_bifurcations_out_of_round_off(wild):
+    """Where the largest multiplier blurs the stability indices no passage of theirs is reported."""
+    walk, point = wild
+    settings = FamilySettings(points=3)
+    onward = Walk(walk.curve, settings, 1, replace(point, index=0, arclength=0.0, role="step"))
+    kinds = {event.kind for batch in follow(onward) for event in batch.events}
+    assert kinds <= {"fold"}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("mode", [1, 2, 3])
-def test_triple_modes_to_the_upright_saddle(mode, tmp_path):
-    """Each mode of the triple pendulum goes on to where its period blows up, 88.2 J above hanging."""
+@pytest.mark.parametrize("links, mode", [(3, 1), (3, 2), (3, 3), (4, 2), (4, 3), (4, 4)])
+def test_modes_to_the_upright_saddle(links, mode, tmp_path):
+    """Each mode goes on to where its period blows up: 88.2 J above hanging with three links, 156.8 J with four."""
     settings = FamilySettings(directions="forward", events=False)
-    family = continue_command(mode_problem(chain(3), mode), out=tmp_path, settings=settings)
+    family = continue_command(mode_problem(chain(links), mode), out=tmp_path, settings=settings)
     assert family.ends[0].kind == "homoclinic"
-    assert abs(family.points[-1].energy + 44.1 - 88.2) < 0.05
+    top = {3: 44.1, 4: 78.4}[links]
+    assert abs(family.points[-1].energy - top) < 0.05
+    assert max(point.defect for point in family.points if point.scale > 1e3) < 1e-9
 
 
 def test_family_figures(tmp_path):
