@@ -53,8 +53,7 @@ def mode(links: str, number: int, options: str, text: str) -> Entry:
 
 
 TOP = "--points 600"
-UP = "--points 600 --until -33.4"
-SWINGS = "--points 600 --until -33.4 --at"
+SWINGS = "--points 600 --at"
 ENTRIES = (
     mode("triple", 1, TOP, """The slow swing of the triple pendulum, all links nearly in line. It ends at the fully
 upright saddle, 88.2 J above hanging."""),
@@ -68,17 +67,18 @@ triple orbit is on it, on the way down to the fold in energy.""", "triple-mode-2
     Entry("triple-2", "{out}/triple-mode-3/family.json --switch 1 --branch 2 --at -36.1205384037786 --points 300",
           """A period-quadrupled branch of the third mode, odd in time instead of coming to rest. The report's second
 triple orbit, which swings like a single pendulum, is on it.""", "triple-mode-3"),
-    mode("quadruple", 1, UP, """The slow swing of the quadruple pendulum. Near 1 J above hanging it is in 7:1 resonance
+    mode("quadruple", 1, TOP, """The slow swing of the quadruple pendulum. Near 1 J above hanging it is in 7:1 resonance
 with the fourth mode, and the family from the equilibrium turns away there. Stepping over that place (which is reported)
 leads to a closed family between -77.4508 and -39.9080 J, which is recognised when it comes back to itself."""),
     Entry("quadruple-mode-1-resolved", "problems/families/quadruple-mode-1.toml --direction forward --resolve 2e-4 "
-          "--name quadruple-mode-1-resolved " + UP, """The same start followed through the 7:1 resonance: the curve that
-truly belongs to the equilibrium. It goes on to 45 J above hanging."""),
+          "--name quadruple-mode-1-resolved " + TOP, """The same start followed through the 7:1 resonance: the curve
+that truly belongs to the equilibrium. It goes on to the fully upright saddle."""),
     mode("quadruple", 2, SWINGS + " -77.9365603703212", """The second mode; the report's first quadruple orbit is a
 small motion on it."""),
     mode("quadruple", 3, SWINGS + " -78.31380643132762", """The third mode; the report's second quadruple orbit is a
 small motion on it."""),
-    mode("quadruple", 4, UP, "The fast mode, neighbouring links against each other."),
+    mode("quadruple", 4, TOP, """The fast mode, neighbouring links against each other. Modes 2 to 4 end at the fully
+upright saddle, 156.8 J above hanging."""),
     Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 60", """A five-bar under gravity, slow mode,
 in minimal coordinates; the family folds at -8 J and comes back unstable."""),
     Entry("five-bar-fast", "problems/families/five-bar-fast.toml --points 60", "The same five-bar, fast mode."),
@@ -148,10 +148,12 @@ def page() -> str:
 HEAD = """# Families of periodic orbits
 
 Every point of these curves is a periodic orbit that closes, by an independent integrator on Hamilton's equations, to
-1e-11 times its largest Floquet multiplier. Solid lines are stable, dashed ones unstable. Energies are absolute,
-potential zero at the fixed joint: the triple pendulum hangs at -44.1 J, the quadruple one at -78.4 J. Written by
-`python benchmarks/family_atlas.py`; `families/` in the commands stands for any folder. The nodes beside each
-family.json (family.npz) are left out here; the same commands write them.
+1e-11 times its largest Floquet multiplier; beyond a multiplier of 1000 each shooting node also leads to the next one
+within 1e-11 times the growth in between (`defect`), without which such a closure would say little. Multipliers near
+the saddles exceed what double precision can hold beside the small ones; no bifurcations are read there. Solid lines
+are stable, dashed ones unstable. Energies are absolute, potential zero at the fixed joint: the triple pendulum hangs at
+-44.1 J, the quadruple one at -78.4 J. Written by `python benchmarks/family_atlas.py`; `families/` in the commands
+stands for any folder. The nodes beside each family.json (family.npz) are left out here; the same commands write them.
 
 ![Triple pendulum](triple.png)
 ![Quadruple pendulum](quadruple.png)

@@ -44,6 +44,7 @@ SOLVING = (
     "dae_segments",
     "evidence",
     "hamilton",
+    "balanced_start",
     "dae_evidence",
     "tangent",
     "linkage_guesses",

@@ -41,12 +41,13 @@ class Planted(Interval):
 def read(family: Family, s: float, expected: np.ndarray | None, distance: float, root: int) -> Probe:
     """A probe of a map: indices, and which multiplier of each has Krein sign +1."""
     matrix = family(s)
-    indices = analyse(matrix).indices
+    floquet = analyse(matrix)
+    indices = floquet.indices
     order = np.arange(indices.size) if expected is None else matching(expected, indices)
     upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1, 1)))
     on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2)
     turns = np.where(on_circle, _krein(UNITS[len(matrix) // 2], matrix, upper), 0)
-    return Probe(distance, None, None, SimpleNamespace(root=root), indices[order], turns[order], {})
+    return Probe(distance, None, None, SimpleNamespace(root=root, floquet=floquet), indices[order], turns[order], {})
 
 
 def one_step(family: Family, low: float, high: float, root: int = 1, trend: np.ndarray | None = None) -> Planted:
@@ -191,7 +192,7 @@ def test_events_of_different_pairs_in_one_step():
     assert [one[1] for one in kinds] == pytest.approx([passed, 0.0, 0.0375], abs=1e-9)
 
 
-def by_brute_force(family: Family, root: int, edge: float, count: int = 3000) -> list[tuple[str, int, float]]:
+def by_brute_force(family: Family, root: int, edge: float, count: int = 2000) -> list[tuple[str, int, float]]:
     """Events between 0 and `edge` by looking everywhere: changes of the sorted real indices."""
     found: list[tuple[str, int, float]] = []
     previous: np.ndarray | None = None
@@ -219,9 +220,9 @@ def walked(family: Family, root: int, edge: float, step: float) -> list[tuple[st
     return found
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_families_against_brute_force(seed):
-    """Nothing that a search at 3000 places sees is missing from steps of 0.1, on families of two coupled pairs."""
+    """Nothing that a search at 2000 places sees is missing from steps of 0.1, on families of two coupled pairs."""
     random = np.random.default_rng(seed)
 
     def symmetric(size: float) -> np.ndarray:
@@ -237,10 +238,10 @@ def test_random_families_against_brute_force(seed):
 
     wanted, found = by_brute_force(family, root, 1.5), walked(family, root, 1.5, 0.1)
     for kind, order, place in wanted:
-        near = [k for k, one in enumerate(found) if one[:2] == (kind, order) and abs(one[2] - place) < 2e-3]
+        near = [k for k, one in enumerate(found) if one[:2] == (kind, order) and abs(one[2] - place) < 3e-3]
         assert near, (kind, order, place)
         found.pop(near[0])
-    # what is left lies beside a collision, where a search at 3000 places cannot look
+    # what is left lies beside a collision, where a search at 2000 places cannot look
     assert len(found) <= 1
 
 

@@ -14,9 +14,10 @@ from orbitfinder.families.minimal import bar_states, minimal_problem, native_sta
 from orbitfinder.families.motion import motions
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import begin
 from orbitfinder.flow import build_flow, end_state
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import reduced
 from orbitfinder.mechanics.linkage import linkage
@@ -104,6 +105,47 @@ def test_five_bar_family_agrees_with_the_native_dae(tmp_path):
     assert abs(begin(orbit).found.place.period - point.period) < 1e-9  # from the linkage's own orbit.json
     rebuilt = build_model(family.system)
     assert closure_check(rebuilt)(point.state, point.period, np.zeros(2)) < 1e-11
+
+
+def longer_third_bar(family, length, point):
+    """The orbit of the five-bar with another third bar, by shooting over IDAS from a point of the family."""
+    model = linkage([0.6, 0.9, length, 0.5], ground=FIVE_BAR["ground"])
+    state = native_state(family.system, point.state, {"length3": length})
+    return find_dae_orbit(model, state, point.period, pin=pin(energy=-23.0))
+
+
+@pytest.mark.slow
+def test_five_bar_family_in_a_length(tmp_path):
+    """The loop closes at every length: dT/d(length) is that of orbits found alone on the DAE, and so is the last one."""
+    problem = load_problem(FAMILIES / "five-bar-length.toml")
+    family = continue_command(problem, "length3", until=0.9, out=tmp_path, settings=QUIET)
+    first, last = family.points[0], family.points[-1]
+    assert family.ends[0].kind == "target" and last.free == {"length3": pytest.approx(0.9, abs=1e-13)}
+    alone = longer_third_bar(family, 0.9, last)
+    assert alone.certificate.passed and abs(alone.period - last.period) < 1e-10
+    assert abs(np.sum(alone.floquet_multipliers) - np.sum(last.floquet_multipliers)) < 1e-8
+    size, h = first.state.size, 2e-3
+    slope = first.tangent[size] / first.tangent[size + 1]
+    far, low, high, beyond = (longer_third_bar(family, 0.8 + k * h, first).period for k in (-2, -1, 1, 2))
+    assert slope == pytest.approx((8 * (high - low) - (beyond - far)) / (12 * h), abs=2e-9)
+
+
+@pytest.mark.parametrize(("name", "until", "hold"), [("mass2", 1.1, "energy"), ("length1", 0.605, "period")])
+def test_linkage_families_in_other_parameters(name, until, hold, tmp_path):
+    """Masses and lengths, at constant energy or period; the last orbit closes on the linkage built anew; resumed."""
+    problem = load_problem(FAMILIES / "five-bar-length.toml")
+    settings = FamilySettings(events=False, hold=hold)
+    family = continue_command(problem, name, until=until, out=tmp_path, settings=settings)
+    assert [end.kind for end in family.ends] == ["target"]
+    last = max(family.points, key=lambda point: abs(point.arclength))
+    kept = "energy" if hold == "energy" else "period"
+    assert getattr(last, kept) == pytest.approx(getattr(family.points[0], kept), rel=1e-12)
+    changed = build_model(with_parameters(build_model(family.system), last.free).system)
+    assert closure_check(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
+    joints = motions(family, build_model(family.system), 3)[-1].joints
+    assert np.allclose(joints[:, :, -1], FIVE_BAR["ground"], atol=1e-10)  # drawn with the point's own lengths
+    again = continue_command(problem, name, until=until, out=tmp_path, settings=settings)
+    assert [point.period for point in again.points] == [point.period for point in family.points]
 
 
 def test_bar_states_close_the_linkage():
@@ -235,6 +277,22 @@ def test_custom_model_is_continued_from_its_orbit(tmp_path):
     assert len(again.points) == 7
     with pytest.raises(InputError, match="model"):
         continue_command(orbit, points=4, out=tmp_path / "other", settings=QUIET)
+
+
+def test_motion_more_symmetric_than_its_system():
+    """x swings evenly on a line, but what happens beside it is not even in x: a quarter period does not tell it."""
+    from orbitfinder.mechanics.lagrange import Symbols, lagrange
+    from orbitfinder.periodic.solve import find_orbit
+
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    potential = q[0] ** 2 / 2 + 0.15 * q[1] ** 2 + 0.4 * q[0] * q[1] ** 2
+    model = lagrange(ca.dot(v, v) / 2, potential, Symbols(q, v), names=["x", "y"])
+    problem = Problem(model, Guess(np.array([0.5, 0.0, 0.0, 0.0]), 2 * np.pi), pin(energy=0.125), name="line")
+    orbit, start = find_orbit(problem), begin(problem)
+    assert orbit.symmetry == "brake+reflection" and start.curve.propagator.symmetry.name == "brake"
+    found = spectrum(start.curve, start.found).floquet.multipliers
+    assert np.sort(found.real) == pytest.approx(np.sort(orbit.floquet_multipliers.real), rel=1e-9)
+    assert orbit.stability == "unstable"
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ from orbitfinder.periodic.conditions import Pin
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.solve import find_orbit
-from orbitfinder.periodic.symmetry import recognise
+from orbitfinder.periodic.symmetry import check_symmetry, recognise
 
 FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
@@ -226,11 +226,27 @@ def corrected(curve: Curve, place: Place, aim: Aim, reference: Place | None = No
 
 
 def symmetry_of(curve: Curve, found: Solution) -> str:
-    """The symmetry that an orbit has, whatever formulation it was found in."""
+    """The symmetry that an orbit and its equations have, whatever formulation it was found in.
+
+    A motion may be more symmetric than its system, such as one along a line beside which nothing is even: its
+    variations then do not repeat after a part of the period.
+    """
     if curve.propagator.symmetry.name == "brake+reflection":
         return "brake+reflection"
     times, states = full_samples(curve, found)
-    return recognise(times, states, np.asarray(curve.propagator.model.angles))
+    model = curve.propagator.model
+    name = recognise(times, states, np.asarray(model.angles))
+    weaker = ("brake", "reversal", "reflection") if name == "brake+reflection" else ()
+    return next((one for one in (name, *weaker) if _has(model, states[0], one)), "none")
+
+
+def _has(model: Model, state: np.ndarray, symmetry: str) -> bool:
+    """Whether the equations keep a symmetry."""
+    try:
+        check_symmetry(model, state, symmetry)
+    except InputError:
+        return False
+    return True
 
 
 def _odd_state(curve: Curve, times: np.ndarray, states: np.ndarray) -> np.ndarray:

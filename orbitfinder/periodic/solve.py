@@ -10,11 +10,13 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder import interrupt
+from orbitfinder.errors import ConvergenceError, IntegrationError, OrbitfinderError
 from orbitfinder.flow import Flow, build_flow, end_state, transition
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.onethread import one_thread
+from orbitfinder.periodic.balanced_start import balanced_guess
 from orbitfinder.periodic.certify import certify, gap
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.dae_segments import build_dae_flow
@@ -58,14 +60,16 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     build = build_flow if problem.model.native is None else build_dae_flow
     flow = build(problem.model, problem.free, unfolded, settings.integrator)
     problem = at_section(problem, flow)
-    nodes = initial_nodes(problem, flow, settings)
-    if problem.winding is None:
-        problem = replace(problem, winding=winding_of(problem, flow, nodes))
-    shooting, w = chosen(problem, nodes, flow, settings, _reporter(progress, began))
-    refined, w = _minimal(*_polished(shooting, w), settings)
+    said: dict[str, Any] = {}
+    try:
+        refined, w = _shot(problem, flow, settings, _reporter(progress, began))
+    except (ConvergenceError, IntegrationError) as error:
+        refined, w = _shot_again(problem, flow, settings, _reporter(progress, began), error)
+        said = {"start": "harmonic balance along the family of the guess's linear mode"}
     orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), *refined.layout.tail(w)[:2])
     _within(problem, orbit)
-    orbit = replace(orbit, provenance=provenance(problem, settings, began) | _choice(problem, refined.problem.model))
+    said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
+    orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
         certificate = certify(orbit, refined.problem.model)
         independent = [check.value for check in certificate.checks if check.name == "closure"]
@@ -73,6 +77,30 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
+
+
+def _shot(
+    problem: Problem, flow: Flow, settings: SolveSettings, report: Callback | None
+) -> tuple[Shooting, np.ndarray]:
+    """The polished loop over its minimal period."""
+    nodes = initial_nodes(problem, flow, settings)
+    if problem.winding is None:
+        problem = replace(problem, winding=winding_of(problem, flow, nodes))
+    return _minimal(*_polished(*chosen(problem, nodes, flow, settings, report)), settings)
+
+
+def _shot_again(
+    problem: Problem, flow: Flow, settings: SolveSettings, report: Callback | None, error: OrbitfinderError
+) -> tuple[Shooting, np.ndarray]:
+    """The same from a better guess, where there is one; raises the first error where there is none."""
+    interrupt.check()  # CasADi makes a failed search of Ctrl-C
+    guess = balanced_guess(problem)
+    if guess is None:
+        raise error
+    try:
+        return _shot(replace(problem, guess=guess), flow, settings, report)
+    except (ConvergenceError, IntegrationError):
+        raise error from None
 
 
 def _within(problem: Problem, orbit: Orbit) -> None:

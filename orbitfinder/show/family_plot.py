@@ -48,7 +48,8 @@ def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
     for axes, motion in zip(grid, shown, strict=False):
         _draw(axes, motion)
         one = motion.point
-        axes.set_title(f"{one.energy:.5g} J, {one.period:.4g} s\n{one.stability}", fontsize=8)
+        where = f"{family.parameter} {one.value:.5g}" if family.parameter in one.free else f"{one.energy:.5g} J"
+        axes.set_title(f"{where}, {one.period:.4g} s\n{one.stability}", fontsize=8)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.06)
         axes.tick_params(labelsize=7)
@@ -79,26 +80,29 @@ def frequency_energy(
 ) -> Figure:
     """Frequency against energy, one colour a family: solid where stable, dashed where unstable, events marked.
 
-    `marks` are further orbits to show, name -> (energy, period).
+    Families in a physical parameter, along which the energy may not change, are drawn against that. `marks` are
+    further orbits to show, name -> (energy, period).
     """
     from matplotlib.lines import Line2D
 
     names = ", ".join(family.name for family in families)
-    figure = new_figure(8.0, 5.6, title or f"{names}: frequency and energy")
+    freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
+    figure = new_figure(8.0, 5.6, title or f"{names}: frequency and {freed or 'energy'}")
     axes = figure.subplots()
     shown: dict[str, Any] = {}
     for k, family in enumerate(families):
         colour = COLOURS[k % len(COLOURS)]
         for stable, run in runs(family.points):
-            across, up = [point.energy for point in run], [1.0 / point.period for point in run]
+            across = [point.value if freed else point.energy for point in run]
+            up = [1.0 / point.period for point in run]
             style = {"linestyle": "-" if stable else "--", "linewidth": 1.8 if stable else 1.1}
             axes.plot(across, up, color=colour, **style)
         for event in family.events:
             marker, text = MARKERS[event.kind]
             face = colour if event.kind != "branch_point" else "white"
             size = 3.0 if event.kind == "resonance" else 5.5
-            (line,) = axes.plot(event.energy, 1.0 / event.period, marker, color=colour, markerfacecolor=face,
-                                markersize=size, linestyle="none")  # fmt: skip
+            (line,) = axes.plot(event.parameter if freed else event.energy, 1.0 / event.period, marker, color=colour,
+                                markerfacecolor=face, markersize=size, linestyle="none")  # fmt: skip
             shown.setdefault(text, line)
     if len(families) > 1:
         names_shown = [Line2D([], [], color=COLOURS[k % len(COLOURS)]) for k in range(len(families))]
@@ -107,7 +111,7 @@ def frequency_energy(
         axes.plot(energy, 1.0 / period, "*", color="black", markersize=10)
         offset = {"xytext": (6, 8), "textcoords": "offset points"}
         axes.annotate(name, (energy, 1.0 / period), fontsize=9, parse_math=False, **offset)
-    dress(axes, "energy (J)", "frequency (1/s)")
+    dress(axes, axis_name(families[0]) if freed else "energy (J)", "frequency (1/s)")
     if shown:
         figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
     return figure
