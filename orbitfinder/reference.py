@@ -81,7 +81,7 @@ class _Steps:
     SciPy's C code goes on with an exception pending, so none may leave a callback.
     """
 
-    field: VectorField
+    function: VectorField
     moments: list[float] = field(default_factory=list)
     states: list[np.ndarray] = field(default_factory=list)
     errors: list[BaseException] = field(default_factory=list)
@@ -89,10 +89,10 @@ class _Steps:
     def rate(self, t: float, y: np.ndarray) -> np.ndarray:
         """The field, NaN where it raises."""
         try:
-            return self.field(t, y)
+            return self.function(t, y)
         except BaseException as error:
             self.errors.append(error)
-            self.field = _nowhere  # for good, or DOP853 would try a shorter step
+            self.function = _nowhere  # for good, or DOP853 would try a shorter step
             return _nowhere(t, y)
 
     def accepted(self, t: float, y: np.ndarray) -> int:
@@ -181,7 +181,7 @@ def _between(steps: _Steps, times: np.ndarray) -> np.ndarray:
     before = np.searchsorted(steps.moments, times, side="right") - 1
     moments, states = np.asarray(steps.moments)[before], np.asarray(steps.states)[before]
     spans = times - moments
-    rates = getattr(steps.field, "many", None) or _one_by_one(steps.field)
+    rates = getattr(steps.function, "many", None) or _one_by_one(steps.function)
 
     def stacked(part: float, flat: np.ndarray) -> np.ndarray:
         found = rates(moments + part * spans, flat.reshape(states.shape))

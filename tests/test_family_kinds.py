@@ -1,5 +1,6 @@
 """Families of every kind of system and every kind of end, against independent numbers."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -10,7 +11,7 @@ from scipy.integrate import quad, solve_ivp
 from orbitfinder.errors import InputError
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.command import continue_command
-from orbitfinder.families.minimal import bar_states, minimal_problem, native_state
+from orbitfinder.families.minimal import bar_states, dead_point, minimal_problem, native_state
 from orbitfinder.families.motion import motions
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.points import FamilySettings
@@ -116,7 +117,7 @@ def longer_third_bar(family, length, point):
 
 @pytest.mark.slow
 def test_five_bar_family_in_a_length(tmp_path):
-    """The loop closes at every length: dT/d(length) is that of orbits found alone on the DAE, and so is the last one."""
+    """The loop closes at every length: dT/d(length) is that of orbits found alone on the DAE, as is the last."""
     problem = load_problem(FAMILIES / "five-bar-length.toml")
     family = continue_command(problem, "length3", until=0.9, out=tmp_path, settings=QUIET)
     first, last = family.points[0], family.points[-1]
@@ -146,6 +147,19 @@ def test_linkage_families_in_other_parameters(name, until, hold, tmp_path):
     assert np.allclose(joints[:, :, -1], FIVE_BAR["ground"], atol=1e-10)  # drawn with the point's own lengths
     again = continue_command(problem, name, until=until, out=tmp_path, settings=settings)
     assert [point.period for point in again.points] == [point.period for point in family.points]
+
+
+def test_family_in_a_length_ends_at_a_dead_point(tmp_path):
+    """A bar too short for the motion at this energy: the bars beside it come into line, and the end says so."""
+    problem = replace(load_problem(FAMILIES / "five-bar-length.toml"), pin=pin(energy=-20.0))
+    coarse = FamilySettings(events=False, certify=False, shortest_step=1e-3)
+    family = continue_command(problem, "length2", until=0.15, out=tmp_path, settings=coarse)
+    (end,) = family.ends
+    assert end.kind == "dead point" and end.reason.startswith("bars 2 and 3 come into line")
+    point = family.points[0]
+    margin = bar_states(family.system, point.state[None], point.free)[0, :4]
+    assert abs(np.sin(margin[2] - margin[1])) < 0.3
+    assert dead_point(chain(2).system, np.zeros((1, 4))) == ""
 
 
 def test_bar_states_close_the_linkage():

@@ -121,7 +121,7 @@ def test_a_running_pendulum_has_its_exact_period(turns):
 
 @pytest.mark.parametrize("winding", [(-1,), None])
 def test_a_running_pendulum_in_half_its_period(winding):
-    """Reversal: from hanging to upright and on; the turns are given, or those of the guess; the start is moved there."""
+    """Reversal: from hanging to upright and on; turns are given or the guess's; the start is moved there."""
     lift = 8.0 + 4.9
     exact = 4 * ellipk(2 * 4.9 / lift) / np.sqrt(6 * lift)
     guess = Guess([0.7, -np.sqrt(6 * (8.0 + 4.9 * np.cos(0.7)))], 1.02 * exact)

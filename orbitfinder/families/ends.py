@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.points import End, FamilyPoint, FamilySettings
 from orbitfinder.families.propagate import rates
 from orbitfinder.families.start import full_samples
@@ -74,6 +75,10 @@ def end_after(
     if failure:
         if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE:
             return _homoclinic(curve, found, state, grown, f"; then {failure}")
+        free = dict(zip(curve.propagator.free, map(float, found.place.free), strict=True))
+        dead = dead_point(curve.propagator.model.system, found.march.states, free)
+        if dead:
+            return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
         return End("step underflow", failure)
     if before is not None and collapsed(curve, before, found):
         where = np.array2string(centre(curve, before), precision=6)

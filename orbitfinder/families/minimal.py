@@ -118,6 +118,18 @@ def bar_states(
     return np.asarray(rows)
 
 
+def dead_point(system: Mapping[str, Any], states: np.ndarray, free: Mapping[str, float] | None = None) -> str:
+    """Which two bars, dependent on the others, come into line along a motion (k minimal states); else empty."""
+    if "independent" not in system:
+        return ""
+    states = states[np.all(np.isfinite(states), axis=1)]
+    bars = len(system["independent"]) + 2
+    i, j = (k for k in range(bars) if k + 1 not in system["independent"])
+    theta = bar_states(system, states, free)[:, :bars]
+    sine = float(np.abs(np.sin(theta[:, j] - theta[:, i])).min())
+    return f"bars {i + 1} and {j + 1} come into line (a dead point)" if sine < LEAST_SINE else ""
+
+
 def native_state(
     system: Mapping[str, Any], state: np.ndarray, free: Mapping[str, float] | None = None
 ) -> np.ndarray:
