@@ -9,7 +9,7 @@ import pytest
 from conftest import PRINTED, TWIN_PERIOD, pendulum_period, printed_problem, reference
 from scipy.special import ellipk
 
-from orbitfinder.errors import ConvergenceError
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.flow import build_flow
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
@@ -141,6 +141,24 @@ def test_the_second_report_orbit_in_half_its_period():
     same_multipliers(orbit.floquet_multipliers, [(mu.real, mu.imag) for mu in general.floquet_multipliers], 1e-9)
     assert np.abs(orbit.state[:3]).max() < 1e-12
     assert len(initial_nodes(imposed, build_flow(chain(3)), SolveSettings())) < len(general.nodes)
+
+
+def test_a_trajectory_as_the_guess_of_an_odd_motion():
+    """Of a recorded motion the instant is taken at which it passes the hanging position."""
+    lift = 8.0 + 4.9
+    exact = 4 * ellipk(2 * 4.9 / lift) / np.sqrt(6 * lift)
+    state = [0.7, np.sqrt(6 * (8.0 + 4.9 * np.cos(0.7)))]
+    whole = find_orbit(Problem(chain(1), Guess(state, exact), pin=pin(energy=8.0)))
+    guess = Guess(whole.state, whole.period, whole.times, whole.samples)
+    orbit = find_orbit(Problem(chain(1), guess, pin=pin(energy=8.0), symmetry="reversal"))
+    assert orbit.period == pytest.approx(exact, rel=1e-12) and orbit.winding == (1,)
+
+
+def test_an_odd_motion_of_a_linkage_is_refused():
+    """In redundant coordinates q -> -q moves the joints."""
+    problem = load_problem(PROBLEMS / "linkages" / "five-bar-slow-mode.toml")
+    with pytest.raises(InputError, match="'reversal' cannot be imposed in redundant coordinates"):
+        replace(problem, symmetry="reversal")
 
 
 def test_an_odd_motion_of_a_system_with_a_second_invariant():

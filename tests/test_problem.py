@@ -155,7 +155,7 @@ GOOD = [0.1, 0.1, 0.0, 0.0]
         (dict(winding=(1,)), "winding: 1 numbers for 2 coordinates"),
         (dict(winding=(1, 0), symmetry="brake"), r"winding: a brake orbit comes back, so \[1, 0\] cannot hold"),
         (dict(winding=(1, 0), symmetry="reflection"), "winding: a reflection orbit comes back"),
-        (dict(pin=pin(theta2=0.1), symmetry="reversal"), "pin: theta2 is a multiple of pi, or 0, where a reversal orbit"),
+        (dict(pin=pin(theta2=0.1), symmetry="reversal"), "pin: theta2 is a multiple of pi, or 0, where a reversal"),
         (dict(segments=0), "segments: must be at least 1, got 0"),
         (dict(segments=-4), "segments: must be at least 1, got -4"),
         (dict(tolerance=0.0), "tolerance: must be positive and at most 1e-06, got 0.0"),

@@ -18,7 +18,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.ends import end_after, energies_of, merged, returned, shortest_step
 from orbitfinder.families.events import Interval, Probe, find_events, make_interval, make_probe
 from orbitfinder.families.exact import exact_points
-from orbitfinder.families.mesh import refined, settled
+from orbitfinder.families.mesh import refined, regraded, settled
 from orbitfinder.families.points import Batch, End, Event, FamilyPoint, FamilySettings, make_point
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.families.strips import avoided
@@ -73,7 +73,7 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
     began = time.perf_counter()
     curve, place = walk.curve, stand.found.place
     head = head_of(stand.whole, place)
-    guess = advanced(place, stand.whole, length, stand.curvature)
+    guess = replace(advanced(place, stand.whole, length, stand.curvature), mesh=stand.point.mesh)
     normal = curve.weights * head
     aim = Aim(float(normal @ place.head) + length, normal)
     slope = stand.found.jacobian if stand.drift is None else stand.found.jacobian + length * stand.drift
@@ -96,7 +96,7 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
         "indices": last.indices,
     }
     point, found = _checked_point(walk, found, whole, where, last.about if found is raw else None)
-    point = replace(point, wall_time=time.perf_counter() - began)
+    point = replace(point, mesh=regraded(curve, found), wall_time=time.perf_counter() - began)
     probe = replace(last, distance=0.0) if found is raw else make_probe(curve, 0.0, found, whole, last.indices)
     after = Stand(
         point, found, whole, bend(curve, found.place, whole, place), trend_of(stand.point, point),

@@ -14,11 +14,11 @@ SMALL = 150
 
 
 class Factors:
-    """The LU factors of a square matrix. Raises `LinAlgError` where it is singular."""
+    """The LU factors of a square matrix. Raises `LinAlgError` where it is singular, or not square."""
 
     def __init__(self, matrix: np.ndarray) -> None:
-        if not np.all(np.isfinite(matrix)):
-            raise np.linalg.LinAlgError("not finite")
+        if matrix.shape[0] != matrix.shape[1] or not np.all(np.isfinite(matrix)):
+            raise np.linalg.LinAlgError("not square or not finite")
         if len(matrix) > SMALL:
             try:
                 self._sparse = splu(csc_matrix(matrix))

@@ -20,7 +20,13 @@ VARIATION_ERROR = 1e-10
 """Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
 SPARE = 5.0
 """A mesh is looked at again when the motion alone would do with this many times fewer steps."""
-WIDENED = 5
+STALE = 5.0
+"""A mesh is graded anew for the orbits to come when some step's estimate is this many times as large."""
+UNEVEN = 1.4
+"""... unless a segment needs this many times the steps of an average one."""
+SAMPLED = 3
+"""One in so many steps is asked for the error of its state-transition matrix."""
+WIDENED = 3
 """Steps over which the density of a fresh mesh is spread."""
 GROWTH = 30.0
 """Segments are added until each one's state-transition matrix is below this."""
@@ -31,11 +37,16 @@ MOST_STEPS = 6000
 
 def needs_mesh(curve: Curve, found: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
-    errors = step_errors(curve.propagator, found.march.states, found.place.mesh, found.place.tail)
-    growths = _growths(curve, found)
+    errors, growths = _errors(curve, found), _growths(curve, found)
     if errors.max() > COARSE * STEP_ERROR or growths.max() > 4 * GROWTH:
         return True
-    return bool(_density(errors).sum() * SPARE < errors.size and wanted_steps(curve, found).sum() < 0.5 * errors.size)
+    if not _density(errors).sum() * SPARE < errors.size:
+        return False
+    return bool(wanted_steps(curve, found, errors).sum() < 0.5 * errors.size)
+
+
+def _errors(curve: Curve, found: Solution) -> np.ndarray:
+    return step_errors(curve.propagator, found.march.states, found.place.mesh, found.place.tail)
 
 
 def _growths(curve: Curve, found: Solution) -> np.ndarray:
@@ -51,12 +62,12 @@ def _density(errors: np.ndarray, allowed: float = STEP_ERROR) -> np.ndarray:
     return np.asarray((errors / allowed) ** 0.125)
 
 
-def wanted_steps(curve: Curve, found: Solution) -> np.ndarray:
-    """The same (M) for the motion and its variations together."""
+def wanted_steps(curve: Curve, found: Solution, errors: np.ndarray) -> np.ndarray:
+    """The same (M) for the motion, whose `errors` are known, and its variations, of which every third step is asked."""
     place, states, p = found.place, found.march.states, curve.propagator
-    motion = _density(step_errors(p, states, place.mesh, place.tail))
-    varied = variation_errors(p, states, place.mesh, place.tail, curve.weights)
-    return np.maximum(motion, _density(varied, VARIATION_ERROR))
+    asked = np.arange(0, errors.size, SAMPLED)
+    varied = variation_errors(p, states, place.mesh, place.tail, curve.weights, asked)
+    return np.maximum(_density(errors), np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size])
 
 
 def _spread(density: np.ndarray) -> np.ndarray:
@@ -70,18 +81,45 @@ def remeshed(curve: Curve, found: Solution) -> Place:
     Nodes are interpolated and must be corrected again.
     """
     place, states = found.place, found.march.states
-    density = _spread(np.maximum(wanted_steps(curve, found), 0.15))
+    density = _spread(np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
     count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
     if not density.sum() < MOST_STEPS:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
-    each = int(np.ceil(1.1 * density.sum() / count)) + 2
-    each += -each % 4  # few distinct sizes, so that compiled marches are used again
+    each = _rounded(density.sum() / count)
     work = np.concatenate([[0.0], np.cumsum(density)])
     mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
     slopes = rates(curve.propagator, states, place.tail) * place.period
     nodes = CubicHermiteSpline(place.mesh, states, slopes)(mesh[:-1:each])
     return replace(place, nodes=np.vstack([place.nodes[:1], nodes[1:]]), mesh=mesh)
+
+
+def _rounded(steps: float) -> int:
+    """A tenth more than so many steps, and one of few distinct numbers, so that compiled marches are used again."""
+    each = int(np.ceil(1.1 * steps)) + 2
+    return each + -each % 4
+
+
+def regraded(curve: Curve, found: Solution) -> np.ndarray:
+    """The mesh of an orbit, its steps moved inside their segments to where the next orbit will need them.
+
+    Nodes, and with them the equations, stay as they are: nothing has to be corrected again.
+    """
+    place, errors = found.place, _errors(curve, found)
+    if errors.max() < STALE * STEP_ERROR:
+        return place.mesh
+    density = _spread(np.maximum(wanted_steps(curve, found, errors), 0.15)).reshape(len(place.nodes), -1)
+    needed = density.sum(axis=1)
+    if not needed.max() < min(UNEVEN * needed.mean(), MOST_STEPS / len(needed)):
+        return place.mesh  # the segments themselves are in the wrong place, which `settled` sees in time
+    each, old = _rounded(needed.max()), density.shape[1]
+    pieces = []
+    for k, part in enumerate(density):
+        work = np.concatenate([[0.0], np.cumsum(part)])
+        edges = place.mesh[k * old : (k + 1) * old + 1]
+        pieces.append(np.interp(np.linspace(0.0, work[-1], each + 1), work, edges)[:-1])
+        pieces[-1][0] = edges[0]
+    return np.append(np.concatenate(pieces), place.mesh[-1])
 
 
 def refined(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
@@ -96,10 +134,16 @@ def refined(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
 
 
 def settled(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
-    """The same orbit on a fitting mesh, held in the hyperplane through it with this normal."""
+    """The same orbit on a fitting mesh, held in the hyperplane through it with this normal.
+
+    Segments stay where they are if they can, for the predictor of the next orbit looks back over them.
+    """
     for _ in range(4):
         if not needs_mesh(curve, found):
             break
-        aim = Aim(float(normal @ found.place.head), normal)
-        found = correct(curve, remeshed(curve, found), aim, found.place)
+        aim, mesh = Aim(float(normal @ found.place.head), normal), found.place.mesh
+        if _growths(curve, found).max() <= 4 * GROWTH:
+            mesh = regraded(curve, found)
+        place = remeshed(curve, found) if mesh is found.place.mesh else replace(found.place, mesh=mesh)
+        found = correct(curve, place, aim, found.place)
     return found

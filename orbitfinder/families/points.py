@@ -228,8 +228,7 @@ def piecewise_defect(
     The growth of a piece is the 2-norm of its state-transition matrix.
     """
     place, size = found.place, curve.propagator.size
-    count = len(place.nodes)
-    durations = np.diff(place.mesh[:: (place.mesh.size - 1) // count]) * place.period
+    durations = np.diff(place.edges) * place.period
     ends = check.ends(place.nodes, durations, free)
     boundary = curve.first @ place.nodes[0] + curve.last @ ends[-1] - curve.constant
     gaps = np.concatenate([(ends[:-1] - place.nodes[1:]).ravel(), boundary])

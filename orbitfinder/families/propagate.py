@@ -211,17 +211,18 @@ def step_errors(propagator: Propagator, states: np.ndarray, mesh: np.ndarray, ta
 
 
 def variation_errors(
-    propagator: Propagator, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, weights: np.ndarray
+    propagator: Propagator, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, weights: np.ndarray,
+    asked: np.ndarray,
 ) -> np.ndarray:
-    """Estimated error of every step's own state-transition matrix (M), in the units of the family's metric.
+    """Estimated error of the state-transition matrix of each step `asked` for, in the units of the family's metric.
 
     A slow motion may carry fast variations, which its own error says nothing of.
     """
-    size, count = propagator.size, mesh.size - 1
-    start = np.zeros((count, propagator.step.size1_in(0)))
-    start[:, 1 : 1 + size] = states[:-1]
+    size = propagator.size
+    start = np.zeros((len(asked), propagator.step.size1_in(0)))
+    start[:, 1 : 1 + size] = states[asked]
     start[:, 1 + size : 1 + size + size * size] = np.eye(size).ravel()
-    errors = _evaluated(propagator.trial_all, start, _parameters(mesh, tail))[:, size : size + size * size]
+    errors = _evaluated(propagator.trial_all, start, _parameters(mesh, tail)[asked])[:, size : size + size * size]
     clock = np.sqrt(weights[:size])
     scale = (clock[None, :] / clock[:, None]).ravel()  # columns first: entry (i, j) stands at j size + i
     return np.asarray((np.abs(errors) * scale).max(axis=1))

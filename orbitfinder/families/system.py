@@ -59,6 +59,11 @@ class Place:
         return np.concatenate([self.nodes[0], [self.period], self.free])
 
     @property
+    def edges(self) -> np.ndarray:
+        """Where the segments begin and end (N + 1), in periods."""
+        return self.mesh[:: (self.mesh.size - 1) // len(self.nodes)]
+
+    @property
     def tail(self) -> np.ndarray:
         """(T, s, free), the parameters of the flow."""
         return np.concatenate([[self.period], self.unfolding, self.free])
@@ -126,7 +131,7 @@ def _jacobian(curve: Curve, place: Place, path: March, phases: np.ndarray) -> np
     """Derivative of `_rows`; the period's columns follow from dx(end)/dT = (span of the segment) f(end)."""
     p, (count, size) = curve.propagator, place.nodes.shape
     cut, extra = count * size, p.columns - size
-    edges = place.mesh[:: (place.mesh.size - 1) // count]
+    edges = place.edges
     others = len(phases) + len(curve.held)
     matrix = np.zeros((cut + others + (curve.period is not None), cut + 1 + extra))
     for k in range(count):
@@ -289,7 +294,7 @@ def at_place(curve: Curve, place: Place) -> Solution:
 
 
 def blended(place: Place, other: Place, share: float) -> Place:
-    """The place a share of the way to another one, or the nearer of them where their meshes differ."""
+    """The place a share of the way to another one, or the nearer of them where their segments differ."""
     moved = displacement(place, other)
     if moved is None:
         return place if share < 0.5 else other
@@ -297,15 +302,15 @@ def blended(place: Place, other: Place, share: float) -> Place:
 
 
 def displacement(place: Place, other: Place) -> np.ndarray | None:
-    """`other` minus `place` over w, or None where their meshes differ."""
-    if place.nodes.shape != other.nodes.shape or not np.array_equal(place.mesh, other.mesh):
+    """`other` minus `place` over w, or None where their segments differ."""
+    if place.nodes.shape != other.nodes.shape or not np.array_equal(place.edges, other.edges):
         return None
     parts = [(other.nodes - place.nodes).ravel(), [other.period - place.period]]
     return np.concatenate([*parts, other.unfolding - place.unfolding, other.free - place.free])
 
 
 def bend(curve: Curve, place: Place, whole: np.ndarray, other: Place) -> np.ndarray:
-    """c of w(sigma) = w + sigma t + sigma^2 c through another place; zero where the meshes differ."""
+    """c of w(sigma) = w + sigma t + sigma^2 c through another place; zero where the segments differ."""
     moved = displacement(place, other)
     if moved is None:
         return np.zeros_like(whole)
