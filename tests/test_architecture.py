@@ -71,6 +71,7 @@ CASADI = (
     "taylor",
     "defects",
     "families.propagate",
+    "families.lanes",
     "atlas.march",
     "proof",
     "exports",

@@ -73,11 +73,11 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
     began = time.perf_counter()
     curve, place = walk.curve, stand.found.place
     head = head_of(stand.whole, place)
-    guess = replace(advanced(place, stand.whole, length, stand.curvature), mesh=stand.point.mesh)
+    guess = advanced(place, stand.whole, length, stand.curvature)
     normal = curve.weights * head
     aim = Aim(float(normal @ place.head) + length, normal)
     slope = stand.found.jacobian if stand.drift is None else stand.found.jacobian + length * stand.drift
-    raw = correct(curve, guess, aim, place, reach=0.5 * length + 1e-9, slope=slope)
+    raw = correct(curve, guess, aim, place, reach=0.5 * length + 1e-9, slope=slope, fit=regraded)
     whole = tangent(curve, raw, head)
     turn = _angle(curve, head, head_of(whole, raw.place))
     if turn > walk.settings.sharpest_turn:
@@ -96,7 +96,7 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
         "indices": last.indices,
     }
     point, found = _checked_point(walk, found, whole, where, last.about if found is raw else None)
-    point = replace(point, mesh=regraded(curve, found), wall_time=time.perf_counter() - began)
+    point = replace(point, wall_time=time.perf_counter() - began)
     probe = replace(last, distance=0.0) if found is raw else make_probe(curve, 0.0, found, whole, last.indices)
     after = Stand(
         point, found, whole, bend(curve, found.place, whole, place), trend_of(stand.point, point),

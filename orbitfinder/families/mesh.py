@@ -83,7 +83,8 @@ def remeshed(curve: Curve, found: Solution) -> Place:
     place, states = found.place, found.march.states
     density = _spread(np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
-    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
+    least = 2 if curve.propagator.symmetry.fraction == 1.0 else 1  # so that two processors share a whole period
+    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), least, MOST_SEGMENTS))
     if not density.sum() < MOST_STEPS:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each = _rounded(density.sum() / count)
@@ -101,9 +102,9 @@ def _rounded(steps: float) -> int:
 
 
 def regraded(curve: Curve, found: Solution) -> np.ndarray:
-    """The mesh of an orbit, its steps moved inside their segments to where the next orbit will need them.
+    """The mesh of an orbit, its steps moved inside their segments to where they are needed.
 
-    Nodes, and with them the equations, stay as they are: nothing has to be corrected again.
+    Nodes, and with them the equations, stay as they are: Newton's method can do so on its way.
     """
     place, errors = found.place, _errors(curve, found)
     if errors.max() < STALE * STEP_ERROR:

@@ -11,15 +11,14 @@ integrated alike and a whole segment is one call without Python.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder.buffered import Buffered
 from orbitfinder.compiled import compiled
 from orbitfinder.errors import IntegrationError
+from orbitfinder.families.lanes import STAGES, evaluated, marched
 from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, Symmetry, boundary_rows, unfolded_invariants
@@ -113,44 +112,11 @@ def _quantities(model: Model, free: tuple[str, ...]) -> tuple[ca.Function, ca.Fu
     return quantities, ca.Function("momenta", [x, chosen], momenta.call(whole))
 
 
-CHUNK = 64
-"""Columns that are evaluated in one call where they do not depend on each other"""
-
-
-@lru_cache(maxsize=256)
-def _along(step: ca.Function, steps: int) -> Buffered:
-    """All steps of one segment."""
-    return Buffered(step.mapaccum("march", steps) if steps > 1 else step)
-
-
-@lru_cache(maxsize=32)
-def _across(function: ca.Function) -> Buffered:
-    return Buffered(function.map(CHUNK))
-
-
-def _marched(step: ca.Function, starts: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-    """Every step's result (M x ...), segment after segment."""
-    steps = len(parameters) // len(starts)
-    walk = _along(step, steps)
-    found = [walk(start, parameters[k * steps : (k + 1) * steps])[0] for k, start in enumerate(starts)]
-    return np.concatenate(found)
-
-
-def _evaluated(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
-    """A function at k places (k x ...), in chunks of equal size, so that one map serves every k."""
-    count, many = len(arguments[0]), _across(function)
-    found = []
-    for begin in range(0, count, CHUNK):
-        rows = np.minimum(np.arange(begin, begin + CHUNK), count - 1)
-        found.append(many(*(one[rows] for one in arguments))[0])
-    return np.concatenate(found)[:count]
-
-
 def rates(propagator: Propagator, states: np.ndarray, tail: np.ndarray) -> np.ndarray:
     """dx/dt (k x 2n) at states (k x 2n); `tail` is (T, s, free)."""
     rest = np.tile(tail[1:], (len(states), 1))
     s, free = np.split(rest, [propagator.unfolding], axis=1)
-    return _evaluated(propagator.field, np.zeros((len(states), 1)), states, s, free)
+    return evaluated(propagator.field, 1, np.zeros((len(states), 1)), states, s, free)
 
 
 @dataclass(frozen=True)
@@ -185,7 +151,7 @@ def march(propagator: Propagator, nodes: np.ndarray, mesh: np.ndarray, tail: np.
     start = np.zeros((count, propagator.step.size1_in(0)))
     start[:, 1 : 1 + size] = nodes
     start[:, 1 + size : -1] = np.eye(size, columns).ravel("F")
-    path = _marched(propagator.step, start, _parameters(mesh, tail))
+    path = marched(propagator.step, start, _parameters(mesh, tail))
     if not np.all(np.isfinite(path)):
         raise IntegrationError("the state is not finite", segment=0, state=nodes[0])
     last = path[steps - 1 :: steps]
@@ -199,13 +165,13 @@ def glide(propagator: Propagator, nodes: np.ndarray, mesh: np.ndarray, tail: np.
     count = len(nodes)
     steps = (mesh.size - 1) // count
     start = np.column_stack([np.zeros(count), nodes])
-    return _marched(propagator.move, start, _parameters(mesh, tail))[steps - 1 :: steps, 1:]
+    return marched(propagator.move, start, _parameters(mesh, tail))[steps - 1 :: steps, 1:]
 
 
 def step_errors(propagator: Propagator, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
     """Estimated error of every step (M), relative to the size of the motion."""
     start = np.column_stack([np.zeros(mesh.size - 1), states[:-1]])
-    errors = np.abs(_evaluated(propagator.trial, start, _parameters(mesh, tail)))
+    errors = np.abs(evaluated(propagator.trial, STAGES, start, _parameters(mesh, tail)))
     extent = np.abs(states).max(axis=0)
     return np.asarray((errors / np.maximum(extent, extent.max() * 1e-2)).max(axis=1))
 
@@ -222,10 +188,10 @@ def variation_errors(
     start = np.zeros((len(asked), propagator.step.size1_in(0)))
     start[:, 1 : 1 + size] = states[asked]
     start[:, 1 + size : 1 + size + size * size] = np.eye(size).ravel()
-    errors = _evaluated(propagator.trial_all, start, _parameters(mesh, tail)[asked])[:, size : size + size * size]
+    errors = evaluated(propagator.trial_all, STAGES, start, _parameters(mesh, tail)[asked])
     clock = np.sqrt(weights[:size])
     scale = (clock[None, :] / clock[:, None]).ravel()  # columns first: entry (i, j) stands at j size + i
-    return np.asarray((np.abs(errors) * scale).max(axis=1))
+    return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
 
 
 def boundary_matrices(propagator: Propagator) -> tuple[np.ndarray, np.ndarray]:

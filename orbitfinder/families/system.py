@@ -8,6 +8,7 @@ et al., Physica D 181 (2003) 1-38).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +19,12 @@ from orbitfinder.families.propagate import March, Propagator, boundary_matrices,
 
 NEWTON_READY = 1e-11
 """Residual from which one more Newton step, not evaluated again, reaches round-off."""
-APPROACHED = 1e-12
+APPROACHED = 3e-7
 """Residual at which the approach with an old Jacobian hands over to Newton's method."""
+FITTING = 1e-4
+"""Residual below which an orbit is known well enough to fit a mesh to it."""
+FEWEST_STEPS = 16
+"""Steps of a segment from which on the approach takes only half of them."""
 NEWTON_FLOOR = 1e-9
 """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
 MOST_NEWTON = 12
@@ -190,11 +195,12 @@ def _moved(place: Place, step: np.ndarray) -> Place:
 def _approached(
     curve: Curve, guess: Place, aim: Aim, phases: np.ndarray, reference: Place, slope: np.ndarray
 ) -> Place:
-    """The guess improved by Broyden's method on marches of the state alone, from the Jacobian `slope`.
+    """The guess improved by Broyden's method on marches of the state alone, in long steps, from the Jacobian `slope`.
 
     Stops where a step no longer helps.
     """
-    place, best = guess, np.inf
+    steps = (guess.mesh.size - 1) // len(guess.nodes)
+    place, best = replace(guess, mesh=guess.mesh[:: 2 if steps % 2 == 0 and steps >= FEWEST_STEPS else 1]), np.inf
     matrix = np.vstack([slope, np.zeros((1, slope.shape[1]))])
     cut, size = guess.nodes.size, curve.propagator.size
     matrix[cut : cut + len(phases), :size] = phases
@@ -214,18 +220,19 @@ def _approached(
         if largest < APPROACHED:
             break
         place = _moved(place, method.step(rows))
-    return kept
+    return replace(kept, mesh=guess.mesh)
 
 
 def correct(
     curve: Curve, guess: Place, aim: Aim, reference: Place | None = None, reach: float = 1.0,
-    slope: np.ndarray | None = None,
+    slope: np.ndarray | None = None, fit: Callable[[Curve, Solution], np.ndarray] | None = None,
 ) -> Solution:
     """Newton from a guess onto the family where the aim is met.
 
     `reference` carries the phase condition; `reach` bounds how far (in the family's metric) the
-    result may be from the guess; `slope` is the Jacobian of an orbit nearby on the same mesh, with
-    which most of the way is cheap. Raises `ConvergenceError` or `IntegrationError`.
+    result may be from the guess; `slope` is the Jacobian of an orbit nearby over the same segments, with
+    which most of the way is cheap; `fit` gives a better mesh over these segments once the orbit is nearly
+    known. Raises `ConvergenceError` or `IntegrationError`.
     """
     reference = reference or guess
     phases = phase_rows(curve, reference)
@@ -245,12 +252,15 @@ def correct(
             step = -Factors(np.vstack([jacobian, last])).solve(rows)
         except np.linalg.LinAlgError:
             step = np.linalg.lstsq(np.vstack([jacobian, last]), -rows, rcond=1e-12)[0]
-        place = _moved(place, step)
+        moved = _moved(place, step)
         if ready:
-            return Solution(place, path, jacobian, iteration, largest)
-        if not distance(curve, place.head, guess.head) < reach or not place.period > 0:
+            return Solution(moved, path, jacobian, iteration, largest)
+        if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
-        previous = largest
+        if fit is not None and largest < FITTING:
+            moved = replace(moved, mesh=fit(curve, Solution(place, path, jacobian, iteration, largest)))
+            fit = None
+        place, previous = moved, largest
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
 
 

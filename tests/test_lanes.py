@@ -1,0 +1,61 @@
+"""Work shared between processors: the same numbers in the same order whatever the number of lanes."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from orbitfinder.errors import IntegrationError
+from orbitfinder.families import lanes
+from orbitfinder.flow import build_flow
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.runge_kutta import step_of, variational_field
+
+
+@pytest.fixture(scope="module")
+def step():
+    return step_of(variational_field(build_flow(chain(2)).field))
+
+
+@pytest.mark.parametrize("segments", [1, 2, 5, 9])
+def test_marches_do_not_depend_on_the_lanes(step, segments, monkeypatch):
+    random, steps = np.random.default_rng(0), 12
+    starts = random.normal(size=(segments, step.size1_in(0)))
+    parameters = np.tile([0.01, *np.zeros(step.size1_in(1) - 1)], (segments * steps, 1))
+    monkeypatch.setattr(lanes, "LANES", 1)
+    alone = lanes.marched(step, starts, parameters)
+    monkeypatch.setattr(lanes, "LANES", 3)
+    monkeypatch.setattr(lanes, "WORTH", 0.0)
+    lanes._pool.cache_clear()
+    for _ in range(20):
+        np.testing.assert_array_equal(lanes.marched(step, starts, parameters), alone)
+    expected = step.mapaccum(steps)(starts[-1], parameters[:steps].T).full().T
+    np.testing.assert_array_equal(alone[-steps:], expected)
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 300])
+def test_evaluations_do_not_depend_on_the_chunks(count, monkeypatch):
+    x = ca.SX.sym("x", 3)
+    function = ca.Function("f", [x], [ca.sin(x) * x[0]])
+    places = np.random.default_rng(1).normal(size=(count, 3))
+    monkeypatch.setattr(lanes, "LANES", 4)
+    monkeypatch.setattr(lanes, "WORTH", 0.0)
+    lanes._pool.cache_clear()
+    found = lanes.evaluated(function, 1, places)
+    np.testing.assert_array_equal(found, function.map(count)(places.T).full().T)
+
+
+def test_failure_in_a_lane_is_the_callers(monkeypatch):
+    def task(lane):
+        if lane == 1:
+            raise IntegrationError("lane 1")
+        return [np.zeros(1)]
+
+    lanes._pool.cache_clear()
+    with pytest.raises(IntegrationError, match="lane 1"):
+        lanes._shared(task, 2, 2)
+
+
+def test_little_work_stays_in_one_lane(step, monkeypatch):
+    monkeypatch.setattr(lanes, "LANES", 4)
+    assert lanes._lanes(step, 8, 1) == 1
+    assert lanes._lanes(step, 8, 10_000) == 4 and lanes._lanes(step, 2, 10_000) == 2
