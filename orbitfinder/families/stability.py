@@ -65,15 +65,18 @@ def _resolved(floquet: Floquet) -> Floquet:
     A product of norm 1e12 knows its largest eigenvalue to round-off and one of 1e-12 not at all; the
     pair defect is then that of the pairs which are resolved, and the verdict that of the largest.
     """
-    mu = floquet.multipliers.copy()
+    mu = floquet.multipliers.copy()  # the largest first
     largest = float(np.abs(mu).max(initial=1.0))
     if largest < UNRESOLVED:
         return floquet
-    first, second = reciprocal_pairs(mu)
-    known = np.abs(mu[first]) < UNRESOLVED
-    defect = float(np.abs(mu[first] * mu[second] - 1.0)[known].max(initial=0.0))
-    mu[second[~known]] = 1.0 / mu[first[~known]]
-    return Floquet(mu, defect, mu[first] + mu[second], "unstable")
+    told = 1e-3 / (np.finfo(float).eps * largest)
+    large = min(int(np.sum(np.abs(mu) > np.clip(told, 1.0, UNRESOLVED))), mu.size // 2)
+    middle = slice(large, mu.size - large)
+    first, second = reciprocal_pairs(mu[middle])
+    defect = float(np.abs(mu[middle][first] * mu[middle][second] - 1.0).max(initial=0.0))
+    mu[mu.size - large :] = 1.0 / mu[:large][::-1]
+    indices = np.concatenate([mu[:large] + 1.0 / mu[:large], mu[middle][first] + mu[middle][second]])
+    return Floquet(mu, defect, indices, "unstable")
 
 
 def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:

@@ -152,7 +152,7 @@ def multipliers_along(family: Family) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True)
     values = family.values("value")
     sizes = np.abs(np.stack([point.floquet_multipliers for point in family.points]))
-    upper.semilogy(values, np.maximum(sizes, 1e-12), ".", color=COLOURS[0], markersize=3)
+    upper.semilogy(values, np.maximum(sizes, 1e-300), ".", color=COLOURS[0], markersize=3)
     indices = np.stack([point.indices for point in family.points])
     for k in range(indices.shape[1]):
         lower.plot(values, indices[:, k].real, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
