@@ -10,7 +10,7 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.points import End, FamilyPoint, FamilySettings
-from orbitfinder.families.propagate import rates
+from orbitfinder.families.propagate import invariants_at, rates
 from orbitfinder.families.start import full_samples
 from orbitfinder.families.system import Aim, Curve, Place, Solution, at_place, blended, correct, distance
 from orbitfinder.periodic.symmetry import recognise
@@ -98,7 +98,7 @@ def shortest_step(curve: Curve, found: Solution, settings: FamilySettings, short
 
 
 def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
-    energy = float(curve.propagator.quantities(found.place.nodes[0], found.place.free)[0].full()[0, 0])
+    energy = float(invariants_at(curve.propagator, found.place.nodes[0], found.place.free)[0][0])
     n = state.size // 2
     where = np.array2string(state[:n], precision=4, suppress_small=True)
     return End(
@@ -179,7 +179,7 @@ def merged(curve: Curve, place: Place) -> End | None:
     A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
     """
     found = at_place(curve, place)
-    energy = float(curve.propagator.quantities(place.nodes[0], place.free)[0].full()[0, 0])
+    energy = float(invariants_at(curve.propagator, place.nodes[0], place.free)[0][0])
     where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
     times, states = full_samples(curve, found)
     angles = np.asarray(curve.propagator.model.angles)

@@ -37,6 +37,16 @@ def _across(function: ca.Function, lane: int) -> Buffered:
     return Buffered(function.map(CHUNK))
 
 
+@lru_cache(maxsize=128)
+def _single(function: ca.Function) -> Buffered:
+    return Buffered(function)
+
+
+def called(function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
+    """A function at one place, its outputs as CasADi has them (rows x columns)."""
+    return [one.T for one in _single(function)(*arguments)]
+
+
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max(1, LANES - 1), thread_name_prefix="orbitfinder-lane")

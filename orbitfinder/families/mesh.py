@@ -12,11 +12,11 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import rates, step_errors, variation_errors
 from orbitfinder.families.system import Aim, Curve, Place, Solution, correct
 
-STEP_ERROR = 2e-13
+STEP_ERROR = 5e-13
 """Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is some 100 times smaller."""
-COARSE = 20.0
+COARSE = 10.0
 """A mesh is kept until some step's estimate is this many times as large."""
-VARIATION_ERROR = 1e-10
+VARIATION_ERROR = 2e-10
 """Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
 SPARE = 5.0
 """A mesh is looked at again when the motion alone would do with this many times fewer steps."""
@@ -25,7 +25,7 @@ STALE = 5.0
 UNEVEN = 1.4
 """... unless a segment needs this many times the steps of an average one."""
 SAMPLED = 3
-"""One in so many steps is asked for the error of its state-transition matrix."""
+"""One in so many steps is asked for the error of its state-transition matrix, and whether the mesh still fits."""
 WIDENED = 3
 """Steps over which the density of a fresh mesh is spread."""
 GROWTH = 30.0
@@ -37,16 +37,20 @@ MOST_STEPS = 6000
 
 def needs_mesh(curve: Curve, found: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
-    errors, growths = _errors(curve, found), _growths(curve, found)
-    if errors.max() > COARSE * STEP_ERROR or growths.max() > 4 * GROWTH:
+    some, growths = _errors(curve, found, SAMPLED), _growths(curve, found)
+    if some.max() > COARSE * STEP_ERROR or growths.max() > 4 * GROWTH:
         return True
-    if not _density(errors).sum() * SPARE < errors.size:
+    if not _density(some).sum() * SPARE < some.size:
         return False
+    errors = _errors(curve, found)
     return bool(wanted_steps(curve, found, errors).sum() < 0.5 * errors.size)
 
 
-def _errors(curve: Curve, found: Solution) -> np.ndarray:
-    return step_errors(curve.propagator, found.march.states, found.place.mesh, found.place.tail)
+def _errors(curve: Curve, found: Solution, every: int = 1) -> np.ndarray:
+    """Estimated errors of all steps, or of one in so many."""
+    place = found.place
+    asked = np.arange(0, place.mesh.size - 1, every)
+    return step_errors(curve.propagator, found.march.states, place.mesh, place.tail, asked)
 
 
 def _growths(curve: Curve, found: Solution) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 from orbitfinder import display
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.closure import ClosureCheck
+from orbitfinder.families.propagate import invariants_at
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.families.system import Curve, Place, Solution
 
@@ -169,7 +170,7 @@ def parameter_value(curve: Curve, place: Place, name: str) -> float:
     if name == "period":
         return place.period
     if name == "energy":
-        return float(p.quantities(place.nodes[0], place.free)[0].full()[0, 0])
+        return float(invariants_at(p, place.nodes[0], place.free)[0][0])
     return float(place.nodes[0][p.model.state_index(name)])
 
 

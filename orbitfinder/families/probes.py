@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from orbitfinder.families.propagate import invariants_at
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.system import Aim, Curve, Place, Solution, advanced, bend, correct, head_of, tangent
 
@@ -86,7 +87,7 @@ class Interval:
 def parameter_slopes(curve: Curve, place: Place, head: np.ndarray) -> dict[str, float]:
     """d/ds of energy, period and every freed parameter along a direction over the head."""
     p, size = curve.propagator, curve.propagator.size
-    _, slope, free = (part.full() for part in p.quantities(place.nodes[0], place.free))
+    _, slope, free = invariants_at(p, place.nodes[0], place.free)
     energy = float(slope[0] @ head[:size] + free[0] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.free)}

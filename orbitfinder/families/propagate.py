@@ -18,7 +18,7 @@ import numpy as np
 
 from orbitfinder.compiled import compiled
 from orbitfinder.errors import IntegrationError
-from orbitfinder.families.lanes import STAGES, evaluated, marched
+from orbitfinder.families.lanes import STAGES, called, evaluated, marched
 from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, Symmetry, boundary_rows, unfolded_invariants
@@ -119,6 +119,24 @@ def rates(propagator: Propagator, states: np.ndarray, tail: np.ndarray) -> np.nd
     return evaluated(propagator.field, 1, np.zeros((len(states), 1)), states, s, free)
 
 
+def rate_at(propagator: Propagator, x: np.ndarray, unfolding: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """dx/dt (2n) at one state."""
+    return called(propagator.field, 0.0, x, unfolding, free)[0].ravel()
+
+
+def invariants_at(
+    propagator: Propagator, x: np.ndarray, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The invariants (k) at one state, their derivatives by the state (k x 2n) and by freed parameters (k x f)."""
+    values, slopes, by_free = called(propagator.quantities, x, free)
+    return values.ravel(), slopes, by_free
+
+
+def momentum_slopes(propagator: Propagator, x: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """The Jacobian (2n x 2n) of (q, momentum) in (q, v) at one state."""
+    return called(propagator.momenta, x, free)[0]
+
+
 @dataclass(frozen=True)
 class March:
     """What one integration of all segments gives.
@@ -168,10 +186,12 @@ def glide(propagator: Propagator, nodes: np.ndarray, mesh: np.ndarray, tail: np.
     return marched(propagator.move, start, _parameters(mesh, tail))[steps - 1 :: steps, 1:]
 
 
-def step_errors(propagator: Propagator, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
-    """Estimated error of every step (M), relative to the size of the motion."""
-    start = np.column_stack([np.zeros(mesh.size - 1), states[:-1]])
-    errors = np.abs(evaluated(propagator.trial, STAGES, start, _parameters(mesh, tail)))
+def step_errors(
+    propagator: Propagator, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, asked: np.ndarray
+) -> np.ndarray:
+    """Estimated error of each step `asked` for, relative to the size of the motion."""
+    start = np.column_stack([np.zeros(len(asked)), states[asked]])
+    errors = np.abs(evaluated(propagator.trial, STAGES, start, _parameters(mesh, tail)[asked]))
     extent = np.abs(states).max(axis=0)
     return np.asarray((errors / np.maximum(extent, extent.max() * 1e-2)).max(axis=1))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from orbitfinder.families.propagate import invariants_at, momentum_slopes, rate_at
 from orbitfinder.families.system import Curve, Solution
 from orbitfinder.periodic.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
 
@@ -103,8 +104,8 @@ def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
 def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
     """A^-1 by symplecticity, C A^-1 C'^-1 = -J (C' A C^-1)^T J in canonical coordinates."""
     place, end = found.place, found.march.ends[-1]
-    before = curve.propagator.momenta(place.nodes[0], place.free).full()
-    after = curve.propagator.momenta(end, place.free).full()
+    before = momentum_slopes(curve.propagator, place.nodes[0], place.free)
+    after = momentum_slopes(curve.propagator, end, place.free)
     canonical = after @ matrix @ np.linalg.inv(before)
     unit = _symplectic_unit(len(matrix) // 2)
     return np.asarray(np.linalg.solve(before, -unit @ canonical.T @ unit @ after))
@@ -118,9 +119,9 @@ def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of the invariants and symmetry directions, the flow first, at x(0)."""
     p, place = curve.propagator, found.place
     x, n = place.nodes[0], p.size // 2
-    directions = [p.field(0.0, x, place.unfolding, place.free).full().ravel()]
+    directions = [rate_at(p, x, place.unfolding, place.free)]
     directions += [one(x[:n], x[n:], p.model.parameter_values).full().ravel() for one in p.generators]
-    gradients = p.quantities(x, place.free)[1].full() if p.model.invariants else np.zeros((0, p.size))
+    gradients = invariants_at(p, x, place.free)[1] if p.model.invariants else np.zeros((0, p.size))
     return gradients, np.asarray(directions)
 
 
@@ -133,7 +134,7 @@ def _basis(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 def _form(curve: Curve, x: np.ndarray, free: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """The symplectic form J, in canonical coordinates, on the space that a basis spans."""
-    lift = curve.propagator.momenta(x, free).full() @ basis
+    lift = momentum_slopes(curve.propagator, x, free) @ basis
     return np.asarray(lift.T @ _symplectic_unit(len(lift) // 2) @ lift)
 
 

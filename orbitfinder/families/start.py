@@ -14,7 +14,15 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.mesh import remeshed, settled
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.propagate import FORMULATIONS, Propagator, boundary_matrices, build_propagator, march, rates
+from orbitfinder.families.propagate import (
+    FORMULATIONS,
+    Propagator,
+    boundary_matrices,
+    build_propagator,
+    invariants_at,
+    march,
+    rates,
+)
 from orbitfinder.families.system import (
     Aim,
     Curve,
@@ -163,7 +171,7 @@ def curve_at(
         else:
             constant[n:] = _half_turns(model, end)
             constant[:n] = _half_turns(model, first) if name == "reversal" else 0.0
-    values = propagator.quantities(place.nodes[0], place.free)[0].full().ravel()
+    values = invariants_at(propagator, place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     fixed = tuple((names.index(one), float(values[names.index(one)])) for one in held if one in names)
     fixed = _independent(propagator, fixed)
@@ -206,7 +214,7 @@ def _first_aim(curve: Curve, place: Place, problem: Problem, free: tuple[str, ..
         return Aim(one.value, unit[problem.model.state_index(one.name)])
     names = [invariant.name for invariant in problem.model.invariants]
     k = names.index(one.name) if one is not None and one.name in names else 0
-    value = float(p.quantities(place.nodes[0], place.free)[0].full()[k, 0]) if one is None else one.value
+    value = float(invariants_at(p, place.nodes[0], place.free)[0][k]) if one is None else one.value
     return Aim(value, invariant=k)
 
 
@@ -323,6 +331,6 @@ def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple
     fresh = replace(fresh, mesh=np.linspace(0.0, propagator.symmetry.fraction, len(fresh.nodes) * steps + 1))
     unit = np.eye(old.weights.size)
     aim = Aim(float(place.free[0]), unit[-1]) if free else Aim(
-        float(old.propagator.quantities(place.nodes[0], place.free)[0].full()[0, 0]), invariant=0
+        float(invariants_at(old.propagator, place.nodes[0], place.free)[0][0]), invariant=0
     )  # fmt: skip
     return corrected(curve, fresh, aim)

@@ -15,7 +15,15 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.linear import Broyden, Factors
-from orbitfinder.families.propagate import March, Propagator, boundary_matrices, glide, march
+from orbitfinder.families.propagate import (
+    March,
+    Propagator,
+    boundary_matrices,
+    glide,
+    invariants_at,
+    march,
+    rate_at,
+)
 
 NEWTON_READY = 1e-11
 """Residual from which one more Newton step, not evaluated again, reaches round-off."""
@@ -111,7 +119,7 @@ def phase_rows(curve: Curve, reference: Place) -> np.ndarray:
     p, size = curve.propagator, curve.propagator.size
     x, found = reference.nodes[0], []
     if p.symmetry.time_phase:
-        found.append(p.field(0.0, x, reference.unfolding, reference.free).full().ravel())
+        found.append(rate_at(p, x, reference.unfolding, reference.free))
     if p.symmetry.other_phases:
         values = p.model.parameter_values
         found += [one(x[: size // 2], x[size // 2 :], values).full().ravel() for one in p.generators]
@@ -125,7 +133,7 @@ def _rows(curve: Curve, place: Place, ends: np.ndarray, phases: np.ndarray, refe
     rows = [(ends[:-1] - nodes[1:]).ravel(), curve.first @ nodes[0] + curve.last @ ends[-1] - curve.constant]
     rows.append(phases @ (nodes[0] - reference.nodes[0]))
     if curve.held:
-        values = curve.propagator.quantities(nodes[0], place.free)[0].full().ravel()
+        values = invariants_at(curve.propagator, nodes[0], place.free)[0]
         rows.append(np.array([values[k] - value for k, value in curve.held]))
     if curve.period is not None:
         rows.append(np.array([place.period - curve.period]))
@@ -140,7 +148,7 @@ def _jacobian(curve: Curve, place: Place, path: March, phases: np.ndarray) -> np
     others = len(phases) + len(curve.held)
     matrix = np.zeros((cut + others + (curve.period is not None), cut + 1 + extra))
     for k in range(count):
-        rate = p.field(0.0, path.ends[k], place.unfolding, place.free).full().ravel()
+        rate = rate_at(p, path.ends[k], place.unfolding, place.free)
         block = np.column_stack([path.sensitivities[k], rate * (edges[k + 1] - edges[k])])
         left = np.eye(size) if k < count - 1 else curve.last
         rows = slice(k * size, (k + 1) * size)
@@ -153,7 +161,7 @@ def _jacobian(curve: Curve, place: Place, path: March, phases: np.ndarray) -> np
     matrix[cut - size : cut, :size] += curve.first
     matrix[cut : cut + len(phases), :size] = phases
     if curve.held:
-        _, slope, free = (part.full() for part in p.quantities(place.nodes[0], place.free))
+        _, slope, free = invariants_at(p, place.nodes[0], place.free)
         chosen = [k for k, _ in curve.held]
         matrix[cut + len(phases) : cut + others, :size] = slope[chosen]
         matrix[cut + len(phases) : cut + others, matrix.shape[1] - free.shape[1] :] = free[chosen]
@@ -175,9 +183,9 @@ def _spread(head: np.ndarray, place: Place) -> np.ndarray:
 def _aim(curve: Curve, place: Place, aim: Aim) -> tuple[float, np.ndarray]:
     if aim.normal is not None:
         return float(aim.normal @ place.head - aim.value), _spread(aim.normal, place)
-    value, slope, free = (part.full() for part in curve.propagator.quantities(place.nodes[0], place.free))
+    value, slope, free = invariants_at(curve.propagator, place.nodes[0], place.free)
     k = aim.invariant or 0
-    return float(value[k, 0] - aim.value), _spread(np.concatenate([slope[k], [0.0], free[k]]), place)
+    return float(value[k] - aim.value), _spread(np.concatenate([slope[k], [0.0], free[k]]), place)
 
 
 def _moved(place: Place, step: np.ndarray) -> Place:
