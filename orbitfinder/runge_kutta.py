@@ -91,12 +91,13 @@ def refined_march(
 
 
 @lru_cache(maxsize=64)
-def variational_field(field: ca.Function, quadrature: ca.Function | None = None) -> ca.Function:
+def variational_field(field: ca.Function, quadrature: ca.Function | None = None, products: bool = False) -> ca.Function:
     """f and its variations as one field of y = (x, vec[Phi | dx/ds | dx/dfree], S), columns of length 2n.
 
     Phi' = (df/dx) Phi and w_k' = (df/dx) w_k + df/ds_k, with df/dx formed once: on the triple pendulum 849
     operations instead of the 2117 of one directional derivative per column. S' = quadrature(t, x, s, free), where
-    there is one.
+    there is one. With `products` (df/dx) Phi is a matrix product, which interpreted takes three quarters of the time
+    and compiled twice as long.
     """
     symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
     inputs = [symbol(name, field.size1_in(k)) for k, name in enumerate(("t", "x", "s", "free"))]
@@ -108,7 +109,7 @@ def variational_field(field: ca.Function, quadrature: ca.Function | None = None)
     outputs = [rate, slopes, forcing, added]
     if not field.is_a("SXFunction"):
         return _with_columns(ca.Function("slopes", inputs, outputs), size, extra)
-    if size > WIDE:
+    if size > WIDE or products:
         return _with_columns(ca.Function("slopes", inputs, ca.cse(outputs), NOT_INLINED), size, extra)
     columns = ca.SX.sym("columns", size, size + extra)
     found = ca.cse([rate, slopes @ columns + ca.horzcat(ca.SX(size, size), forcing), added])

@@ -30,6 +30,8 @@ WIDENED = 3
 """Steps over which the density of a fresh mesh is spread."""
 GROWTH = 30.0
 """Segments are added until each one's state-transition matrix is below this."""
+STEEPEST = 3000.0
+"""... which is done when one has grown to this: with the segments moved at every orbit no predictor would hold."""
 MOST_SEGMENTS = 60
 MOST_STEPS = 6000
 """A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
@@ -38,7 +40,7 @@ MOST_STEPS = 6000
 def needs_mesh(curve: Curve, found: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
     some, growths = _errors(curve, found, SAMPLED), _growths(curve, found)
-    if some.max() > COARSE * STEP_ERROR or growths.max() > 4 * GROWTH:
+    if some.max() > COARSE * STEP_ERROR or growths.max() > STEEPEST:
         return True
     if not _density(some).sum() * SPARE < some.size:
         return False
@@ -147,7 +149,7 @@ def settled(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
         if not needs_mesh(curve, found):
             break
         aim, mesh = Aim(float(normal @ found.place.head), normal), found.place.mesh
-        if _growths(curve, found).max() <= 4 * GROWTH:
+        if _growths(curve, found).max() <= STEEPEST:
             mesh = regraded(curve, found)
         place = remeshed(curve, found) if mesh is found.place.mesh else replace(found.place, mesh=mesh)
         found = correct(curve, place, aim, found.place)

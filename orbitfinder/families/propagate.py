@@ -69,7 +69,10 @@ def build_propagator(model: Model, symmetry: str = "none", free: tuple[str, ...]
     boundary = FORMULATIONS[symmetry]
     unfolded = unfolded_invariants(model, boundary)
     field = vector_field(model, free, unfolded)
-    whole = variational_field(field, _action_rate(model, field, free))
+    action = _action_rate(model, field, free)
+    whole = variational_field(field, action)
+    if not compiled(step_of(whole), effort=EFFORT).is_a("External"):
+        whole = variational_field(field, action, products=True)
     step, move, trial_all, trial = (
         compiled(step_of(one, error), effort=EFFORT) for error in (False, True) for one in (whole, field)
     )
