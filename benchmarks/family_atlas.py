@@ -82,8 +82,8 @@ upright saddle, 156.8 J above hanging."""),
     Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 60", """A five-bar under gravity, slow mode,
 in minimal coordinates; the family folds at -8 J and comes back unstable."""),
     Entry("five-bar-fast", "problems/families/five-bar-fast.toml --points 60", "The same five-bar, fast mode."),
-    Entry("five-bar-length", "problems/families/five-bar-length.toml --parameter length3 --until 2.2", """The slow mode at one energy while
-the length of a bar varies, the loop closed anew at every length."""),
+    Entry("five-bar-length", "problems/families/five-bar-length.toml --parameter length3 --until 2.2",
+          """The slow mode at one energy while the length of a bar varies, the loop closed anew at every length."""),
     Entry("henon-heiles-straight", "problems/families/henon-heiles-straight.toml --points 100", """The straight line of
 Hénon-Heiles up to the saddle at E = 1/6, with its cascade of stability changes."""),
     Entry("henon-heiles-curved", "problems/families/henon-heiles-curved.toml --points 60", """A curved brake orbit of
