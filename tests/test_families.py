@@ -8,12 +8,14 @@ import textwrap
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.special import ellipk
 
 from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.families import events
 from orbitfinder.families.branching import switch
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.command import continue_command
@@ -353,13 +355,21 @@ def test_broken_piece_is_refused(wild):
         make_point(walk.curve, moved, point.tangent, "energy", walk.check, index=0, arclength=0.0, step=0.1)
 
 
-def test_no_bifurcations_out_of_round_off(wild):
-    """Where the largest multiplier blurs the stability indices no passage of theirs is reported."""
-    walk, point = wild
-    settings = FamilySettings(points=3)
-    onward = Walk(walk.curve, settings, 1, replace(point, index=0, arclength=0.0, role="step"))
-    kinds = {event.kind for batch in follow(onward) for event in batch.events}
-    assert kinds <= {"fold"}
+def test_no_bifurcations_out_of_round_off(monkeypatch):
+    """Where the largest multiplier blurs the stability indices none of their passages is looked for."""
+
+    def probe(index, largest):
+        floquet = SimpleNamespace(multipliers=np.array([largest, 1 / largest]))
+        return SimpleNamespace(indices=np.array([index + 0j]), about=SimpleNamespace(floquet=floquet))
+
+    def looked(interval):
+        raise LookupError
+
+    monkeypatch.setattr(events, "strips", looked)
+    blurred, clear = (SimpleNamespace(first=probe(1.9, size), last=probe(2.1, size)) for size in (1e12, 1e3))
+    assert events.bifurcations(blurred, 6) == []
+    with pytest.raises(LookupError):
+        events.bifurcations(clear, 6)
 
 
 @pytest.mark.slow
