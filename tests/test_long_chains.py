@@ -15,11 +15,11 @@ from orbitfinder.flow import build_flow, transition
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.chain_lagrange import chain_lagrange
 from orbitfinder.mechanics.model import energies
+from orbitfinder.periodic import certify as certifying
 from orbitfinder.periodic import chain_evidence, harmonic_balance, quarter
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.chain_evidence import gather_chain
+from orbitfinder.periodic.certify import certify, gather
 from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.evidence import gather, is_long
+from orbitfinder.periodic.evidence import is_long
 from orbitfinder.periodic.guesses import normal_mode
 from orbitfinder.periodic.harmonic_balance import Series
 from orbitfinder.periodic.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
@@ -199,13 +199,14 @@ def test_agrees_with_the_ordinary_search(links, amplitude):
     assert found.pair_defect <= 1e-8
 
 
-def test_evidence_agrees_with_hamiltons_equations():
+def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     """Closed form and generic Hamiltonian certificate say the same of one orbit of eight links."""
     problem = mode_problem(8, 0.5)
     orbit = find_long_chain(problem, BARE)
     turns = np.zeros(8, int)
     generic = gather(problem.model, orbit.state, orbit.period, turns)
-    found = gather_chain(problem.model, orbit.state, orbit.period, turns)
+    monkeypatch.setattr(certifying, "is_long", lambda _: True)
+    found = gather(problem.model, orbit.state, orbit.period, turns)
     assert max(generic.closure, found.closure) <= 1e-12
     assert found.action == pytest.approx(generic.action, rel=1e-11)
     assert found.energy == pytest.approx(generic.energy, rel=1e-13)
@@ -216,34 +217,34 @@ def test_evidence_agrees_with_hamiltons_equations():
 
 def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
     """Of a reflection symmetric motion; one that is not at -x(0) after T/2 is followed all the way."""
-    lengths, integrate = [], chain_evidence.integrate
+    lengths, transitions = [], chain_evidence._transitions
 
-    def noted(field, start, times, *others):
-        lengths.append(times[-1] / twelve.period)
-        return integrate(field, start, times, *others)
+    def noted(closed, state, duration, units):
+        lengths.append(duration / twelve.period)
+        return transitions(closed, state, duration, units)
 
-    monkeypatch.setattr(chain_evidence, "integrate", noted)
+    monkeypatch.setattr(chain_evidence, "_transitions", noted)
     turns = np.zeros(12, int)
-    half = gather_chain(chain(12), twelve.state, twelve.period, turns)
-    assert lengths == [1.0, 0.5]
+    half = gather(chain(12), twelve.state, twelve.period, turns)
+    assert lengths == [0.5]
     monkeypatch.setattr(chain_evidence, "REFLECTED", -1.0)
-    whole = gather_chain(chain(12), twelve.state, twelve.period, turns)
-    assert lengths == [1.0, 0.5, 1.0, 1.0]
+    whole = gather(chain(12), twelve.state, twelve.period, turns)
+    assert lengths == [0.5, 1.0]
     assert largest_difference(half.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
     assert half.symplectic <= 1e-9 and half.trivial <= 1e-9
     monkeypatch.undo()
-    monkeypatch.setattr(chain_evidence, "integrate", noted)
-    gather_chain(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)
+    monkeypatch.setattr(chain_evidence, "_transitions", noted)
+    gather(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)
     assert lengths[-1] == pytest.approx(1.0)
 
 
 def test_evidence_without_gravity_knows_the_angular_momentum():
     """Four trivial multipliers are removed, two where the flow is the rotation itself."""
     model, turning = chain(11, gravity=0.0), np.concatenate([np.zeros(11), np.full(11, 0.7)])
-    rigid = gather_chain(model, turning, 0.1, np.zeros(11, int))
+    rigid = gather(model, turning, 0.1, np.zeros(11, int))
     assert rigid.trivial <= 1e-9 and rigid.symplectic <= 1e-10
     assert rigid.floquet.multipliers.size == 20
-    bent = gather_chain(model, turning + np.linspace(0, 0.3, 22), 0.1, np.zeros(11, int))
+    bent = gather(model, turning + np.linspace(0, 0.3, 22), 0.1, np.zeros(11, int))
     assert bent.floquet.multipliers.size == 18 and bent.symplectic <= 1e-10
 
 

@@ -16,8 +16,9 @@ from orbitfinder.atlas.signature import Signature, resampled
 from orbitfinder.atlas.starts import Bench, Start, make_start, strategy_of
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.certify import certify, gap, return_distances
+from orbitfinder.periodic.certify import certified, return_distances
 from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.evidence import gap
 from orbitfinder.periodic.floquet import analyse, reduce_monodromy
 from orbitfinder.periodic.measure import action, frame, full_period
 from orbitfinder.periodic.orbit import Orbit
@@ -109,10 +110,11 @@ def finished(
     if known is not None and known(loop.numbers):
         return Attempt(start.index, start.strategy, signature)
     orbit = replace(measured(one, loop), provenance=origin(seed, start), name=name_of(one, seed, start))
-    certificate = certify(orbit, one.model)
-    if not certificate.passed:
-        return Attempt(start.index, start.strategy, reason=f"not certified: {', '.join(certificate.failures)}")
-    return Attempt(start.index, start.strategy, signature, replace(orbit, certificate=certificate))
+    orbit = certified(orbit, one.model)
+    if orbit.certificate is not None and not orbit.certificate.passed:
+        failed = ", ".join(orbit.certificate.failures)
+        return Attempt(start.index, start.strategy, reason=f"not certified: {failed}")
+    return Attempt(start.index, start.strategy, signature, orbit)
 
 
 def name_of(one: Bench, seed: int, start: Start) -> str:

@@ -104,6 +104,13 @@ class ChainLagrange:
             [self.modes.T @ slope, self.modes.T @ self.mass_matrix(q)],
         ])  # fmt: skip
 
+    def canonical(self, states: np.ndarray) -> np.ndarray:
+        """(eta, pi) along states (k x 2n): the coordinates of `momentum_frame`."""
+        q, v = np.split(states, 2, axis=1)
+        cosine, sine = np.cos(q), np.sin(q)
+        momenta = cosine * ((v * cosine) @ self.coupling) + sine * ((v * sine) @ self.coupling)
+        return np.hstack([q @ self.coupling @ self.modes, momenta @ self.modes])
+
     def energies(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kinetic and potential energy (k each, J) along states (k x 2n), the potential without its constant."""
         q, v = np.split(np.atleast_2d(states), 2, axis=1)

@@ -15,72 +15,62 @@ from scipy.integrate import trapezoid
 
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
 from orbitfinder.mechanics.model import Model, energies
-from orbitfinder.periodic.evidence import SAMPLES, Evidence, gap
-from orbitfinder.periodic.floquet import analyse, reduce_monodromy
-from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, integrate
+from orbitfinder.periodic.evidence import SAMPLES, Motion, evenly, integrate_in, units_of
+from orbitfinder.reference import SECOND, STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings
 
 LONGEST_PHASE = 0.15
 """Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
 8e-13."""
 REFLECTED = 1e-9
-"""rad and rad/s: x(T/2) is this near to -x(0) where half a period stands for the whole"""
+"""x(T/2) is this near to -x(0), in extents of the motion, where half a period stands for the whole"""
+PIECES_OF_HALF = 4
+"""State-transition matrices in what is integrated: each start costs a few short steps with all columns"""
 
 
-def gather_chain(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, settings: ReferenceSettings = TIGHTEST
-) -> Evidence:
-    """`Evidence` of a state (2n) and a period of a long chain.
+def chain_motion(
+    model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray,
+    settings: ReferenceSettings = TIGHTEST,
+) -> Motion:
+    """The `Motion` of a state (2n) of a long chain, its canonical coordinates those of the linear modes.
 
     The motion is integrated at `settings`, its variations (2n columns) at the second tolerance, which
     keeps eight digits of the multipliers and saves half the steps. Where the motion found here is at -x(0)
     after half a period, the equations take the second half from the first: Phi(T) = Phi(T/2)^2.
     """
-    closed = chain_lagrange(model)
-    times = np.linspace(0.0, period, SAMPLES + 1)
+    closed, n = chain_lagrange(model), turns.size
+    masses = np.diag(closed.coupling)
+    units = units_of(closed.field, state, masses, period) / np.concatenate([np.ones(n), masses])
     longest = min(period / STEPS_PER_PERIOD, LONGEST_PHASE / float(np.sqrt(max(closed.squared[-1], 1e-300))))
-    states = integrate(closed.field, state, times, settings, longest)
-    kinetic, potential = energies(model, states)
-    total = kinetic + potential
-    span = float(np.ptp(potential)) + float(kinetic.max())
-    reflected = np.abs(states[SAMPLES // 2] + states[0]).max() <= REFLECTED
-    monodromy = _transition(closed, state, period / 2 if reflected else period)
-    monodromy = monodromy @ monodromy if reflected else monodromy
+    states = integrate_in(units, closed.field, state, moments, settings, longest)
+    even = states[np.searchsorted(moments, evenly(period))]
+    reflected = np.abs((even[SAMPLES // 2] + state) / units).max() <= REFLECTED
+    pieces = _transitions(closed, state, period / 2 if reflected else period, units)
     flow, turned = _canonical_directions(closed, model, state)
     directions = np.vstack([flow, *turned])
-    n = turns.size
-    gradients = np.hstack([-directions[:, n:], directions[:, :n]])
-    reduced = reduce_monodromy(monodromy, gradients, directions)
-    scale = max(1.0, float(np.abs(monodromy).max()))
-    unit = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
-    return Evidence(
-        times=times,
-        states=states,
-        closure=gap(states[0], states[-1], turns),
-        action=float(trapezoid(2.0 * kinetic, times)),
-        drift=float(np.abs(total - total[0]).max()) / max(span, 1e-3 * float(np.abs(potential).max()), 1e-300),
-        energy=float(total[0]),
-        trivial=max(_off(directions @ monodromy.T, directions), _off(gradients @ monodromy, gradients)) / scale,
-        symplectic=float(np.abs(monodromy.T @ unit @ monodromy - unit).max()) / scale**2,
-        floquet=analyse(reduced),
-        formulation="Lagrange's equations in closed form",
-    )
+    return Motion(
+        moments, states, closed.canonical(states), [*pieces, *pieces] if reflected else pieces,
+        float(trapezoid(2.0 * energies(model, even)[0], evenly(period))), flow,
+        np.hstack([-directions[:, n:], directions[:, :n]]), directions, np.ones(n),
+        closed.modes.T @ closed.coupling @ turns, "Lagrange's equations in closed form",
+    )  # fmt: skip
 
 
-def _off(found: np.ndarray, wanted: np.ndarray) -> float:
-    return float(np.abs(found - wanted).max() / max(np.abs(wanted).max(), 1e-300))
+def _transitions(closed: ChainLagrange, state: np.ndarray, duration: float, units: np.ndarray) -> list[np.ndarray]:
+    """Phi of equal pieces (2n x 2n) in the canonical coordinates of `momentum_frame`, from the linear modes' shapes.
 
-
-def _transition(closed: ChainLagrange, state: np.ndarray, duration: float) -> np.ndarray:
-    """Phi(duration) in the canonical coordinates of `momentum_frame` (2n x 2n), started from the linear modes' shapes.
-
-    The frames at the two ends differ; at -x it is that at x, since every entry is even in (q, v) together.
+    The frames at the two ends of a piece differ; at -x it is that at x, since every entry is even in (q, v) together.
     """
-    modes = np.kron(np.eye(2), closed.modes)
-    extended = np.concatenate([state, modes.ravel("F")])
-    end = integrate(closed.variational, extended, np.array([0.0, duration]), SECOND)[-1]
-    columns = end[state.size :].reshape(modes.shape, order="F")
-    after, before = closed.momentum_frame(end[: state.size]), closed.momentum_frame(state)
-    return np.asarray(np.linalg.solve((before @ modes).T, (after @ columns).T).T)
+    modes, found, now = np.kron(np.eye(2), closed.modes), [], state
+    measures = np.concatenate([units, np.ones(modes.size)])
+    for k in range(PIECES_OF_HALF):
+        extended = np.concatenate([now, modes.ravel("F")])
+        span = duration * np.array([k, k + 1]) / PIECES_OF_HALF
+        end = integrate_in(measures, closed.variational, extended, span, SECOND)[-1]
+        columns = end[state.size :].reshape(modes.shape, order="F")
+        before, now = now, end[: state.size]
+        after = closed.momentum_frame(now) @ columns
+        found.append(np.linalg.solve((closed.momentum_frame(before) @ modes).T, after.T).T)
+    return found
 
 
 def _canonical_directions(

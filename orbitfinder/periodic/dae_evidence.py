@@ -9,23 +9,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 
 from orbitfinder.dae_flow import DaeSettings, simulate_dae
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.holonomic import Holonomic, HolonomicEquations, holonomic, holonomic_equations
-from orbitfinder.mechanics.model import Model, energies
-from orbitfinder.periodic.certify import SAMPLES, Evidence, gap
-from orbitfinder.periodic.floquet import analyse, reduce_monodromy
-from orbitfinder.periodic.tangent import tangent_basis
-from orbitfinder.reference import STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
+from orbitfinder.mechanics.model import Model
+from orbitfinder.periodic.evidence import Motion, integrate_in, masses_of, pieces_of, relative_gap, units_of
+from orbitfinder.reference import STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, vector_field
 
 
-def gather_constrained(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, settings: ReferenceSettings = TIGHTEST
-) -> Evidence:
-    """`Evidence` of a state (2n) and a period of the reduced form of a ConstrainedModel; states in its coordinates."""
+def constrained_motion(
+    model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray,
+    settings: ReferenceSettings = TIGHTEST,
+) -> Motion:
+    """The `Motion` of a state (2n) of the reduced form of a ConstrainedModel; states in its own coordinates."""
     native = native_of(model)
     if native.forces is not None:
         raise InputError("certify: systems under constraints are certified when they are conservative, and this is not")
@@ -34,27 +34,17 @@ def gather_constrained(
     k = system.size
     chosen = np.asarray(state, float)[system.chosen]
     start = np.concatenate([chosen[:k], equations.momentum(chosen[:k], chosen[k:]).full().ravel()])
-    times = np.linspace(0.0, period, SAMPLES + 1)
-    extended = np.concatenate([start, np.eye(2 * k).ravel("F"), [0.0]])
-    path = integrate(vector_field(equations.variational), extended, times[[0, -1]], settings)
-    field = vector_field(equations.field)
-    momenta = integrate(field, start, times, settings, period / STEPS_PER_PERIOD)
-    states = _in_own_coordinates(system, equations, momenta)
-    kinetic, potential = energies(model, states)
-    total = kinetic + potential
-    span = float(np.ptp(potential)) + float(kinetic.max())
-    reduced = _on_the_manifold(equations, field, start, path[-1, 2 * k : -1].reshape(2 * k, 2 * k, order="F"))
-    return Evidence(
-        times=times,
-        states=states,
-        closure=gap(np.asarray(state, float), states[-1], turns),
-        action=float(path[-1, -1]),
-        drift=float(np.abs(total - total[0]).max()) / max(span, 1e-300),
-        energy=float(total[0]),
-        floquet=analyse(reduced[0], conservative=model.conservative),
-        trivial=reduced[1],
-        symplectic=reduced[2],
-    )
+    field, masses = vector_field(equations.field), masses_of(system.kinetic, chosen)
+    units = units_of(field, start, masses, period)
+    path = integrate_in(units, field, start, moments, settings, period / STEPS_PER_PERIOD)
+    transitions, action = pieces_of(vector_field(equations.variational), start, units, period)
+    y = ca.MX.sym("y", start.size)
+    gradient = ca.Function("gradient", [y], [ca.gradient(equations.energy(y), y)])(start).full().ravel()
+    rate = field(0.0, start)
+    return Motion(
+        moments, _in_own_coordinates(system, equations, path), path, transitions, action, rate, gradient[None, :],
+        rate[None, :], masses, turns[system.chosen[:k]], constraints=equations.tangent(start).full(),
+    )  # fmt: skip
 
 
 def native_of(model: Model) -> ConstrainedModel:
@@ -70,45 +60,22 @@ def _in_own_coordinates(system: Holonomic, equations: HolonomicEquations, moment
     return np.asarray(system.lift.map(len(momenta))(places, rates).full().T)
 
 
-def _on_the_manifold(
-    equations: HolonomicEquations, field: VectorField, start: np.ndarray, monodromy: np.ndarray
-) -> tuple[np.ndarray, float, float]:
-    """Reduced monodromy, relative defect of its trivial part and of its symplecticity, on the tangent space.
-
-    With B an orthonormal basis of the tangent space at the start: A = B^T Phi B keeps the flow's direction
-    and the energy's gradient, and A^T W A = W for the restricted symplectic form W = B^T J B.
-    """
-    import casadi as ca
-
-    k = start.size // 2
-    basis = tangent_basis(equations.tangent(start).full())
-    y = ca.MX.sym("y", start.size)
-    gradient = ca.Function("gradient", [y], [ca.gradient(equations.energy(y), y)])(start).full().ravel() @ basis
-    flow = field(0.0, start) @ basis
-    inner = basis.T @ monodromy @ basis
-    scale = max(1.0, float(np.abs(inner).max()))
-    form = basis.T @ np.block([[np.zeros((k, k)), np.eye(k)], [-np.eye(k), np.zeros((k, k))]]) @ basis
-    defects = [
-        np.abs(inner @ flow - flow).max() / max(float(np.abs(flow).max()), 1e-300),
-        np.abs(gradient @ inner - gradient).max() / max(float(np.abs(gradient).max()), 1e-300),
-    ]
-    symplectic = float(np.abs(inner.T @ form @ inner - form).max()) / scale**2
-    return reduce_monodromy(inner, gradient[None, :], flow[None, :]), float(max(defects)) / scale, symplectic
-
-
-def constraint_defect(model: Model, state: np.ndarray) -> float:
-    """Largest |phi| and |J v| of a state (2n)."""
+def constraint_defect(model: Model, state: np.ndarray, units: np.ndarray) -> float:
+    """Largest |phi| and |J v| of a state (2n), relative to its lengths and to the rates' extents, `units` (2n)."""
     native, n = native_of(model), model.degrees_of_freedom
-    phi = native.constraint(state[:n], native.parameter_values).full()
-    rate = native.constraint_rate(state[:n], state[n:], native.parameter_values).full()
-    return float(max(np.abs(phi).max(), np.abs(rate).max()))
+    q, v = state[:n], state[n:]
+    phi = native.constraint(q, native.parameter_values).full()
+    rate = native.constraint_rate(q, v, native.parameter_values).full()
+    length = float(np.abs(q[~np.asarray(model.angles)]).max(initial=0.0)) or 1.0
+    slopes = np.abs(native.constraint_jacobian(q, native.parameter_values).full()).max()
+    return max(float(np.abs(phi).max()) / length, float(np.abs(rate).max()) / (slopes * units[n:].max()))
 
 
-def native_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> float:
-    """Gap round the loop by IDAS on the native DAE; infinite where it cannot integrate."""
+def native_closure(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
+    """Gap round the loop in `units` (2n) by IDAS on the native DAE; infinite where it cannot integrate."""
     settings = DaeSettings(relative_tolerance=1e-13, absolute_tolerance=1e-13)
     try:
         motion = simulate_dae(native_of(model), state, period, 2, settings)
     except (IntegrationError, InputError):
         return float("inf")
-    return gap(motion.states[0], motion.states[-1], turns)
+    return relative_gap(motion.states[0], motion.states[-1], turns, units)

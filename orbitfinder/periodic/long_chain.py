@@ -23,7 +23,7 @@ from orbitfinder.mechanics.chain_lagrange import ChainLagrange
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
 from orbitfinder.periodic import harmonic_balance
-from orbitfinder.periodic.certify import certify
+from orbitfinder.periodic.certify import certified
 from orbitfinder.periodic.conditions import Pin, pin_row
 from orbitfinder.periodic.evidence import gap, is_long
 from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
@@ -115,9 +115,7 @@ def find_long_chain(problem: Problem, settings: SolveSettings, progress: Callbac
     method = {"method": "harmonic balance, quarter-period shooting", "harmonics": len(series.coefficients)}
     orbit = replace(orbit, provenance=said | method)
     if settings.with_certificate:
-        certificate = certify(orbit, problem.model)
-        independent = [check.value for check in certificate.checks if check.name == "closure"]
-        orbit = replace(orbit, certificate=certificate, closure=(independent or [orbit.closure])[0])
+        orbit = certified(orbit, problem.model)
     report("certificate", 0, orbit.closure, orbit.period)
     return orbit
 

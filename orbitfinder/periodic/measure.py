@@ -10,7 +10,7 @@ from scipy.integrate import trapezoid
 from orbitfinder.flow import Flow, transition
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.model import energy as total_energy
-from orbitfinder.periodic.certify import gap
+from orbitfinder.periodic.evidence import gap
 from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.polish import end_of, graded_end, least_steps, segment, tail_of

@@ -36,7 +36,9 @@ class Certificate:
 
     checks: tuple[Check, ...]
     scale: float = 1.0
-    """max(1, largest Floquet multiplier): what the closure tolerance was multiplied by"""
+    """A, how many times round-off grows until the end of the period, at most 1e6: what tolerances were multiplied by"""
+    closure: float = float("nan")
+    """the largest component of the gap round the loop, in the model's units"""
 
     @property
     def passed(self) -> bool:

@@ -17,9 +17,10 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.onethread import one_thread
 from orbitfinder.periodic.balanced_start import balanced_guess
-from orbitfinder.periodic.certify import certify, gap
+from orbitfinder.periodic.certify import certified
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.dae_segments import build_dae_flow
+from orbitfinder.periodic.evidence import gap
 from orbitfinder.periodic.measure import dense, measure
 from orbitfinder.periodic.nlp import Callback as Callback
 from orbitfinder.periodic.nlp import Progress as Progress
@@ -71,9 +72,7 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
-        certificate = certify(orbit, refined.problem.model)
-        independent = [check.value for check in certificate.checks if check.name == "closure"]
-        orbit = replace(orbit, certificate=certificate, closure=(independent or [orbit.closure])[0])
+        orbit = certified(orbit, refined.problem.model)
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit

@@ -17,7 +17,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.flow import build_flow
-from orbitfinder.periodic.certify import certify
+from orbitfinder.periodic.certify import certified
 from orbitfinder.periodic.closing import check_square, closing, pin_values
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.elimination import Linearised, Solver, eliminated
@@ -145,9 +145,7 @@ class Refiner:
         orbit = measure(problem, self.flow, refined.nodes, refined.period, refined.unfolding)
         if not with_certificate:
             return orbit
-        certificate = certify(orbit, problem.model)
-        independent = [check.value for check in certificate.checks if check.name == "closure"]
-        return replace(orbit, certificate=certificate, closure=(independent or [orbit.closure])[0])
+        return certified(orbit, problem.model)
 
     # ---- the iteration -----------------------------------------------------------------------------
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model, energy, positions
-from orbitfinder.periodic.certify import gap
 from orbitfinder.periodic.conditions import pin
+from orbitfinder.periodic.evidence import gap
 from orbitfinder.periodic.orbit import Orbit, save_orbit
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.solve import find_orbit

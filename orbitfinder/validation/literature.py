@@ -86,13 +86,17 @@ def cycle(mu: float) -> list[Comparison]:
     ]
 
 
+def arenstorf_orbit(rate: str, period: str) -> tuple[Orbit, Model]:
+    """One Arenstorf orbit from the printed start, and its model."""
+    guess, model = Guess([0.994, 0.0, 0.0, float(rate)], float(period)), restricted_three_body(0.012277471)
+    return find_orbit(Problem(model, guess, pin(x=0.994))), model
+
+
 def arenstorf(rate: str, period: str) -> list[Comparison]:
-    """One Arenstorf orbit from the printed start."""
+    """One Arenstorf orbit against its printed numbers."""
 
     def rows() -> list[Comparison]:
-        guess = Guess([0.994, 0.0, 0.0, float(rate)], float(period))
-        problem = Problem(restricted_three_body(0.012277471), guess, pin(x=0.994))
-        orbit = find_orbit(problem)
+        orbit, _ = arenstorf_orbit(rate, period)
         return [
             number("period", period, orbit.period, 1e-9),
             number("y'(0)", rate, float(orbit.state[3]), 1e-9),

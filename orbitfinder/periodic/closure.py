@@ -1,0 +1,81 @@
+"""How well a loop closes: its gap against what round-off can do, and how far the true orbit is.
+
+Everything is measured in the extents of the motion, so that no unit matters. An error made at a time t is
+carried to the end by the state-transition matrix Phi(T, t); with S the extents and R the sizes of the
+state's components, round-off can make a gap of eps A,
+
+    A = max over t of |S^-1 Phi(T, t) R|,
+
+which sees the shear that the multipliers do not. The distance to the true orbit is the smallest correction
+(d, d tau) of state and period, in extents and periods, that closes the gap g to within round-off,
+
+    |u . (g + (Phi - 1) d + f T d tau)| <= 30 eps A    along every left singular vector u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+EPSILON = float(np.finfo(float).eps)
+LEAST_SHARE = 0.1
+"""A coordinate that hardly moves is measured in this share of the length in which it would carry all the action."""
+LARGEST_SCALE = 1e6
+"""Tolerances grow with A up to this factor; beyond, closure would mean nothing."""
+ROUND_OFF = 30.0
+"""Gaps of true orbits are 0.1 to 30 times eps A (benchmarks/closure_rule.py)."""
+
+
+@dataclass(frozen=True)
+class Closure:
+    """The largest component of the gap in extents of the motion, A, and the distance to the true orbit."""
+
+    gap: float
+    amplification: float
+    distance: float
+
+
+def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Extents of coordinates and rates (n each) from how far they moved, none of them 0.
+
+    What moves less than a tenth of the length L_i, m_i L_i^2 / tau = the largest m q v of all, tau = T / 2 pi,
+    is measured in that tenth: `masses` are the diagonal of the mass matrix (n).
+    """
+    clock, weights = period / (2 * np.pi), np.maximum(masses, 1e-300)
+    action = float(np.max(weights * moved * rushed))
+    if not (np.isfinite(action) and action > 0.0):
+        return np.ones(moved.shape), np.full(moved.shape, 1.0 / clock)
+    lengths = LEAST_SHARE * np.sqrt(action * clock / weights)
+    return np.maximum(moved, lengths), np.maximum(rushed, lengths / clock)
+
+
+def closes(
+    gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None
+) -> Closure:
+    """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, and f T (m) or None.
+
+    All in extents of the motion; `sizes` (m) are those of the state's components, `rate` is None where the
+    period is prescribed.
+    """
+    monodromy, largest = np.eye(gap.size), float(sizes.max())
+    for piece in reversed(transitions):
+        monodromy = monodromy @ piece
+        largest = max(largest, float(np.linalg.norm(monodromy * sizes, 2)))
+    largest = largest if np.isfinite(largest) else np.inf
+    round_off = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE)
+    return Closure(float(np.abs(gap).max()), largest, _distance(gap, monodromy, rate, round_off))
+
+
+def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, round_off: float) -> float:
+    """Norm of the smallest (d, d tau) that leaves no gap beyond round-off; infinite where the gap is not finite."""
+    if not (np.all(np.isfinite(gap)) and np.all(np.isfinite(monodromy))):
+        return float("inf")
+    columns = monodromy - np.eye(gap.size)
+    if rate is not None:
+        columns = np.column_stack([columns, rate])
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    beyond = np.maximum(np.abs(left.T @ gap) - round_off, 0.0)
+    steps = np.divide(beyond, singular, out=np.where(beyond > 0, np.inf, 0.0), where=singular > 0)
+    return float(np.linalg.norm(steps))
