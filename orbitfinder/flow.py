@@ -65,12 +65,14 @@ class Flow:
     free: tuple[str, ...]
     unfolded: tuple[Invariant, ...]
     field: ca.Function
+    units: tuple[float, ...] = ()
+    """what CVODES measures the state (2n) in, so that its tolerances fit; () is 1 everywhere"""
 
     @cached_property
     def derivatives(self) -> ca.Function:
         """The variational integrator; built when first asked for, since it is large for long chains."""
         names, inputs = self._inputs()
-        outputs = _variational(self.field, self.settings, inputs)
+        outputs = _variational(self.field, self.settings, inputs, self.units)
         return ca.Function("flow_derivatives", inputs, outputs, names, ["xf", "sensitivity"])
 
     @cached_property
@@ -79,7 +81,8 @@ class Flow:
         names, inputs = self._inputs()
         jacobian = custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
         options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
-        return ca.Function("flow_end", inputs, [_plain(self.field, self.settings, inputs)], names, ["xf"], options)
+        end = _plain(self.field, self.settings, inputs, self.units)
+        return ca.Function("flow_end", inputs, [end], names, ["xf"], options)
 
     def _inputs(self) -> tuple[list[str], list[ca.MX]]:
         names = ["t0", "x0", "duration", "s", "free"]
@@ -92,13 +95,14 @@ def build_flow(
     free: Sequence[str] = (),
     unfolded: Sequence[Invariant] = (),
     settings: IntegratorSettings | None = None,
+    units: tuple[float, ...] = (),
 ) -> Flow:
     """Flow of a Model; `free` names physical parameters kept variable, `unfolded` the invariants
     whose unfolding acceleration s_k u_k(q, v) is added to the equations of motion.
 
     The last few are remembered: a second search on the same Model builds no integrator anew.
     """
-    return remembered(Flow, model, free, unfolded, settings)
+    return remembered(Flow, model, free, unfolded, settings, units)
 
 
 def remembered(
@@ -107,13 +111,14 @@ def remembered(
     free: Sequence[str],
     unfolded: Sequence[Invariant],
     settings: IntegratorSettings | None,
+    units: tuple[float, ...] = (),
 ) -> Flow:
     """The Flow of this kind that was built last from the same things, or a new one."""
     kept = _small if 2 * model.degrees_of_freedom <= SMALL else _large
     conditions = (mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))  # what decides on compiling
     return kept(
         Same(kind), Same(model), model.parameter_values.tobytes(), tuple(free), tuple(map(Same, unfolded)),
-        settings or IntegratorSettings(), conditions,
+        settings or IntegratorSettings(), conditions, units,
     )  # fmt: skip
 
 
@@ -138,9 +143,11 @@ def _built(
     unfolded: tuple[Same, ...],
     settings: IntegratorSettings,
     _conditions: tuple[str | None, ...],
+    units: tuple[float, ...],
 ) -> Flow:
     invariants = tuple(one.thing for one in unfolded)
-    found: Flow = kind.thing(model.thing, settings, free, invariants, vector_field(model.thing, free, invariants))
+    field = vector_field(model.thing, free, invariants)
+    found: Flow = kind.thing(model.thing, settings, free, invariants, field, units)
     return found
 
 
@@ -173,17 +180,33 @@ def _symbols(field: ca.Function) -> tuple[Any, ...]:
     return symbol, clock, t0, duration, x, s, free
 
 
-def _plain(field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX]) -> ca.MX:
+def _in_units(field: ca.Function, units: tuple[float, ...]) -> ca.Function:
+    """The field of x / units."""
+    if not units:
+        return field
+    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
+    t, y, s, free = (symbol(f"a{k}", field.size1_in(k)) for k in range(4))
+    sizes = ca.DM(units)
+    return ca.Function("field", [t, y, s, free], [field(t, sizes * y, s, free) / sizes])
+
+
+def _plain(
+    field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX], units: tuple[float, ...] = ()
+) -> ca.MX:
     """x at the end of a segment; time is scaled to [0, 1] so that the duration is a parameter."""
+    field, sizes = _in_units(field, units), ca.DM(units) if units else 1.0
     _, clock, t0, duration, x, s, free = _symbols(field)
     rate = duration * field(t0 + clock * duration, x, s, free)
     packed = ca.vertcat(t0, duration, s, free)
     solver = _integrator("state", (clock, x, packed, rate), settings)
-    return solver(x0=inputs[1], p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
+    return sizes * solver(x0=inputs[1] / sizes, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
 
 
-def _variational(field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX]) -> list[ca.MX]:
+def _variational(
+    field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX], units: tuple[float, ...] = ()
+) -> list[ca.MX]:
     """End state and sensitivities; the right-hand side is compiled where the work to be expected pays for it."""
+    field, sizes = _in_units(field, units), ca.DM(units) if units else ca.DM.ones(field.size1_in(1))
     size, extra = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
     clock, t0, duration = ca.MX.sym("clock"), ca.MX.sym("t0"), ca.MX.sym("duration")
     s, free = ca.MX.sym("s", field.size1_in(2)), ca.MX.sym("free", field.size1_in(3))
@@ -191,9 +214,10 @@ def _variational(field: ca.Function, settings: IntegratorSettings, inputs: list[
     varied = with_derivatives(varied, effort=interpreted_seconds(varied, EVALUATIONS))
     rate = duration * varied(t0 + clock * duration, whole, s, free)
     solver = _integrator("variational", (clock, whole, ca.vertcat(t0, duration, s, free), rate), settings)
-    start = ca.vertcat(inputs[1], ca.vec(ca.MX(ca.DM.eye(size))), ca.MX(ca.DM.zeros(size * extra)))
+    start = ca.vertcat(inputs[1] / sizes, ca.vec(ca.MX(ca.DM.eye(size))), ca.MX(ca.DM.zeros(size * extra)))
     end = solver(x0=start, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
-    return [end[:size], ca.reshape(end[size:], size, size + extra)]
+    columns = ca.DM(np.outer(sizes.full().ravel(), np.append(1 / sizes.full().ravel(), np.ones(extra))))
+    return [sizes * end[:size], columns * ca.reshape(end[size:], size, size + extra)]
 
 
 def custom_jacobian(

@@ -75,16 +75,26 @@ AGREEMENT = 1e-12
 MOST_DOUBLINGS = 7
 
 
+def agree(coarse: np.ndarray, fine: np.ndarray, units: tuple[float, ...] = ()) -> bool:
+    """True when two step sizes lead to one state (2n)."""
+    sizes = np.asarray(units) if units else np.ones(fine.size)
+    return bool(np.abs((fine - coarse) / sizes).max() <= AGREEMENT * max(1.0, float(np.abs(fine / sizes).max())))
+
+
 def refined_march(
-    field: ca.Function, state: np.ndarray, duration: float, least: int, tail: np.ndarray, start: float = 0.0
+    field: ca.Function, state: np.ndarray, duration: float, least: int, tail: np.ndarray, start: float = 0.0,
+    units: tuple[float, ...] = (),
 ) -> np.ndarray:
-    """States (k + 1 x 2n) with k = 2 least, 4 least, ...: the first whose end k / 2 steps confirm."""
+    """States (k + 1 x 2n) with k = 2 least, 4 least, ...: the first whose end k / 2 steps confirm.
+
+    They agree in `units` (2n), or where there are none relative to the state.
+    """
     steps = least
     coarse = march(field, state, duration, steps, tail, start)
     for _ in range(MOST_DOUBLINGS):
         steps *= 2
         fine = march(field, state, duration, steps, tail, start)
-        if np.abs(fine[-1] - coarse[-1]).max() <= AGREEMENT * max(1.0, float(np.abs(fine[-1]).max())):
+        if agree(coarse[-1], fine[-1], units):
             break
         coarse = fine
     return fine

@@ -12,7 +12,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.onethread import one_thread
 from orbitfinder.periodic.chain_evidence import chain_motion
-from orbitfinder.periodic.closure import EPSILON, LARGEST_SCALE
+from orbitfinder.periodic.closure import EPSILON, LARGEST_SCALE, extents
 from orbitfinder.periodic.dae_evidence import constrained_motion, constraint_defect, native_closure
 from orbitfinder.periodic.evidence import (
     Evidence,
@@ -254,8 +254,9 @@ def return_distances(
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     moments = times[-1] / np.asarray(covers, float)
     there = np.hstack([spline(moments), spline(moments, 1)])
-    extent = np.full(2 * n, max(float(np.ptp(states, axis=0).max()), 1e-300))
-    return [float(one) for one in distances(states[0], there, tuple(angles), extent)]
+    moved, rushed = np.split(np.ptp(states, axis=0), 2)
+    units = np.concatenate(extents(moved, rushed, np.ones(n), float(times[-1])))
+    return [float(one) for one in distances(states[0], there, tuple(angles), units)]
 
 
 def _picture_checks(pictured: Sequence[Picture], reached: np.ndarray, evidence: Evidence) -> list[Check]:

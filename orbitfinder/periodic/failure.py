@@ -13,7 +13,7 @@ from orbitfinder.quiet import captured
 REST = 1e-6
 """Nodes whose rates and accelerations are all below this, relative to the guess's, are an equilibrium."""
 NO_UNFOLDING = 1e-6
-"""A fictitious damping (1/s) above this says that the conserved quantities do not fit together."""
+"""A fictitious damping (per period) above this says that the conserved quantities do not fit together."""
 
 
 def explain(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Exception:
@@ -54,18 +54,19 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
     place = layout.size * layout.segments
     if at_rest(shooting, w):
         return f"the search fell on an equilibrium; {_away_from_rest(shooting)}"
-    if period < 1.05 * shooting.lower[place]:
+    low, high = layout.physical(shooting.lower), layout.physical(shooting.upper)
+    if period < 1.05 * low[place]:
         return "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
-    if period > 0.95 * shooting.upper[place]:
+    if period > 0.95 * high[place]:
         return "the period ran away upwards, as near a separatrix; lower guess.period or pin another energy"
-    bounds = zip(problem.free, free, shooting.lower[place + 1 + layout.unfolding :],
-                 shooting.upper[place + 1 + layout.unfolding :], strict=True)  # fmt: skip
+    after = place + 1 + layout.unfolding
+    bounds = zip(problem.free, free, low[after:], high[after:], strict=True)
     for name, value, lowest, highest in bounds:
         if min(value - lowest, highest - value) < 1e-3 * (highest - lowest):
             return f"{name} ran to the end of its range ({value:.4g}); give a guess nearer to an orbit or free another"
     if _energy_gap(shooting):
         return _energy_gap(shooting)
-    if defects.max() < 1e-6 and np.max(np.abs(unfolding), initial=0.0) > NO_UNFOLDING:
+    if defects.max() < 1e-6 and period * np.max(np.abs(unfolding), initial=0.0) > NO_UNFOLDING:
         return (
             "it closes only with the fictitious damping of the unfolding, so no such orbit exists at this pin near "
             "the guess; pin another value"

@@ -100,6 +100,10 @@ def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> F
     for k, node in enumerate(nodes):
         monodromy = transition(flow, node, period / count, k * period / count)[1] @ monodromy
     gradients, directions = frame(model, flow, nodes[0])
+    if flow.units:
+        units = np.asarray(flow.units)
+        monodromy = monodromy * units / units[:, None]
+        gradients, directions = gradients * units, directions / units
     if model.native is not None:
         basis = tangent_space(model.native, nodes[0])
         monodromy, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis

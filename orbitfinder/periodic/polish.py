@@ -13,7 +13,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.flow import Flow, integration_error
 from orbitfinder.periodic.shooting import Shooting
 from orbitfinder.quiet import captured
-from orbitfinder.runge_kutta import AGREEMENT, MOST_DOUBLINGS, march, refined_march
+from orbitfinder.runge_kutta import MOST_DOUBLINGS, agree, march, refined_march
 
 MOST_STEPS = 6
 STEPS_PER_PERIOD = 400
@@ -39,7 +39,7 @@ def segment(
     flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, least: int = STEPS_PER_PERIOD // 16
 ) -> np.ndarray:
     """States (k + 1 x 2n) at equal times from span[0] to span[1], as many steps as that needs."""
-    return refined_march(flow.field, state, span[1] - span[0], least, tail, span[0])
+    return refined_march(flow.field, state, span[1] - span[0], least, tail, span[0], flow.units)
 
 
 def end_of(flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, least: int) -> np.ndarray:
@@ -48,19 +48,19 @@ def end_of(flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.nd
     Past a body at a hundredth of the distances, 3200 equal steps in a segment are right to 1e-8 only.
     """
     path = segment(flow, state, span, tail, least)
-    graded = graded_end(flow.field, state, span, tail) if len(path) - 1 == least << MOST_DOUBLINGS else None
+    graded = graded_end(flow.field, state, span, tail, flow.units) if len(path) - 1 == least << MOST_DOUBLINGS else None
     return np.asarray(path[-1] if graded is None else graded)
 
 
 def graded_end(
-    field: ca.Function, state: np.ndarray, span: tuple[float, float], tail: np.ndarray
+    field: ca.Function, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, units: tuple[float, ...] = ()
 ) -> np.ndarray | None:
     """The state at span[1] by pieces as long as 8 and 16 steps agree on; None when it takes too many of them."""
     now, length = span[0], span[1] - span[0]
     for _ in range(MOST_PIECES):
         last = length >= span[1] - now
         length = min(length, span[1] - now)
-        after = _agreed(field, state, (now, length), tail)
+        after = _agreed(field, state, (now, length), tail, units)
         if after is None:
             length /= 2
         elif last:
@@ -71,7 +71,7 @@ def graded_end(
 
 
 def _agreed(
-    field: ca.Function, state: np.ndarray, piece: tuple[float, float], tail: np.ndarray
+    field: ca.Function, state: np.ndarray, piece: tuple[float, float], tail: np.ndarray, units: tuple[float, ...]
 ) -> np.ndarray | None:
     """The state after a piece (start, length) in s; None where 8 and 16 steps disagree or leave the numbers."""
     now, length = piece
@@ -79,7 +79,7 @@ def _agreed(
         coarse, fine = (march(field, state, length, count, tail, now)[-1] for count in (PIECE, 2 * PIECE))
     except IntegrationError:
         return None
-    return fine if np.abs(fine - coarse).max() <= AGREEMENT * max(1.0, float(np.abs(fine).max())) else None
+    return fine if agree(coarse, fine, units) else None
 
 
 def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from orbitfinder.flow import Flow, end_state
 from orbitfinder.flow import vector_field as equations_of_motion
 from orbitfinder.periodic.polish import segment, tail_of
 from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.shooting import boundary_shift, far_end, half_turns
+from orbitfinder.periodic.shooting import boundary_shift, far_end, half_turns, units_of
 from orbitfinder.reference import SECOND, integrate, vector_field
 
 DRIFT = 1e-7
@@ -38,7 +38,8 @@ def check_invariants(problem: Problem) -> None:
     n, values = model.degrees_of_freedom, model.parameter_values
     t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * n)
     field = vector_field(ca.Function("plain", [t, x], [equations_of_motion(model, (), ())(t, x, [], [])]))
-    start = np.asarray(problem.guess.state, float) + np.random.default_rng(0).normal(0, 0.01, 2 * n)
+    pushed = 0.01 * np.asarray(units_of(problem) or np.ones(2 * n))
+    start = np.asarray(problem.guess.state, float) + pushed * np.random.default_rng(0).normal(size=2 * n)
     try:
         states = integrate(field, start, np.linspace(0.0, problem.guess.period, 9), SECOND)
     except IntegrationError:
@@ -46,7 +47,7 @@ def check_invariants(problem: Problem) -> None:
     for one in model.invariants:
         found = np.array([float(one.value(state[:n], state[n:], values)) for state in states])
         nearby = float(one.value(1.01 * start[:n], 1.01 * start[n:], values))
-        drift, size = float(np.abs(found - found[0]).max()), max(abs(found[0]), abs(nearby - found[0]), 1e-9)
+        drift, size = float(np.abs(found - found[0]).max()), max(abs(found[0]), abs(nearby - found[0]), 1e-300)
         if drift > DRIFT * size:
             raise InputError(
                 f"invariants: {one.name!r} is not conserved, it drifts by {drift:.3g} from {found[0]:.6g} within "

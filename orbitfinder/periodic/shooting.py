@@ -26,6 +26,8 @@ RATE_RANGE = 100.0
 """Bound on rates, in units of the largest rate of the guess."""
 ANGLE_RANGE = 30.0
 """Bound on how far a coordinate may move from the guess, in units of max(1, its largest value)."""
+FAR = 30.0
+"""Units of the guess that take the place of the 1 there, where they are not 1"""
 
 
 @dataclass(frozen=True)
@@ -36,19 +38,25 @@ class Layout:
     segments: int
     unfolding: int
     free: int
+    units: tuple[float, ...] = ()
+    """what w is measured in; () is 1 everywhere"""
 
     @property
     def total(self) -> int:
         """Length of w."""
         return self.size * self.segments + 1 + self.unfolding + self.free
 
+    def physical(self, w: np.ndarray) -> np.ndarray:
+        """w in the model's own units."""
+        return np.asarray(w) * self.units if self.units else np.asarray(w)
+
     def nodes(self, w: np.ndarray) -> np.ndarray:
         """Node states (segments x 2n) of a numeric w."""
-        return np.asarray(w[: self.size * self.segments]).reshape(self.segments, self.size)
+        return self.physical(w)[: self.size * self.segments].reshape(self.segments, self.size)
 
     def tail(self, w: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Period, unfolding parameters and freed parameters of a numeric w."""
-        rest = np.asarray(w[self.size * self.segments :])
+        rest = self.physical(w)[self.size * self.segments :]
         return float(rest[0]), rest[1 : 1 + self.unfolding], rest[1 + self.unfolding :]
 
     def join(
@@ -56,7 +64,8 @@ class Layout:
     ) -> np.ndarray:
         """w from its parts; the unfolding is 0 where none is given."""
         s = np.zeros(self.unfolding) if unfolding is None else unfolding
-        return np.concatenate([np.ravel(nodes), [period], s, free])
+        w = np.concatenate([np.ravel(nodes), [period], s, free])
+        return w / self.units if self.units else w
 
 
 @dataclass(frozen=True)
@@ -101,24 +110,27 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     """
     problem.check_count()
     unfolded = unfolded_invariants(problem.model, problem.boundary)
-    flow = flow or build_flow(problem.model, problem.free, unfolded)
+    flow = flow or build_flow(problem.model, problem.free, unfolded, units=units_of(problem))
     size = len(problem.model.state_names)
-    layout = Layout(size, len(nodes), len(unfolded), len(problem.free))
+    layout = Layout(size, len(nodes), len(unfolded), len(problem.free), _unit_of_each(problem, flow, len(nodes)))
     free = np.array([problem.model.parameter_values[problem.model.parameter_index(f)] for f in problem.free])
     start = layout.join(nodes, problem.guess.period, free)
-    parts = [ca.MX.sym("node", size) for _ in range(layout.segments)]
-    tail = [ca.MX.sym("period"), ca.MX.sym("unfolding", layout.unfolding), ca.MX.sym("free", layout.free)]
-    w = ca.vertcat(*parts, *tail)
+    scaled = [*(ca.MX.sym("node", size) for _ in range(layout.segments)), ca.MX.sym("period"),
+              ca.MX.sym("unfolding", layout.unfolding), ca.MX.sym("free", layout.free)]  # fmt: skip
+    w = ca.vertcat(*scaled)
+    physical = _times(scaled, layout.units)
+    parts, tail = physical[: layout.segments], physical[layout.segments :]
     given = ca.MX.sym("ends", size, layout.segments)
     far = far_end(problem, nodes, flow)
     shift = boundary_shift(problem, nodes, far)
     known = _variables(problem, flow, parts, tail, given)
-    rows = ca.Function("rows", [w, given], [_rows(problem, (nodes[0], shift, far), known)])
+    equations = _rows(problem, (nodes[0], shift, far), known)
+    rows = ca.Function("rows", [w, given], [_measured(equations, (w, given), start, layout)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
     ends = _ends(problem, flow, parts, tail)
     constraints = rows(w, ends)
-    lower, upper = _bounds(problem, layout, start)
+    lower, upper = (bound / layout.units if layout.units else bound for bound in _bounds(problem, layout, start))
     weights = _weights(problem, layout, start)
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
@@ -127,6 +139,62 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
         problem, flow, layout, np.clip(start, lower, upper), lower, upper, weights, w, value, rows, constraints,
         ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]), inequalities, low, high, residuals,
     )  # fmt: skip
+
+
+def units_of(problem: Problem) -> tuple[float, ...]:
+    """What the state (2n) of a Problem is measured in: powers of 16 near its guess's lengths and time; () when all 1.
+
+    Lengths are max(|q|, |v| tau, |a| tau^2), tau = T / 2 pi, the largest over all angles and over all others.
+    """
+    model, clock = problem.model, problem.guess.period / (2 * np.pi)
+    if model.native is not None:  # integrated by IDAS, in its own coordinates
+        return ()
+    n, state = model.degrees_of_freedom, np.asarray(problem.guess.state, float)
+    states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
+    acceleration = model.acceleration(0.0, state[:n], state[n:], model.parameter_values).full().ravel()
+    places, rates = np.split(np.abs(states).max(axis=0), 2)
+    lengths = np.max(np.nan_to_num([places, rates * clock, np.abs(acceleration) * clock**2]), axis=0)
+    angular = np.asarray(model.angles or (False,) * n)
+    for group in (angular, ~angular):
+        lengths[group] = _rounded(lengths[group].max(initial=0.0))
+    units = np.concatenate([lengths, lengths / _rounded(clock)])
+    return () if np.all(units == 1.0) else tuple(float(one) for one in units)
+
+
+def _rounded(value: float) -> float:
+    """The power of 16 nearest to a value, 1 for 0."""
+    return float(16.0 ** np.round(np.log(value) / np.log(16.0))) if value > 0 else 1.0
+
+
+def _unit_of_each(problem: Problem, flow: Flow, segments: int) -> tuple[float, ...]:
+    """Units of every entry of w: the flow's for nodes and period, 1 / period, the freed parameters' own sizes."""
+    if not flow.units:
+        return ()
+    n, model = len(flow.units) // 2, problem.model
+    clock = flow.units[0] / flow.units[n]
+    free = [abs(float(model.parameter_values[model.parameter_index(name)])) or 1.0 for name in problem.free]
+    return (*flow.units * segments, clock, *[1.0 / clock] * len(flow.unfolded), *free)
+
+
+def _times(parts: list[ca.MX], units: tuple[float, ...]) -> list[ca.MX]:
+    """The parts of w in the model's units."""
+    if not units:
+        return parts
+    ends = np.cumsum([0, *(part.numel() for part in parts)])
+    return [part * ca.DM(units[ends[k] : ends[k + 1]]) for k, part in enumerate(parts)]
+
+
+def _measured(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, layout: Layout) -> ca.MX:
+    """Rows in units of what a unit of the unknowns changes in them at the start; as they are where units are 1."""
+    if not layout.units:
+        return rows
+    w, ends = inputs
+    sizes = ca.DM(np.tile(np.asarray(layout.units[: layout.size]), layout.segments))
+    both = ca.horzcat(ca.jacobian(rows, w), ca.jacobian(rows, ends) @ ca.diag(sizes))
+    slopes = ca.Function("slopes", [w, ends], [both])
+    nodes = layout.nodes(start)
+    size = np.abs(slopes(start, np.roll(nodes, -1, axis=0).T).full()).max(axis=1)
+    return rows / ca.DM(np.where(np.isfinite(size) & (size > 0), size, 1.0))
 
 
 def _variables(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX) -> Variables:
@@ -259,17 +327,20 @@ def phase_directions(problem: Problem, state: np.ndarray) -> list[np.ndarray]:
 def _scales(problem: Problem, start: np.ndarray, layout: Layout) -> tuple[np.ndarray, float]:
     nodes = layout.nodes(start)
     n = layout.size // 2
-    coordinates = np.maximum(1.0, np.abs(nodes[:, :n]).max(axis=0))
-    rate = max(float(np.abs(nodes[:, n:]).max()), 2 * np.pi / problem.guess.period)
+    least = FAR * np.asarray(layout.units[:n]) if layout.units else 1.0
+    coordinates = np.maximum(least, np.abs(nodes[:, :n]).max(axis=0))
+    rate = max(float(np.abs(nodes[:, n:]).max()), 2 * np.pi / problem.guess.period * float(np.max(least)))
     return coordinates, rate
 
 
 def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest w, in the model's units."""
     coordinates, rate = _scales(problem, start, layout)
-    n = layout.size // 2
+    n, own = layout.size // 2, layout.physical(start)
     reach = np.tile(np.concatenate([ANGLE_RANGE * coordinates, np.full(n, RATE_RANGE * rate)]), layout.segments)
-    centre = start[: reach.size]
-    unfolding, free = np.full(layout.unfolding, UNFOLDING_RANGE), start[layout.total - layout.free :]
+    centre = own[: reach.size]
+    clock = layout.units[reach.size] if layout.units else 1.0
+    unfolding, free = np.full(layout.unfolding, UNFOLDING_RANGE / clock), own[layout.total - layout.free :]
     spread = 0.95 * np.abs(free) + (free == 0)
     period = problem.guess.period
     times = problem.bounds.get("period", (period / PERIOD_RANGE, period * PERIOD_RANGE))
@@ -280,11 +351,11 @@ def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.nda
 
 
 def _weights(problem: Problem, layout: Layout, start: np.ndarray) -> np.ndarray:
-    """Weights of the distance to the guess: 1 for angles in rad, rates and periods made comparable."""
-    n = layout.size // 2
-    clock = problem.guess.period / (2 * np.pi)
+    """Weights of the distance to the guess: 1 for angles in rad, or for each unit; rates and periods comparable."""
+    n, units = layout.size // 2, np.asarray(layout.units or [1.0] * layout.total)
+    clock = 1.0 if layout.units else problem.guess.period / (2 * np.pi)
     node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / layout.segments
-    free = start[layout.total - layout.free :]
+    period, free = units[layout.size * layout.segments], start[layout.total - layout.free :]
     relative = 1.0 / np.maximum(np.abs(free), 1e-6) ** 2
-    tail = [[1.0 / problem.guess.period**2], np.zeros(layout.unfolding), relative]
+    tail = [[(period / problem.guess.period) ** 2], np.zeros(layout.unfolding), relative]
     return np.concatenate([np.tile(node, layout.segments), *tail])

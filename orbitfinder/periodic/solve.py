@@ -20,7 +20,7 @@ from orbitfinder.periodic.balanced_start import balanced_guess
 from orbitfinder.periodic.certify import certified
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
 from orbitfinder.periodic.dae_segments import build_dae_flow
-from orbitfinder.periodic.evidence import gap
+from orbitfinder.periodic.evidence import extents_of, relative_gap
 from orbitfinder.periodic.measure import dense, measure
 from orbitfinder.periodic.nlp import Callback as Callback
 from orbitfinder.periodic.nlp import Progress as Progress
@@ -30,7 +30,7 @@ from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.polish import polish
 from orbitfinder.periodic.preparation import at_forcing_period, at_section, check_invariants, winding_of
 from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.shooting import Shooting, transcribe
+from orbitfinder.periodic.shooting import Shooting, transcribe, units_of
 
 NEAR_BOUND = 1e-6
 """A quantity this near to the end of its range, relative, is held there by it."""
@@ -58,8 +58,10 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     check_invariants(problem)
     problem = at_forcing_period(problem)
     unfolded = unfolded_invariants(problem.model, problem.boundary)
-    build = build_flow if problem.model.native is None else build_dae_flow
-    flow = build(problem.model, problem.free, unfolded, settings.integrator)
+    if problem.model.native is None:
+        flow = build_flow(problem.model, problem.free, unfolded, settings.integrator, units_of(problem))
+    else:
+        flow = build_dae_flow(problem.model, problem.free, unfolded, settings.integrator)
     problem = at_section(problem, flow)
     said: dict[str, Any] = {}
     try:
@@ -234,12 +236,12 @@ def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float
     times, states = dense(shooting.flow, nodes, period)
     n = problem.model.degrees_of_freedom
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
-    extent = float(np.ptp(states, axis=0).max())
+    units = extents_of(problem.model, states, period)
     for cover in range(most, 1, -1):
         if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
             continue
         reached = np.concatenate([spline(period / cover), spline(period / cover, 1)])
-        if gap(states[0], reached, problem.turns // cover) < tolerance * max(extent, float(np.abs(nodes).max())):
+        if relative_gap(states[0], reached, problem.turns // cover, units) < tolerance:
             return cover
     return 1
 

@@ -66,8 +66,11 @@ def is_reversal(times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bo
         return np.where(angles, _wrapped(2 * x[:, :n]) / 2, x[:, :n])
 
     leading = int(extent.argmax())
-    levels = np.arange(np.floor(states[:, leading].min() / np.pi), states[:, leading].max() / np.pi + 1) * np.pi
-    moments = [_crossings(times, states, leading, level) for level in (levels if angles[leading] else [0.0])]
+    levels = [0.0]
+    if angles[leading]:
+        halves = states[:, leading] / np.pi
+        levels = list(np.arange(np.floor(halves.min()), halves.max() + 1) * np.pi)
+    moments = [_crossings(times, states, leading, level) for level in levels]
     allowed = 10 * RECOGNITION * float(extent.max())
     return _mirrored(times, states, np.concatenate(moments), defect, allowed, -1.0)
 
