@@ -132,7 +132,8 @@ class FindTable(Table):
         1e-12,
         gt=0,
         le=1e-6,
-        description="closure that the certificate asks for, at most 1e-6, times the largest Floquet multiplier",
+        description="closure that the certificate asks for, in extents of the motion, times what errors grow by; "
+        "larger than 1e-12 buys nothing",
     )
     free: list[str] = Field([], description='physical parameters that the solver may change, such as ["length3"]')
     objective: Literal["nearest", "min_instability", "max_amplitude", "min_peak_rate"] = Field(

@@ -1,0 +1,175 @@
+"""No certificate for a false orbit: what the first edition's `verify` accepted, and how each is named now."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import orbitfinder as of
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.periodic.certify import certify, gather
+from orbitfinder.periodic.symmetry import recognise
+from orbitfinder.systems import pendulum_on_cart
+
+RESULTS = Path(__file__).parents[1] / "results"
+SHIPPED = sorted([*RESULTS.glob("orbits/*/orbit.json"), *RESULTS.glob("gallery/*/orbit.json")])
+NAMES = (
+    "triple-2", "triple-1", "duffing", "van-der-pol", "forced-duffing-upper", "double-pendulum-running",
+    "five-bar-slow-mode",
+)  # fmt: skip
+FEW = [path for path in SHIPPED if path.parent.name in NAMES]
+
+
+def record(model, state, period, turns=None, **changes):
+    """A record of a state and a period that agrees with all that is recomputed from them."""
+    state, n = np.asarray(state, float), model.degrees_of_freedom
+    turns = np.zeros(n, int) if turns is None else np.asarray(turns)
+    found = gather(model, state, period, turns)
+    orbit = of.Orbit(
+        name="planted", system=model.system, state=state, period=period, energy=found.energy, action=found.action,
+        closure=found.closure, symmetry=recognise(found.times, found.states, np.asarray(model.angles)),
+        winding=tuple(int(k) for k in turns), floquet_multipliers=found.floquet.multipliers,
+        pair_defect=found.floquet.pair_defect, stability=found.floquet.stability, unfolding=(0.0,), nodes=state[None],
+        times=np.zeros(0), samples=np.zeros((0, 2 * n)), tolerance=1e-12,
+    )  # fmt: skip
+    return replace(orbit, **changes)
+
+
+def times_round(orbit, k):
+    """The same orbit, recorded as if k times its period were the period."""
+    return replace(
+        orbit, period=k * orbit.period, action=k * orbit.action, winding=tuple(k * one for one in orbit.winding),
+        floquet_multipliers=orbit.floquet_multipliers**k, record=None, expected={}, times=np.zeros(0),
+        samples=np.zeros((0, orbit.state.size)), nodes=orbit.state[None],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("path", FEW, ids=lambda path: path.parent.name)
+@pytest.mark.parametrize("k", [2, 3, 7, 9, 31])
+def test_a_multiple_of_the_period_is_rejected_by_name(path, k):
+    """Odd multiples too: the motion is integrated to T/k, where a spline through samples was off by 1e-5."""
+    orbit = of.load_orbit(path)
+    assert "minimal_period" in certify(times_round(orbit, k)).failures
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.parent.name)
+def test_no_multiple_from_2_to_31_of_any_shipped_orbit_is_accepted(path):
+    """41 orbits, 30 multiples each; two minutes an orbit of the slow ones."""
+    orbit = of.load_orbit(path)
+    assert certify(orbit).passed
+    assert not [k for k in range(2, 32) if certify(times_round(orbit, k)).passed]
+
+
+def forced(force, clock):
+    """x'' + 0.2 x' + 2 x = force(t), its period declared as `clock`."""
+    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
+    return lagrange(v**2 / 2, q**2, Symbols(q, v, time=t, forcing_period=clock), forces=force(t) - 0.2 * v)
+
+
+PLANTED_FORCES = {
+    "cos(t), 1 s": (ca.cos, 1.0),
+    "cos(2 pi t), 2 pi s": (lambda t: ca.cos(2 * np.pi * t), 2 * np.pi),
+    "cos(1.3 t), 3 s": (lambda t: ca.cos(1.3 * t), 3.0),
+    "a chirp": (lambda t: ca.cos(t + 0.1 * t**2), 2 * np.pi),
+    "exp(-t)": (lambda t: ca.exp(-t), 1.0),
+    "0.3 t": (lambda t: 0.3 * t, 1.0),
+}
+
+
+@pytest.mark.parametrize(("force", "clock"), PLANTED_FORCES.values(), ids=PLANTED_FORCES)
+def test_a_declared_period_that_the_forces_do_not_have_is_rejected(force, clock):
+    """Their motions close after the declared period and go elsewhere in the next one."""
+    orbit = of.find_orbit(of.Problem(forced(force, clock), of.Guess([0.3, 0.1], clock)))
+    assert "time_dependence" in orbit.certificate.failures
+
+
+def test_the_period_that_the_forces_have_is_accepted():
+    """cos(t) declared as 2 pi, and as 4 pi, which is a period too (the motion then repeats earlier: named)."""
+    orbit = of.find_orbit(of.Problem(forced(ca.cos, 2 * np.pi), of.Guess([0.3, 0.1], 2 * np.pi)))
+    assert orbit.certificate.passed, orbit.certificate.failures
+
+
+def test_a_force_that_depends_on_time_without_saying_so_is_rejected():
+    """A model whose forcing period was taken off is seen to differ at another time."""
+    model = forced(ca.cos, 2 * np.pi)
+    orbit = of.find_orbit(of.Problem(model, of.Guess([0.3, 0.1], 2 * np.pi)))
+    hidden = replace(model, forcing_period=None)
+    assert "time_dependence" in certify(orbit, hidden).failures
+
+
+def test_a_cart_that_drifts_away_is_rejected():
+    """`winding` on a coordinate that is no angle: 6.28 m a period is no closed motion."""
+    model = pendulum_on_cart()
+    orbit = of.load_orbit(RESULTS / "gallery" / "pendulum-on-cart" / "orbit.json")
+    assert certify(orbit).passed
+    drifting = orbit.state.copy()
+    drifting[2] += 2 * np.pi / orbit.period
+    assert not model.angles[0]
+    assert "winding" in certify(record(model, drifting, orbit.period, (1, 0)), model).failures
+
+
+def test_an_angle_that_the_equations_do_not_know_as_one_is_rejected():
+    """x'' = -0.2 x' + 1 runs at 5 m/s for ever; calling x an angle does not make it periodic on a tilted spring."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = replace(lagrange(v**2 / 2, 1e-3 * q**2, Symbols(q, v), forces=1.0 - 0.2 * v), angles=(True,))
+    assert "winding" in certify(record(model, [0.0, 5.0], 2 * np.pi / 5, (1,)), model).failures
+
+
+def test_turns_beyond_belief_are_refused_in_a_sentence():
+    """10^30 turns are no traceback."""
+    orbit = of.load_orbit(RESULTS / "orbits" / "triple-1" / "orbit.json")
+    with pytest.raises(InputError, match="winding: more than 1000000 turns"):
+        certify(replace(orbit, winding=(10**30, 0, 0)))
+
+
+def test_no_tolerance_in_a_record_buys_a_gap():
+    """A forced saddle (multiplier 1.7e6), 5e-4 off along the contracting direction, asking for 1e-6 itself."""
+    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
+    rate = np.log(1.7e6) / (2 * np.pi)
+    symbols = Symbols(q, v, time=t, forcing_period=2 * np.pi)
+    model = lagrange(v**2 / 2, -(rate**2) * q**2 / 2, symbols, forces=ca.cos(t))
+    state = np.array([-1.0 / (1 + rate**2), 0.0])  # x = -cos(t) / (1 + rate^2)
+    assert certify(record(model, state, 2 * np.pi), model).passed
+    off = record(model, state + 5e-4 * np.array([1.0, -rate]), 2 * np.pi, tolerance=1e-6)
+    assert {"closure", "distance"} <= set(certify(off, model).failures)
+
+
+def test_energies_far_below_a_joule_are_compared_in_their_own_size():
+    """A pendulum of 1 mg with an energy recorded 3e-5 off, which was within an absolute 1e-10 J."""
+    model = of.chain(1, mass=1e-6)
+    orbit = of.find_orbit(of.Problem(model, of.Guess([1.0, 0.0], 1.75), pin=of.pin(theta1=1.0)))
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert certify(replace(orbit, energy=orbit.energy * (1 + 3e-5))).failures == ("energy",)
+    assert certify(replace(orbit, action=orbit.action * (1 + 3e-5))).failures == ("action",)
+
+
+def test_an_invariant_that_is_none_is_named(report_orbits):
+    """Angular momentum declared of a hanging chain: it is not constant along the motion."""
+    orbit, model = report_orbits["triple-1"], of.chain(3)
+    turning = of.chain(3, gravity=0.0).invariants[1]
+    declared = replace(model, invariants=(*model.invariants, turning))
+    assert f"invariant_{turning.name}" in certify(orbit, declared).failures
+
+
+@pytest.mark.parametrize(
+    ("changes", "check"),
+    [
+        ({"pair_defect": 1.0}, "pair_defect"),
+        ({"nodes": np.zeros((3, 5))}, "nodes"),
+        ({"times": np.zeros(4), "samples": np.zeros((4, 6))}, "samples"),
+        ({"times": np.linspace(0, 1, 9), "samples": np.ones((9, 6))}, "samples"),
+    ],
+)
+def test_what_a_record_shows_is_recomputed(report_orbits, changes, check):
+    """Nodes, samples and the pair defect may not be anything."""
+    assert check in certify(replace(report_orbits["triple-1"], **changes)).failures
+
+
+def test_an_unfolding_of_a_system_that_has_none_is_rejected():
+    """Forced systems unfold nothing; a number there is of some other problem."""
+    orbit = of.load_orbit(RESULTS / "gallery" / "forced-duffing-upper" / "orbit.json")
+    assert certify(replace(orbit, unfolding=(1e-3,), record=None)).failures == ("unfolding",)
