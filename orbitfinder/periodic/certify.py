@@ -15,6 +15,7 @@ from orbitfinder.periodic.chain_evidence import chain_motion
 from orbitfinder.periodic.closure import EPSILON, LARGEST_SCALE, extents
 from orbitfinder.periodic.dae_evidence import constrained_motion, constraint_defect, native_closure
 from orbitfinder.periodic.evidence import (
+    VARIED,
     Evidence,
     evenly,
     hamiltonian_motion,
@@ -285,7 +286,7 @@ def _record_checks(
         _same("symmetry", orbit.symmetry, recognise(evidence.times, evidence.states, np.asarray(model.angles))),
     ]
     # mu and 1/mu of a matrix of norm about mu, known to the integration's relative error: mu^2 of that
-    room = max(allowed.trivial, SECOND.relative_tolerance * scale**2) if model.conservative else 0.0
+    room = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if model.conservative else 0.0
     defect = max(evidence.floquet.pair_defect, abs(orbit.pair_defect))
     checks.append(_at_most("pair_defect", defect, room, "reciprocal pairs, as recorded and as found"))
     if orbit.record is not None:

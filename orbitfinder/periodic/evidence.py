@@ -19,7 +19,6 @@ from orbitfinder.periodic.floquet import Floquet, analyse, reduce_monodromy
 from orbitfinder.periodic.hamilton import hamilton
 from orbitfinder.periodic.tangent import tangent_basis
 from orbitfinder.reference import (
-    SECOND,
     STEPS_PER_PERIOD,
     TIGHTEST,
     ReferenceSettings,
@@ -35,6 +34,8 @@ PIECES = 16
 """State-transition matrices in a period: where an error may be made that is carried to the end"""
 FEWEST_LINKS = 11
 """Chains from this length on are long: Hamilton's equations as one graph take seconds to derive, later minutes."""
+VARIED = ReferenceSettings(relative_tolerance=1e-13, absolute_tolerance=1e-14)
+"""For the state-transition matrices: of orbits with multipliers of 5e5, 1e-12 leaves the trivial ones wrong by 2e-8"""
 ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 """For the extents of the motion, before there are any."""
 
@@ -216,7 +217,7 @@ def integrate_in(
 def pieces_of(
     variational: VectorField, start: np.ndarray, units: np.ndarray, period: float
 ) -> tuple[list[np.ndarray], float]:
-    """State-transition matrices (m x m) of equal pieces of a period, and the action, at the second tolerance."""
+    """State-transition matrices (m x m) of equal pieces of a period, and the action."""
     size, now, action = start.size, start, 0.0
     matrix = (units[:, None] / units[None, :]).ravel("F")
     work = float(units[: size // 2] @ units[size // 2 :]) or 1.0
@@ -224,7 +225,7 @@ def pieces_of(
     for k in range(PIECES):
         extended = np.concatenate([now, np.eye(size).ravel(), [0.0]])
         span = period * np.array([k, k + 1]) / PIECES
-        end = integrate_in(measures, variational, extended, span, SECOND)[-1]
+        end = integrate_in(measures, variational, extended, span, VARIED)[-1]
         pieces.append(end[size:-1].reshape(size, size, order="F"))
         now, action = end[:size], action + float(end[-1])
     return pieces, action
