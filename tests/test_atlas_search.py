@@ -7,19 +7,21 @@ import sqlite3
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from orbitfinder.atlas import api, workers
+from orbitfinder.atlas import api, quick, refine, valley, workers
 from orbitfinder.atlas.report import chao1, discovery, summarise
 from orbitfinder.atlas.search import Limits, Search, register
 from orbitfinder.atlas.starts import Target, bench
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.task import Known, Order, Task, perform
 from orbitfinder.atlas.workers import DIED, Inline, Local
-from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
+from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import reduced
 from orbitfinder.mechanics.linkage import linkage
@@ -173,6 +175,41 @@ def test_known_orbits_are_not_certified_again(one, undisturbed):
     found = perform(one, 0, Order(number), known)
     assert found.orbit is None and found.signature is not None and not found.reason
     assert perform(one, 0, Order(number, certain=True), known).orbit is not None
+
+
+@pytest.fixture(scope="module")
+def elastic():
+    """A swinging spring at an energy where most starts end beside nearly resonant tori."""
+    arguments = {"stiffness": 40.0, "gravity": 9.81}
+    return build_model({"kind": "python", "function": "spring_pendulum", "arguments": arguments})
+
+
+@pytest.mark.parametrize(
+    ("number", "period", "instability"), [(0, 7.578926609086394, 1.0), (4, 6.653441790013671, 1.0827834988)]
+)
+def test_nearly_degenerate_orbits_are_reached(elastic, number, period, instability):
+    """Newton's method stalls before both (the Jacobian's singular values fall to 1e-6). Reference: a scan of the
+    section phi = 0, r' = 0 in polar coordinates with another integrator."""
+    found = perform(bench(elastic, Target(-8.5, (0.5, 8.0))), 0, Order(number), Known()).orbit
+    assert found.period == pytest.approx(period, rel=1e-12) and found.symmetry == "none"
+    assert np.abs(found.floquet_multipliers).max() == pytest.approx(instability, rel=1e-9)
+
+
+def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
+    """From a state that stalled: the residual falls to round-off; with no steps to take, `Stalled` says where it stood."""
+    seen = []
+    monkeypatch.setattr(refine, "orbit_in_valley", lambda *given: seen.append(given) or valley.orbit_in_valley(*given))
+    assert perform(bench(elastic, Target(-8.5, (0.5, 8.0))), 0, Order(4), Known()).orbit is not None
+    (given,) = seen
+    fine = replace(given[0], step=valley.fine_step(*given[:2]))
+    path, jacobian = valley.orbit_in_valley(*given)
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    assert np.abs(quick.linearised(fine, path)[0]).max() < 1e-12 and values[-1] < 1e-2 * values[-2]
+    assert np.abs(quick.linearised(fine, given[1])[0]).max() > 1e-7
+    monkeypatch.setattr(valley, "MOST_TRIALS", 0)
+    with pytest.raises(ConvergenceError, match="stalled near a degenerate orbit") as stalled:
+        valley.orbit_in_valley(*given)
+    assert stalled.value.path.nodes.shape == path.nodes.shape
 
 
 def test_two_searches_share_an_atlas(triple, undisturbed, tmp_path):

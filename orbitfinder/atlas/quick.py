@@ -24,6 +24,20 @@ FINER = 3
 """The polish begins with steps shorter than the cheap stage's by this factor."""
 SQUARED_ABOVE = 1e-6
 """Damping above which the normal equations are accurate enough."""
+PATIENCE = 6
+"""Evaluations in which the residual must have halved, or it creeps."""
+NEAR = 1e-2
+"""Scaled residual below which a path is near an orbit."""
+NARROW = 3e-2
+"""A Jacobian is nearly singular in one direction when its last singular value is this much below the one before."""
+
+
+class Stalled(ConvergenceError):
+    """Newton's method came near an orbit that is nearly degenerate, and no nearer; `path` is where it stands."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__("stalled near a degenerate orbit")
+        self.path = path
 
 
 @dataclass(frozen=True)
@@ -192,11 +206,15 @@ def solve(one: System, start: Path, settings: QuickSettings) -> tuple[Path, np.n
     path, damping = start, 1e-2
     residual, jacobian = linearised(one, path)
     norm = float(np.abs(residual).max())
+    norms: list[float] = []
     for evaluation in range(1, settings.most_evaluations + 1):
         if norm < settings.converged:
             return path, jacobian
         if any(evaluation > after and norm > most for after, most in settings.hopeless):
             raise ConvergenceError("hopeless start")
+        norms.append(norm)
+        if creeping(norms) and narrow(jacobian):
+            raise Stalled(path)
         step = damped_step(jacobian, residual, damping, settings.largest_step)
         try:
             trial = bounded(one, moved(one, path, step), settings)
@@ -210,6 +228,18 @@ def solve(one: System, start: Path, settings: QuickSettings) -> tuple[Path, np.n
         else:
             damping = max(5 * damping, 1e-4)
     raise ConvergenceError("iteration limit")
+
+
+def creeping(norms: list[float]) -> bool:
+    """True when the last residuals are small and have not halved in a while; asked anew after as long again."""
+    near = norms[-1] < NEAR and len(norms) > PATIENCE and len(norms) % PATIENCE == 0
+    return near and norms[-1] > norms[-1 - PATIENCE] / 2
+
+
+def narrow(jacobian: np.ndarray) -> bool:
+    """True when a Jacobian is nearly singular in one direction alone."""
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    return bool(values[-1] < NARROW * values[-2])
 
 
 def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float, longest: float) -> np.ndarray:
@@ -245,7 +275,7 @@ def polished(one: System, path: Path, jacobian: np.ndarray, settings: QuickSetti
         if best < settings.polished:
             break
     if not best < 1e-10:
-        raise ConvergenceError("polish stalled")
+        raise Stalled(path)
     return path, steps
 
 

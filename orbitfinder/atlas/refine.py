@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.march import derivatives, ends, rounded, states_along
-from orbitfinder.atlas.quick import Path, QuickSettings, polished, segments_needed, shot, solve, system
+from orbitfinder.atlas.quick import Path, QuickSettings, Stalled, polished, segments_needed, shot, solve, system
 from orbitfinder.atlas.signature import Signature, resampled
 from orbitfinder.atlas.starts import Bench, Start, make_start, strategy_of
+from orbitfinder.atlas.valley import orbit_in_valley
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.mechanics.model import energy
 from orbitfinder.periodic.certify import certified, return_distances
@@ -154,8 +155,10 @@ def solved(one: Bench, problem: Problem, path: Path, settings: QuickSettings) ->
     low, high = one.target.periods
     motion = one.marches[problem.symmetry], one.step
     equations = system(problem, motion, path.nodes, (low / PERIOD_MARGIN, high * PERIOD_MARGIN))
-    found, jacobian = solve(equations, path, settings)
-    found, steps = polished(equations, found, jacobian, settings)
+    try:
+        found, steps = polished(equations, *solve(equations, path, settings), settings)
+    except Stalled as stall:
+        found, steps = polished(equations, *orbit_in_valley(equations, stall.path, settings), settings)
     if np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
         raise ConvergenceError("unfolding does not vanish")
     found = replace(found, nodes=centred(one, problem, found.nodes))

@@ -21,7 +21,7 @@ from orbitfinder.periodic.guesses import normal_modes
 from orbitfinder.periodic.hamilton import prepare
 from orbitfinder.periodic.symmetry import check_symmetry
 
-METHOD = 1
+METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
 SAMPLES_PER_PERIOD = 400
 """Samples of the simulation over the longest period."""
