@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder.clioptions import FILES, json_option, print_json
+from orbitfinder.clioptions import FILES, json_option, print_json, trust_option
 from orbitfinder.errors import InputError
 from orbitfinder.searching import print_summary
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.store import Filter, Row
+
+
+TRUST = "Import the Python function of the system, from beside the atlas or installed, for the names of its state."
 
 
 def interval(name: str) -> Callable[[click.Context, click.Parameter, str | None], tuple[float, float] | None]:
@@ -102,8 +105,9 @@ def described(row: Row) -> str:
 @atlas.command()
 @click.argument("book", type=FILES, metavar="FILE.sqlite")
 @click.argument("number", type=int, metavar="ID")
+@trust_option(TRUST)
 @json_option
-def show(book: Path, number: int, as_json: bool) -> None:
+def show(book: Path, number: int, trust: bool, as_json: bool) -> None:
     """Show one orbit by its id; with --json its orbit.json document.
 
     \b
@@ -112,12 +116,12 @@ def show(book: Path, number: int, as_json: bool) -> None:
     """
     from orbitfinder.atlas.store import Atlas
 
-    with Atlas(book) as opened:
+    with Atlas(book, trusted=book.parent if trust else None) as opened:
         document = opened.document(number)
+        if as_json:
+            print_json(document)
+            return
         names = opened.model.state_names
-    if as_json:
-        print_json(document)
-        return
     click.echo(f"orbit {number} of {book}")
     for key, unit in (("period", "s"), ("energy", "J"), ("action", "J s"), ("closure", ""), ("symmetry", ""),
                       ("stability", "")):  # fmt: skip
@@ -160,7 +164,8 @@ def report(book: Path, as_json: bool) -> None:
 )  # fmt: skip
 @click.option("-o", "--out", type=FILES, default=None, help="File to write; standard output when left out.")
 @filters
-def export(book: Path, kind: str, out: Path | None, **options: Any) -> None:
+@trust_option(TRUST)
+def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any) -> None:
     """Write orbits as a JSON list of orbit documents, or as a table in CSV or Parquet.
 
     Parquet needs the extra `parquet` (pyarrow) and -o.
@@ -176,7 +181,7 @@ def export(book: Path, kind: str, out: Path | None, **options: Any) -> None:
 
     if out is None and kind == "parquet":
         raise InputError("--out: missing; a Parquet file is not text, name it with -o FILE.parquet")
-    with Atlas(book) as opened:
+    with Atlas(book, trusted=book.parent if trust else None) as opened:
         data = exported(opened, kind, chosen(options))
     if out is None:
         click.echo(data, nl=False)

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
@@ -51,6 +52,7 @@ def test_search_reports_in_words(book):
     out, _ = run("search", TRIPLE, "--starts", 12, "--workers", 0, "--atlas", path)
     assert "-30 J: 0 starts" in out and f"{document['summary']['orbits']} distinct certified orbits" in out
     assert "strategy" in out and "recurrence" in out and "Chao1" in out
+    assert "orbits without symmetry at -30 J were sought by" in out and "+- 0" not in out
 
 
 def test_list_show_and_verify(book, tmp_path):
@@ -67,6 +69,22 @@ def test_list_show_and_verify(book, tmp_path):
     assert "theta3dot" in out and "floquet multipliers" in out and "seed 0" in out
     (tmp_path / "orbit.json").write_text(run("atlas", "show", path, listed[0]["id"], "--json")[0])
     assert "certified" in run("verify", tmp_path / "orbit.json")[0]
+
+
+def test_show_trusts_a_module_beside_the_atlas(book, tmp_path):
+    """Names of the state come from the module, which is imported only with --trust; the document needs none."""
+    module = "from orbitfinder.mechanics.chain import chain\n\ndef made():\n    return chain(3)\n"
+    (tmp_path / "homemade.py").write_text(module)
+    path = tmp_path / "own.sqlite"
+    path.write_bytes(book[0].read_bytes())
+    system = {"kind": "python", "module": "homemade", "function": "made", "arguments": {}}
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE about SET value = ? WHERE key = 'system'", [json.dumps(system)])
+    connection.close()
+    assert "theta3dot" in run("atlas", "show", path, 1, "--trust")[0]
+    assert "theta3dot" in run("atlas", "export", path, "--to", "csv", "--trust")[0]
+    assert "was not run; read it, then add --trust" in run("atlas", "show", path, 1, code=2)[1]
+    assert json.loads(run("atlas", "show", path, 1, "--json")[0])["period"] > 0
 
 
 def test_export_and_report(book, tmp_path):

@@ -15,11 +15,23 @@ from orbitfinder import display
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, energies
+from orbitfinder.periodic.conditions import SYMMETRIES
+from orbitfinder.periodic.floquet import STABILITIES
 from orbitfinder.periodic.orbit import Orbit, check_document, orbit_from_document, orbit_to_document
+from orbitfinder.suggest import closest
 
 LOOPS_KEPT = 4096
 """Loops of known orbits held in memory; others are integrated again when a look-up needs them."""
+
+CUSTOM = "custom"
+"""The kind of a system that was built in Python and that no file describes."""
+UNDESCRIBED = (
+    " (a Model built in Python has no description: it may read the orbits whose energies it has; to write, "
+    "search the problem file that they came from, with --trust)"
+)
+SAME_ENERGY = 1e-9
+"""A Model's energy along a recorded orbit may differ by this from the recorded one, relative."""
 
 
 @dataclass(frozen=True)
@@ -41,38 +53,71 @@ COLUMNS = tuple(Row.__dataclass_fields__)
 
 @dataclass(frozen=True)
 class Filter:
-    """Which orbits: closed ranges of period (s) and energy (J), kinds of stability and symmetry; None is all."""
+    """Which orbits: closed ranges of period (s) and energy (J), kinds of stability and symmetry; None and () are all.
+
+    Raises `InputError` for a range or a kind that no orbit can have.
+    """
 
     period: tuple[float, float] | None = None
     energy: tuple[float, float] | None = None
-    stability: tuple[str, ...] = ()
-    symmetry: tuple[str, ...] = ()
+    stability: str | tuple[str, ...] = ()
+    symmetry: str | tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("period", "energy"):
+            if (limits := getattr(self, name)) is not None:
+                check_range(name, limits)
+        for name, known in KINDS.items():
+            for one in named(getattr(self, name)):
+                if one not in known:
+                    raise InputError(f"{name}: unknown {one!r}{closest(one, known)}; use {', '.join(known)}")
 
     def condition(self) -> tuple[str, list[Any]]:
         """The same as an SQL condition with its values."""
-        parts, values = ["1"], []
+        parts, values = ["1"], list[Any]()
         for name in ("period", "energy"):
             if (limits := getattr(self, name)) is not None:
                 parts.append(f"{name} BETWEEN ? AND ?")
                 values += [float(limits[0]), float(limits[1])]
-        for name in ("stability", "symmetry"):
-            if chosen := getattr(self, name):
+        for name in KINDS:
+            if chosen := named(getattr(self, name)):
                 parts.append(f"{name} IN ({', '.join('?' * len(chosen))})")
                 values += list(chosen)
         return " AND ".join(parts), values
+
+
+KINDS = {"stability": STABILITIES, "symmetry": tuple(SYMMETRIES)}
+"""What a filter chooses by name."""
+
+
+def named(kinds: str | Sequence[str]) -> tuple[str, ...]:
+    """One name or several, as several."""
+    return (kinds,) if isinstance(kinds, str) else tuple(kinds)
+
+
+def check_range(name: str, limits: Sequence[float]) -> None:
+    """`InputError` when two limits are no closed range."""
+    try:
+        low, high = (float(one) for one in limits)
+    except (TypeError, ValueError):
+        low, high = np.nan, np.nan
+    if not low <= high:
+        raise InputError(f"{name}: must be two increasing numbers, got {limits!r}; give (low, high)")
 
 
 class Atlas:
     """Orbits in an SQLite file, at `path`. Open to read by default; a context manager.
 
     `system` (the description in `Model.system`) must be given to write, and must be that of the
-    orbits already there. `model` is needed for systems that no file describes.
+    orbits already there. `model` is needed for systems that no file describes. `trusted` is the folder
+    of a Python module that makes the system, which the caller vouches for.
     """
 
     def __init__(
-        self, path: str | Path, system: Mapping[str, Any] | None = None, write: bool = False, model: Model | None = None
-    ) -> None:
-        self.path, self._model = Path(path), model
+        self, path: str | Path, system: Mapping[str, Any] | None = None, write: bool = False,
+        model: Model | None = None, trusted: Path | None = None,
+    ) -> None:  # fmt: skip
+        self.path, self._model, self._trusted = Path(path), model, trusted
         self._loops: dict[int, Signature] = {}
         self.connection = connect(self.path, write)
         try:
@@ -106,12 +151,26 @@ class Atlas:
             with transaction(self.connection):
                 self.connection.execute("INSERT OR IGNORE INTO about VALUES ('system', ?)", [text])
         found = self._recorded()
-        if canonical(found) != canonical(system):
+        if canonical(found) != canonical(system) and not self._moves_alike(system, write):
             raise InputError(
                 f"{self.path}: system: holds orbits of {described(found, system)}, not of {described(system, found)}; "
-                "give another atlas file"
+                "give another atlas file" + (UNDESCRIBED if system.get("kind") == CUSTOM else "")
             )
         return found
+
+    def _moves_alike(self, system: Mapping[str, Any], write: bool) -> bool:
+        """True when a Model without a description, given to read, has the recorded energy all along every orbit."""
+        if write or self._model is None or system.get("kind") != CUSTOM:
+            return False
+        for document in self.documents():
+            nodes = np.atleast_2d(np.asarray(document["nodes"], float))
+            if nodes.shape[1] != len(self._model.state_names):
+                return False
+            kinetic, potential = energies(self._model, nodes)
+            scale = np.abs(kinetic).max() + np.abs(potential).max()
+            if not np.all(np.abs(kinetic + potential - document["energy"]) <= SAME_ENERGY * scale):
+                return False
+        return True
 
     @property
     def model(self) -> Model:
@@ -119,7 +178,7 @@ class Atlas:
         if self._model is None:
             from orbitfinder.mechanics.catalogue import build_model
 
-            self._model = build_model(self.system)
+            self._model = build_model(self.system, self._trusted)
         return self._model
 
     def _repr_html_(self) -> str | None:

@@ -11,6 +11,9 @@ ERROR_FACTOR = 30.0
 ERROR_FLOOR = 1e-8
 """No stability index of a double-precision monodromy is trusted below this."""
 
+STABILITIES = ("elliptic", "unstable", "marginal", "asymptotically stable")
+"""The verdicts."""
+
 
 @dataclass(frozen=True)
 class Floquet:
