@@ -152,7 +152,6 @@ def report(ours: Result, hand: Result, summary, budget: float, processor: bool) 
     yields = [
         f"| {one.strategy} | {one.starts} | {one.hits} | {one.new} | {one.seconds:.1f} |" for one in summary.yields
     ]
-    total, error = summary.estimate
     return "\n".join(
         [
             f"# A search of {budget:g} seconds" + " of processor time in each of two processes" * processor,
@@ -176,7 +175,7 @@ def report(ours: Result, hand: Result, summary, budget: float, processor: bool) 
             "|---|---|---|---|---|",
             *yields,
             "",
-            f"Such starts can find at least about {total:.0f} +- {error:.0f} orbits in all (Chao1).",
+            "; ".join(summary.remarks) + ".",
             "",
         ]
     )

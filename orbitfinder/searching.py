@@ -200,5 +200,10 @@ def print_summary(summary: Summary) -> None:
         click.echo(f"  failed {count:>6}: {reason}")
     if rest := sum(count for _, count in failures[REASONS_SHOWN:]):
         click.echo(f"  failed {rest:>6}: other reasons")
-    total, error = summary.estimate
-    click.echo(f"  such starts can find at least about {total:.0f} +- {error:.0f} orbits in all (Chao1)")
+    for met in summary.strata:
+        click.echo(
+            f"  {met.orbits} orbits of symmetry {met.symmetry} at {met.energy:g} J, {met.once} met once; "
+            f"at least about {met.least:.0f}, sought by {met.starts} starts"
+        )
+    for sentence in summary.remarks:
+        click.echo(f"  {sentence}")

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from orbitfinder.atlas import api, quick, refine, valley, workers
-from orbitfinder.atlas.report import chao1, discovery, summarise
+from orbitfinder.atlas.estimate import chao1, remarks, stratum, total
+from orbitfinder.atlas.report import discovery, summarise
 from orbitfinder.atlas.search import Limits, Search, register
 from orbitfinder.atlas.starts import Target, bench
 from orbitfinder.atlas.store import Atlas
@@ -196,7 +197,7 @@ def test_nearly_degenerate_orbits_are_reached(elastic, number, period, instabili
 
 
 def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
-    """From a state that stalled: the residual falls to round-off; with no steps to take, `Stalled` says where it stood."""
+    """From a state that stalled: the residual falls to round-off; without steps to take, `Stalled`."""
     seen = []
     monkeypatch.setattr(refine, "orbit_in_valley", lambda *given: seen.append(given) or valley.orbit_in_valley(*given))
     assert perform(bench(elastic, Target(-8.5, (0.5, 8.0))), 0, Order(4), Known()).orbit is not None
@@ -280,6 +281,16 @@ def test_requests_that_make_no_sense(tmp_path, changed, message):
                    **request)  # fmt: skip
 
 
+def test_the_wells_beside_a_barrier_are_searched(tmp_path):
+    """Below the barrier at q = 0 (0.25 J) the search begins in a well. Period: gallery, double-well-inside."""
+    well = build_model({"kind": "python", "function": "double_well", "arguments": {}})
+    found = api.search(well, 0.1, (1.0, 12.0), tmp_path / "a.sqlite", starts=8, workers=0)
+    with Atlas(found.atlas) as atlas:
+        assert [row.period for row in atlas.rows()] == pytest.approx([4.8781297645261], rel=1e-12)
+    with pytest.raises(InputError, match=r"energy: -0.1 J is not above 0 J, the system at rest"):
+        api.search(well, -0.1, (1.0, 12.0), tmp_path / "b.sqlite", starts=8, workers=0)
+
+
 def test_chao1():
     """By hand: 10 kinds, 5 met once, 2 twice, 3 three times, 18 meetings: 10 + 17/18 5 4 / (2 3)."""
     counts = np.array([1] * 5 + [2] * 2 + [3] * 3)
@@ -295,6 +306,43 @@ def test_chao1_estimates_an_urn():
     counts = np.unique(drawn, return_counts=True)[1]
     total, error = chao1(counts)
     assert len(counts) < total and abs(total - 200) < 3 * error
+
+
+MADE = {"brake": 500, "brake-modes": 300, "random": 40, "recurrence": 60}
+
+
+def test_strata_add_up_to_no_less_than_one_heap():
+    """A few orbits that brake starts cannot meet show in the estimate, however often the others were met."""
+    often, rarely = np.array([90, 150, 200, 250]), np.array([1, 1, 1, 2])
+    strata = [stratum(-8.5, "brake", often, MADE), stratum(-8.5, "none", rarely, MADE)]
+    assert [one.starts for one in strata] == [900, 100] and strata[1].coverage == pytest.approx(0.4)
+    assert total(strata)[0] == pytest.approx(4 + 4 + 4 / 5 * 3 * 2 / 4)
+    assert total(strata)[0] >= chao1(np.concatenate([often, rarely]))[0] - 0.4  # (m - 1) / m differs
+
+
+def test_the_estimate_says_what_it_cannot_see():
+    """No "+- 0": where nothing was met once, the words say what starts so few in number cannot know."""
+    strata = [stratum(-8.5, "brake", np.array([90, 150]), MADE), stratum(-8.5, "none", np.array([7, 9]), MADE)]
+    words = "\n".join(remarks(strata, 280))
+    assert words.startswith("at least about 4 orbits in all") and "+-" not in words
+    assert "stalled near degenerate orbits: 280; what" in words
+    assert "orbits without symmetry at -8.5 J were sought by 100 starts only" in words and "fewer than 1 in 33" in words
+    once = remarks([stratum(-8.5, "none", np.array([1, 1, 1]), MADE)], 0)
+    assert "+-" in once[0] and "met only once: 3;" in once[1] and "stalled" not in "".join(once)
+    assert "too few" in remarks([stratum(-8.5, "none", np.zeros(0, int), {"brake": 9})], 0)[-1]
+
+
+def test_stalled_starts_are_in_the_report(undisturbed, tmp_path):
+    path = tmp_path / "stalled.sqlite"
+    path.write_bytes(undisturbed.read_bytes())
+    with Atlas(path, write=True) as atlas:
+        change = "UPDATE starts SET reason = 'polish stalled', outcome = 'failed', orbit = NULL WHERE number = 3"
+        atlas.connection.execute(change)
+        summary = summarise(atlas)
+        words = summary.document()["estimate"]["remarks"]
+        assert summary.stalled == 1 and any("degenerate orbits: 1;" in one for one in words)
+        assert {one.symmetry for one in summary.strata} >= {"none"} and summary.orbits >= len(summary.strata)
+        assert sum(one.hits for one in summary.strata) == summary.hits
 
 
 def test_a_search_is_registered_once(triple, task, one, tmp_path):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.atlas.estimate import Stratum, chao1, remarks, stratum, total
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.tables import explained
 
@@ -27,7 +29,7 @@ class Yield:
 class Summary:
     """Some searches of an atlas, or all of them, in numbers.
 
-    `estimate` is Chao's lower bound of how many orbits these starts can find in all, with its standard error.
+    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits.
     """
 
     orbits: int
@@ -37,11 +39,28 @@ class Summary:
     seconds: float
     yields: tuple[Yield, ...]
     failures: Mapping[str, int]
-    estimate: tuple[float, float]
+    strata: tuple[Stratum, ...]
+
+    @property
+    def estimate(self) -> tuple[float, float]:
+        """Chao's lower bound of how many orbits these starts can find in all, and its standard error."""
+        return total(self.strata)
+
+    @property
+    def stalled(self) -> int:
+        """Starts that came near a degenerate orbit and reached none."""
+        return sum(count for reason, count in self.failures.items() if "stalled" in reason)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """The estimate and what it does not cover, a sentence each."""
+        return remarks(self.strata, self.stalled)
 
     def document(self) -> dict[str, Any]:
-        """The same for `--json`."""
-        return asdict(self) | {"estimate": {"total": self.estimate[0], "standard_error": self.estimate[1]}}
+        """The same for `--json`; no standard error where nothing was met only once: there is nothing to judge by."""
+        least, error = self.estimate
+        judged = {"total": least, "standard_error": error or None, "remarks": self.remarks}
+        return asdict(self) | {"stalled": self.stalled, "estimate": judged}
 
 
 def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
@@ -61,9 +80,7 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
             "ORDER BY 2 DESC, 1",
             values,
         ).fetchall()
-        met = execute(
-            f"SELECT count(*) FROM starts WHERE orbit IS NOT NULL AND {where} GROUP BY orbit", values
-        ).fetchall()
+        strata = stratified(atlas, where, values)
     yields = tuple(Yield(name, starts, hits, new, seconds) for name, starts, hits, new, seconds in counted)
     return Summary(
         orbits=len(atlas),
@@ -73,42 +90,42 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
         seconds=float(sum(one.seconds for one in yields)),
         yields=yields,
         failures=dict(failed),
-        estimate=chao1(np.array([count for (count,) in met], int)),
+        strata=strata,
     )
 
 
-def chao1(counts: np.ndarray) -> tuple[float, float]:
-    """Estimate (a lower bound) of the number of kinds and its standard error, from how often each was met.
-
-    S + (m - 1)/m f1 (f1 - 1) / (2 (f2 + 1)) with f1 kinds met once, f2 met twice, m meetings in all;
-    bias-corrected form and its variance: A. Chao, Biometrics 43 (1987) 783-791; R. K. Colwell,
-    EstimateS user's guide, equations 2 and 6.
-    """
-    seen, meetings = int(np.sum(counts > 0)), int(counts.sum())
-    once, twice = int(np.sum(counts == 1)), int(np.sum(counts == 2))
-    if not meetings:
-        return 0.0, 0.0
-    share = (meetings - 1) / meetings
-    more = share * once * (once - 1) / (2 * (twice + 1))
-    variance = (
-        more
-        + share**2 * once * (2 * once - 1) ** 2 / (4 * (twice + 1) ** 2)
-        + share**2 * once**2 * twice * (once - 1) ** 2 / (4 * (twice + 1) ** 4)
-    )
-    return seen + more, float(np.sqrt(variance))
+def stratified(atlas: Atlas, where: str, values: Sequence[int]) -> tuple[Stratum, ...]:
+    """The orbits that some starts met, by energy and symmetry; those without symmetry even where none was met."""
+    joined = f"starts JOIN searches ON searches.id = starts.search WHERE {where}"
+    execute = atlas.connection.execute
+    made: dict[float, dict[str, int]] = {}
+    for energy, strategy, count in execute(
+        f"SELECT searches.energy, strategy, count(*) FROM {joined} GROUP BY searches.energy, strategy", values
+    ):
+        made.setdefault(energy, {})[strategy] = count
+    met: dict[tuple[float, str], list[int]] = {(energy, "none"): [] for energy in made}
+    for energy, symmetry, count in execute(
+        "SELECT searches.energy, symmetry, count(*) FROM orbits JOIN starts ON starts.orbit = orbits.id "
+        f"JOIN searches ON searches.id = starts.search WHERE {where} GROUP BY searches.energy, orbits.id",
+        values,
+    ):
+        met.setdefault((energy, symmetry), []).append(count)
+    return tuple(stratum(*key, np.array(counts, int), made[key[0]]) for key, counts in sorted(met.items()))
 
 
 def discovery(atlas: Atlas, search: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Processor seconds, distinct orbits and Chao's estimate after each start of a search."""
     with explained(atlas.path):
         rows = atlas.connection.execute(
-            "SELECT orbit, seconds FROM starts WHERE search = ? ORDER BY number", [search]
+            "SELECT orbit, symmetry, seconds FROM starts LEFT JOIN orbits ON orbits.id = starts.orbit "
+            "WHERE search = ? ORDER BY number",
+            [search],
         ).fetchall()
-    met: dict[int, int] = {}
+    met: dict[str, Counter[int]] = {}
     distinct, estimates = [], []
-    for orbit, _ in rows:
+    for orbit, symmetry, _ in rows:
         if orbit is not None:
-            met[orbit] = met.get(orbit, 0) + 1
-        distinct.append(len(met))
-        estimates.append(chao1(np.array(list(met.values()), int))[0])
-    return np.cumsum([seconds for _, seconds in rows]), np.array(distinct, int), np.array(estimates)
+            met.setdefault(symmetry, Counter())[orbit] += 1
+        distinct.append(sum(len(one) for one in met.values()))
+        estimates.append(sum(chao1(np.array(list(one.values()), int))[0] for one in met.values()))
+    return np.cumsum([seconds for *_, seconds in rows]), np.array(distinct, int), np.array(estimates)

@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.atlas.march import March, build_march, ends, rounded, states_along
+from orbitfinder.atlas.resting import reach_of, resting_place
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.flow import Flow, build_flow
-from orbitfinder.mechanics.model import Model, energies
+from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, unfolded_invariants
 from orbitfinder.periodic.guesses import normal_modes
 from orbitfinder.periodic.hamilton import prepare
@@ -79,12 +80,7 @@ class Start:
 def bench(model: Model, target: Target) -> Bench:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     check(model, target)
-    place = equilibrium(model)
-    lowest = float(energies(model, np.concatenate([place, np.zeros_like(place)])[None])[1][0])
-    if target.energy <= lowest:
-        raise InputError(
-            f"energy: {target.energy:.9g} J is not above {lowest:.9g} J, the system at rest; give a larger energy"
-        )
+    place = resting_place(model, target.energy)
     prepare(model)
     known = symmetries(model)
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
@@ -165,27 +161,6 @@ def check(model: Model, target: Target) -> None:
         raise InputError(f"energy: must be finite, got {target.energy}; give a number in J")
 
 
-def equilibrium(model: Model) -> np.ndarray:
-    """Coordinates (n) of the minimum of the potential nearest to q = 0."""
-    from scipy.optimize import minimize, root
-
-    n = model.degrees_of_freedom
-
-    def potential(q: np.ndarray) -> float:
-        return float(model.potential(q, model.parameter_values))
-
-    zero = np.zeros(n)
-    slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
-    if np.abs(slopes).max() < 1e-11 * max(1.0, abs(potential(zero))):
-        return zero
-    found = minimize(potential, zero, method="BFGS", options={"gtol": 1e-11}).x
-
-    def force(q: np.ndarray) -> np.ndarray:
-        return np.asarray(model.acceleration(0.0, q, zero, model.parameter_values).full().ravel())
-
-    return np.asarray(root(force, found, tol=1e-15).x)
-
-
 def make_start(one: Bench, seed: int, index: int) -> Start:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
     name = strategy_of(one, index)
@@ -208,11 +183,10 @@ def strategy_of(one: Bench, index: int) -> str:
 
 def random_position(one: Bench, random: np.random.Generator, most: float = 1.0) -> np.ndarray:
     """Coordinates (n) with V < E, angles uniform within `most` of a half turn of the equilibrium."""
-    n = one.model.degrees_of_freedom
-    reach = np.where(np.asarray(one.model.angles or (False,) * n), np.pi, 2.0)
+    reach = reach_of(one.model)
     for attempt in range(ATTEMPTS):
         shrink = most * (1.0 - 0.9 * attempt / ATTEMPTS)
-        q = one.equilibrium + shrink * reach * random.uniform(-1, 1, n)
+        q = one.equilibrium + shrink * reach * random.uniform(-1, 1, reach.size)
         if potential(one, q) < one.target.energy:
             return q
     raise ConvergenceError("no position below the energy")
