@@ -10,14 +10,16 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from orbitfinder.atlas import api, quick, refine, valley, workers
 from orbitfinder.atlas.estimate import chao1, remarks, stratum, total
+from orbitfinder.atlas.mirrors import mirrors, named
 from orbitfinder.atlas.report import discovery, summarise
 from orbitfinder.atlas.search import Limits, Search, register
-from orbitfinder.atlas.starts import Target, bench
+from orbitfinder.atlas.starts import Target, bench, make_start
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.task import Known, Order, Task, perform
 from orbitfinder.atlas.workers import DIED, Inline, Local
@@ -25,6 +27,7 @@ from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import reduced
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.periodic.certify import certify
 
@@ -279,6 +282,39 @@ def test_requests_that_make_no_sense(tmp_path, changed, message):
     with pytest.raises(InputError, match=message):
         api.search(request.pop("model"), request.pop("energies"), request.pop("periods"), tmp_path / "a.sqlite",
                    **request)  # fmt: skip
+
+
+def polar():
+    """The swinging spring in polar coordinates r (m) and phi (rad)."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    kinetic = (v[0] ** 2 + (q[0] * v[1]) ** 2) / 2
+    potential = 40.0 * (q[0] - 1) ** 2 / 2 - 9.81 * q[0] * ca.cos(q[1])
+    return lagrange(kinetic, potential, Symbols(q, v), names=["r", "phi"], angles=[False, True])
+
+
+@pytest.mark.parametrize(
+    ("made", "expected"),
+    [
+        (lambda: chain(3), []),
+        (polar, ["phi -> -phi"]),
+        (lambda: build_model({"kind": "python", "function": "henon_heiles", "arguments": {}}), ["x -> -x"]),
+    ],
+)
+def test_mirrors_are_read_off_the_equations(made, expected):
+    model = made()
+    assert [named(model, signs) for signs in mirrors(model)] == expected
+
+
+def test_starts_on_the_section_of_a_mirror(tmp_path):
+    """In polar coordinates, where r is never 0: phi and r' vanish at the start, orbits come, the report says so."""
+    model, path = polar(), tmp_path / "polar.sqlite"
+    one = bench(model, Target(-8.5, (0.5, 8.0)))
+    number = one.strategies.index("mirror")
+    state = make_start(one, 0, number).state
+    assert abs(np.sin(state[1])) < 1e-15 and state[2] == 0 and state[3] != 0 and state[0] > 0
+    found = api.search(model, -8.5, (0.5, 8.0), path, starts=number + 1, workers=0).summary
+    assert next(one for one in found.yields if one.strategy == "mirror").hits >= 1
+    assert any("mirror phi -> -phi was imposed by no start" in one for one in found.remarks)
 
 
 def test_the_wells_beside_a_barrier_are_searched(tmp_path):

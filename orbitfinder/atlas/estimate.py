@@ -78,6 +78,11 @@ def unseen(one: Stratum) -> str:
     return f"{sought} only: what fewer than 1 in {one.starts // 3} of these would meet may be missing"
 
 
+def mirrored(mirror: str, begun: int) -> str:
+    """What the starts know of a mirror that is no coordinate symmetry with a name."""
+    return f"the system's mirror {mirror} was imposed by no start, and images under it count apart; {begun} began on it"
+
+
 def chao1(counts: np.ndarray) -> tuple[float, float]:
     """Estimate (a lower bound) of the number of kinds and its standard error, from how often each was met.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.atlas.estimate import Stratum, chao1, remarks, stratum, total
+from orbitfinder.atlas.estimate import Stratum, chao1, mirrored, remarks, stratum, total
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.tables import explained
 
@@ -29,7 +30,8 @@ class Yield:
 class Summary:
     """Some searches of an atlas, or all of them, in numbers.
 
-    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits.
+    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits;
+    `mirrors` are symmetries of the system that nobody declared.
     """
 
     orbits: int
@@ -40,6 +42,7 @@ class Summary:
     yields: tuple[Yield, ...]
     failures: Mapping[str, int]
     strata: tuple[Stratum, ...]
+    mirrors: tuple[str, ...] = ()
 
     @property
     def estimate(self) -> tuple[float, float]:
@@ -54,7 +57,8 @@ class Summary:
     @property
     def remarks(self) -> tuple[str, ...]:
         """The estimate and what it does not cover, a sentence each."""
-        return remarks(self.strata, self.stalled)
+        begun = sum(one.starts for one in self.yields if one.strategy == "mirror")
+        return (*remarks(self.strata, self.stalled), *(mirrored(one, begun) for one in self.mirrors))
 
     def document(self) -> dict[str, Any]:
         """The same for `--json`; no standard error where nothing was met only once: there is nothing to judge by."""
@@ -81,6 +85,7 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
             values,
         ).fetchall()
         strata = stratified(atlas, where, values)
+        methods = execute(f"SELECT method FROM searches WHERE {where.replace('search ', 'id ')}", values).fetchall()
     yields = tuple(Yield(name, starts, hits, new, seconds) for name, starts, hits, new, seconds in counted)
     return Summary(
         orbits=len(atlas),
@@ -91,6 +96,7 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
         yields=yields,
         failures=dict(failed),
         strata=strata,
+        mirrors=tuple(sorted({one for (method,) in methods for one in json.loads(method).get("mirrors", ())})),
     )
 
 

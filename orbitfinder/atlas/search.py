@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from orbitfinder.atlas.continuing import CONTINUATION
+from orbitfinder.atlas.mirrors import named
 from orbitfinder.atlas.refine import Attempt
 from orbitfinder.atlas.starts import METHOD, Bench, strategy_of
 from orbitfinder.atlas.store import Atlas
@@ -72,7 +73,8 @@ def register(atlas: Atlas, task: Task, one: Bench) -> tuple[int, int]:
 
     A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it.
     """
-    method = json.dumps({"method": METHOD, "strategies": one.strategies})
+    mirrored = {"mirrors": [named(one.model, signs) for signs in one.mirrors]} if one.mirrors else {}
+    method = json.dumps({"method": METHOD, "strategies": one.strategies} | mirrored)
     key = [task.energy, *task.periods, task.seed, method]
     with explained(atlas.path), transaction(atlas.connection):
         atlas.connection.execute(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.atlas.march import March, build_march, ends, rounded, states_along
+from orbitfinder.atlas.mirrors import mirrors, off_section
 from orbitfinder.atlas.resting import reach_of, resting_place
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.flow import Flow, build_flow
@@ -38,6 +39,8 @@ SPANS = 16
 CALIBRATION_STATES = 24
 STEP_ERROR = 1e-7
 MOST_HALVINGS = 12
+HALVES = ("reversal", "mirror")
+"""Strategies that begin in the fixed set of a reversal and look for the next return to it, half a period on."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Bench:
     """Everything about a model that starts share.
 
     Marches and flows by the symmetry imposed (only those that the model has), the step (s) of the
-    cheap stage, the equilibrium and the normal modes about it, the strategies that take turns.
+    cheap stage, the equilibrium and the normal modes about it, the strategies that take turns, the model's mirrors.
     """
 
     model: Model
@@ -64,6 +67,7 @@ class Bench:
     equilibrium: np.ndarray
     shapes: np.ndarray
     strategies: tuple[str, ...]
+    mirrors: tuple[np.ndarray, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,8 @@ def bench(model: Model, target: Target) -> Bench:
     check(model, target)
     place = resting_place(model, target.energy)
     prepare(model)
-    known = symmetries(model)
+    found = mirrors(model)
+    known = symmetries(model) + ("mirror",) * bool(found)
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     unfolded = {name: unfolded_invariants(model, SYMMETRIES[name]) for name in known if name in imposed}
     built = {kinds: build_march(model, kinds) for kinds in dict.fromkeys(unfolded.values())}
@@ -91,14 +96,14 @@ def bench(model: Model, target: Target) -> Bench:
         marches={name: built[kinds] for name, kinds in unfolded.items()},
         flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
-        strategies=tuple(name for name in TURNS if possible(name, known)),
+        strategies=tuple(name for name in TURNS if possible(name, known)), mirrors=found,
     )  # fmt: skip
     return replace(one, step=calibrated(one))
 
 
 def possible(name: str, known: Sequence[str]) -> bool:
     """True when the model has the symmetries that a strategy relies on."""
-    return {"reversal": "reversal"}.get(name, STRATEGIES[name][0]) in known
+    return (name if name in HALVES else STRATEGIES[name][0]) in known
 
 
 def symmetries(model: Model) -> tuple[str, ...]:
@@ -169,7 +174,7 @@ def make_start(one: Bench, seed: int, index: int) -> Start:
     state = propose(one, random)
     if name == "recurrence":
         state, period = _recurrence(one, state, random)
-    elif name == "reversal":
+    elif name in HALVES:
         period = _return_time(one, name, state, random)
     else:
         period = _return_time(one, symmetry, state, random)
@@ -255,6 +260,17 @@ def _crossing(one: Bench, random: np.random.Generator) -> np.ndarray:
     return on_shell(one, one.equilibrium, random.normal(size=n))
 
 
+def _mirrored(one: Bench, random: np.random.Generator) -> np.ndarray:
+    """In the fixed set of one of the model's mirrors: some coordinates at 0 (or a half turn), the others at rest."""
+    signs = one.mirrors[random.integers(len(one.mirrors))]
+    angles = np.asarray(one.model.angles or (False,) * signs.size)
+    for _ in range(ATTEMPTS):
+        q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(one, random))
+        if potential(one, q) < one.target.energy:
+            return on_shell(one, q, np.where(signs < 0, random.normal(size=signs.size), 0.0))
+    raise ConvergenceError("no position below the energy")
+
+
 STRATEGIES: Mapping[str, tuple[str, Callable[[Bench, np.random.Generator], np.ndarray]]] = {
     "brake": ("brake", _random_rest),
     "normal-modes": ("brake+reflection", _mode_rest),
@@ -265,11 +281,13 @@ STRATEGIES: Mapping[str, tuple[str, Callable[[Bench, np.random.Generator], np.nd
     "recurrence": ("none", _random_state),
     "centre": ("reflection", _centre),
     "reversal": ("none", _crossing),
+    "mirror": ("none", _mirrored),
 }
 """Name -> (symmetry imposed, proposal of a state on the energy shell)."""
 TURNS = (
     "recurrence", "brake", "random", "reversal", "brake-modes", "recurrence", "reflection", "brake",
     "normal-modes", "recurrence", "random", "brake-modes", "rest-symmetric", "brake", "recurrence", "centre",
+    "mirror", "mirror",
 )  # fmt: skip
 """Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
 
@@ -284,10 +302,11 @@ def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
     n = one.model.degrees_of_freedom
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
-    if symmetry == "reversal":  # every angle at a multiple of a half turn, the other coordinates at 0
+    if symmetry in HALVES:
         angles = np.asarray(one.model.angles or (False,) * n)
-        folded = np.where(angles, (states[:, :n] + np.pi / 2) % np.pi - np.pi / 2, states[:, :n])
-        return np.asarray(np.abs(folded).max(axis=1))
+        known = (-np.ones(n),) if symmetry == "reversal" else one.mirrors
+        signs = min(known, key=lambda signs: float(off_section(signs, states[:1], angles, rate)[0]))
+        return off_section(signs, states, angles, rate)
     start, turning = states[0], wrapping(one.model)
     if symmetry == "brake":
         return np.asarray(np.abs(states[:, n:]).max(axis=1) / rate)
@@ -308,7 +327,7 @@ def simulated(one: Bench, state: np.ndarray, duration: float) -> tuple[np.ndarra
 
 def _return_time(one: Bench, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
-    fraction = 0.5 if symmetry == "reversal" else SYMMETRIES[symmetry].fraction
+    fraction = 0.5 if symmetry in HALVES else SYMMETRIES[symmetry].fraction
     low, high = one.target.periods
     times, states = simulated(one, state, fraction * high)
     gaps = boundary_gap(one, symmetry, states)

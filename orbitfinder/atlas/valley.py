@@ -66,9 +66,10 @@ def orbit_in_valley(one: System, path: Path, settings: QuickSettings) -> tuple[P
 
 
 def fine_step(one: System, path: Path) -> float:
-    """The step (s) with which the segments of a path are right to round-off."""
+    """The longest step (s) with which half of it agrees; the polish that follows needs no better Jacobian."""
     duration = path.period * one.problem.boundary.fraction / len(path.nodes)
-    return duration / refined_ends(one.march, path.nodes, duration, rounded(duration / one.step), path.unfolding)[1]
+    steps = refined_ends(one.march, path.nodes, duration, rounded(duration / one.step), path.unfolding)[1]
+    return 2 * duration / steps
 
 
 NOWHERE = np.zeros(0), np.zeros(0)
