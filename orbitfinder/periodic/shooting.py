@@ -142,7 +142,7 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
 
 
 def units_of(problem: Problem) -> tuple[float, ...]:
-    """What the state (2n) of a Problem is measured in: powers of 16 near its guess's lengths and time; () when all 1.
+    """What the state (2n) of a Problem is measured in: powers of 256 near its guess's lengths and time; () when all 1.
 
     Lengths are max(|q|, |v| tau, |a| tau^2), tau = T / 2 pi, the largest over all angles and over all others.
     """
@@ -162,8 +162,8 @@ def units_of(problem: Problem) -> tuple[float, ...]:
 
 
 def _rounded(value: float) -> float:
-    """The power of 16 nearest to a value, 1 for 0."""
-    return float(16.0 ** np.round(np.log(value) / np.log(16.0))) if value > 0 else 1.0
+    """The power of 256 nearest to a value, 1 for 0."""
+    return float(256.0 ** np.round(np.log(value) / np.log(256.0))) if value > 0 else 1.0
 
 
 def _unit_of_each(problem: Problem, flow: Flow, segments: int) -> tuple[float, ...]:
@@ -352,10 +352,10 @@ def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.nda
 
 def _weights(problem: Problem, layout: Layout, start: np.ndarray) -> np.ndarray:
     """Weights of the distance to the guess: 1 for angles in rad, or for each unit; rates and periods comparable."""
-    n, units = layout.size // 2, np.asarray(layout.units or [1.0] * layout.total)
-    clock = 1.0 if layout.units else problem.guess.period / (2 * np.pi)
+    n, place = layout.size // 2, layout.size * layout.segments
+    period, free = layout.units[place] if layout.units else 1.0, start[layout.total - layout.free :]
+    clock = problem.guess.period / (2 * np.pi) / period
     node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / layout.segments
-    period, free = units[layout.size * layout.segments], start[layout.total - layout.free :]
     relative = 1.0 / np.maximum(np.abs(free), 1e-6) ** 2
     tail = [[(period / problem.guess.period) ** 2], np.zeros(layout.unfolding), relative]
     return np.concatenate([np.tile(node, layout.segments), *tail])
