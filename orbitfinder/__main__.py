@@ -5,15 +5,18 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
+import signal
 import sys
 
-from orbitfinder import interrupt
+from orbitfinder import interrupt, processes, streams
 
 INTERRUPTED = 130
 
 
 def main() -> None:
     """Run the command line; Ctrl-C at any moment, even during imports, is exit code 130."""
+    processes.leave_current_folder_out()
+    streams.sound()
     try:
         with interrupt.watch():
             from orbitfinder.cli import cli
@@ -26,18 +29,24 @@ def main() -> None:
         if end.code == INTERRUPTED:
             _leave_interrupted()
         raise
+    finally:
+        streams.abandoned()
 
 
 def _leave_interrupted() -> None:
-    """Exit with 130 once everything else has been cleaned up.
+    """Exit with 130, or by SIGTERM where that was the cause, once everything else has been cleaned up.
 
     CPython remembers an interrupt that passed through exec() (as in the making of a dataclass) and
     would end by killing itself with SIGINT, however well the interrupt was handled.
     """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
+    if signal.SIGTERM in interrupt.seen:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGTERM)
     os._exit(INTERRUPTED)
 
 

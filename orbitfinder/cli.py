@@ -5,6 +5,7 @@ Exit codes: 0 everything certified, 1 something did not converge or certify, 2 b
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,10 +57,13 @@ class Commands(click.Group):
                     return _interrupted(ctx)
                 _complain(ctx, error)
                 ctx.exit(BAD_INPUT if isinstance(error, InputError) else NOT_CERTIFIED)
-            except Exception:
+            except Exception as error:
                 if interrupt.seen:  # what CasADi makes of an interrupt
                     return _interrupted(ctx)
-                raise
+                if not isinstance(error, OSError):
+                    raise
+                _complain(ctx, _refused(error))
+                ctx.exit(BAD_INPUT)
 
 
 def _interrupted(ctx: click.Context) -> None:
@@ -67,13 +71,20 @@ def _interrupted(ctx: click.Context) -> None:
     ctx.exit(INTERRUPTED)
 
 
+def _refused(error: OSError) -> InputError:
+    """What the system does not allow, in a sentence; without a name it is a standard stream."""
+    where, why = error.filename or "standard output", error.strerror or error
+    return InputError(f"{where}: {why}; free some space or choose a place that you can read and write")
+
+
 def _complain(ctx: click.Context, error: OrbitfinderError) -> None:
     from orbitfinder.runner import one_line
 
     message = one_line(error)
-    click.echo(f"Error: {message}", err=True)
-    if ctx.meta.get(JSON_KEY):
-        print_json({"format": "orbitfinder/error", "error": message})
+    with contextlib.suppress(OSError):  # a stream that is full has been complained of
+        click.echo(f"Error: {message}", err=True)
+        if ctx.meta.get(JSON_KEY):
+            print_json({"format": "orbitfinder/error", "error": message})
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
+from orbitfinder import streams
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -29,7 +31,7 @@ class Display:
 @contextlib.contextmanager
 def display() -> Iterator[Display]:
     """A Display on the terminal behind descriptor 2, live when it is one."""
-    with os.fdopen(os.dup(2), "w", encoding="utf-8", errors="replace", buffering=1) as stream:
+    with streams.aside() as stream:
         if stream.isatty() and os.environ.get("TERM") != "dumb":
             with _live(stream) as shown:
                 yield shown
@@ -39,8 +41,7 @@ def display() -> Iterator[Display]:
 
 def _plain(stream: TextIO) -> Display:
     def say(line: str) -> None:
-        with contextlib.suppress(OSError):  # a reader that went away must not stop a search
-            stream.write(line + "\n")
+        stream.write(line + "\n")
 
     return Display(lambda name, progress: say(described(name, progress)), say)
 

@@ -1,15 +1,16 @@
-"""Ctrl-C that cannot get lost: CasADi and import locks swallow KeyboardInterrupt, a note of it stays."""
+"""Ctrl-C and SIGTERM that cannot get lost: CasADi and import locks swallow KeyboardInterrupt, a note of it stays."""
 
 from __future__ import annotations
 
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 seen: list[int] = []
-"""The interrupts since `watch()` was entered."""
+"""The signals since `watch()` was entered."""
 
 
 def _note(number: int, _: FrameType | None) -> None:
@@ -19,16 +20,23 @@ def _note(number: int, _: FrameType | None) -> None:
 
 @contextlib.contextmanager
 def watch() -> Iterator[None]:
-    """Inside the block every Ctrl-C is noted in `seen` and raises KeyboardInterrupt."""
+    """Inside the block every Ctrl-C and SIGTERM is noted in `seen` and raises KeyboardInterrupt."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is _note:
         yield
         return
     seen.clear()
-    before = signal.signal(signal.SIGINT, _note)
+    with _handled(_note):
+        yield
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    before = {number: signal.signal(number, handler) for number in SIGNALS}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, old in before.items():
+            signal.signal(number, old or signal.SIG_DFL)
 
 
 def check() -> None:
@@ -39,7 +47,7 @@ def check() -> None:
 
 @contextlib.contextmanager
 def held_back() -> Iterator[None]:
-    """Ctrl-C waits for the end of the block; processes started in it never see one.
+    """Ctrl-C and SIGTERM wait for the end of the block; processes started in it never see a Ctrl-C.
 
     The mask is for those processes, which inherit it; in this one it is not enough, because
     other threads may take the signal.
@@ -48,13 +56,11 @@ def held_back() -> Iterator[None]:
         yield
         return
     waiting: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: waiting.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, before)
-    if waiting:
-        seen.extend(waiting)
-        raise KeyboardInterrupt
+    with _handled(lambda number, _: waiting.append(number)):
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    for number in waiting:
+        signal.raise_signal(number)

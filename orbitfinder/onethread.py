@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -45,10 +45,10 @@ def one_thread() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def children_on_one_thread() -> Iterator[None]:
-    """Processes started in the block have their BLAS on one thread each, for as long as they live."""
-    before = {name: os.environ.get(name) for name in NAMES}
-    os.environ.update(dict.fromkeys(NAMES, "1"))
+def children_see(variables: Mapping[str, str]) -> Iterator[None]:
+    """Processes started in the block have these environment variables, for as long as they live."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
     try:
         yield
     finally:
@@ -57,3 +57,8 @@ def children_on_one_thread() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def children_on_one_thread() -> contextlib.AbstractContextManager[None]:
+    """Processes started in the block have their BLAS on one thread each."""
+    return children_see(dict.fromkeys(NAMES, "1"))

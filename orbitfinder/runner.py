@@ -6,6 +6,7 @@ travel between processes, and IPOPT with MUMPS is not safe in threads.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 import time
@@ -14,10 +15,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orbitfinder import interrupt
+from orbitfinder import processes
 from orbitfinder.errors import InputError, OrbitfinderError
 
 if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
     from orbitfinder.console import Display
     from orbitfinder.mechanics.model import Model
     from orbitfinder.periodic.orbit import Certificate, Orbit
@@ -215,34 +218,29 @@ def run_jobs(jobs: Sequence[Job], workers: int, shown: Display) -> Iterator[Outc
         for job in jobs:
             yield run_job(job, shown)
         return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_worker)
+    hands, todo = list[processes.Hand](), list(jobs)
+    doing: dict[processes.Hand, Job] = {}
     try:
-        with interrupt.held_back():  # so that every worker that was started is known when Ctrl-C arrives
-            futures = [pool.submit(_work, job) for job in jobs]
-        for future in as_completed(futures):
-            yield future.result()
-        pool.shutdown()
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
+        while todo or doing:
+            while todo and len(doing) < workers:
+                hand = next((one for one in hands if one not in doing), None) or processes.hired(_serve)
+                hands += [] if hand in hands else [hand]
+                doing[hand] = todo.pop(0)
+                hand.tell(doing[hand])
+            for hand in processes.ready(doing):
+                job, answer = doing.pop(hand), hand.answer()
+                if answer is None:
+                    hands.remove(hand)
+                    answer = Outcome(job.name, str(job.file), "failed", "the process that worked on it died", 0.0)
+                if isinstance(answer, InputError):
+                    raise answer
+                yield answer
+    finally:
+        processes.dismissed(hands)
 
 
 _stopped: list[int] = []
 """In a worker: the signals by which the parent has told it to stop."""
-
-
-def _worker() -> None:
-    """Workers leave Ctrl-C to the parent, and clean up after themselves when it stops them."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _stop)
 
 
 def _stop(number: int, _: object) -> None:
@@ -250,10 +248,23 @@ def _stop(number: int, _: object) -> None:
     raise SystemExit(128 + number)
 
 
-def _work(job: Job) -> Outcome:
+def _serve(pipe: Connection) -> None:
+    """The life of a worker: jobs until the pipe is closed; told to stop, it cleans up after itself."""
+    import signal
+
+    signal.signal(signal.SIGTERM, _stop)
+    processes.leave_current_folder_out()
+    with contextlib.suppress(EOFError):
+        while True:
+            pipe.send(_work(pipe.recv()))
+
+
+def _work(job: Job) -> Outcome | InputError:
     """`run_job` in a worker; once told to stop it takes no further job, whatever became of the exception."""
     try:
         return run_job(job)
+    except InputError as error:
+        return error
     finally:
         if _stopped:
             os._exit(128 + _stopped[0])

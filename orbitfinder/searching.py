@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder import interrupt
+from orbitfinder import interrupt, streams
 from orbitfinder.clioptions import FILES, compile_option, json_option, print_json, trust_option
 from orbitfinder.errors import InputError
 
@@ -108,7 +108,7 @@ def wanted(loaded: ProblemFile) -> tuple[list[float], tuple[float, float]]:
 @contextlib.contextmanager
 def watched(limits: Limits) -> Iterator[Callable[[float, Tally], None]]:
     """A callback that shows a tally: a table that changes on a terminal, a line now and then elsewhere."""
-    with os.fdopen(os.dup(2), "w", encoding="utf-8", errors="replace", buffering=1) as stream:
+    with streams.aside() as stream:
         if not stream.isatty() or os.environ.get("TERM") == "dumb":
             yield paced(lambda energy, tally: stream.write(line(energy, tally, limits) + "\n"), SPEAK_EVERY)
             return
@@ -129,8 +129,7 @@ def paced(show: Callable[[float, Tally], object], every: float) -> Callable[[flo
         interrupt.check()
         if time.monotonic() - last[0] >= every:
             last[0] = time.monotonic()
-            with contextlib.suppress(OSError):  # a reader that went away must not stop a search
-                show(energy, tally)
+            show(energy, tally)
 
     return call
 

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from typing import Protocol
 
-from orbitfinder import interrupt
+from orbitfinder import processes
 from orbitfinder.atlas.refine import Attempt, Numbers
 from orbitfinder.atlas.starts import Bench
 from orbitfinder.atlas.task import Known, Order, Task, perform, prepared
 from orbitfinder.errors import OrbitfinderError
-from orbitfinder.onethread import children_on_one_thread
 
 MOST_TRIES = 2
 """A start whose worker died is tried once more; then it has cost itself and nothing else."""
 DIED = "worker died"
 MOST_FALSE_STARTS = 3
-LAST_WORDS = 5.0
-"""Seconds that workers get to end by themselves."""
 
 
 class Workers(Protocol):
@@ -75,12 +70,10 @@ class Inline:
         """Nothing to stop."""
 
 
-@dataclass
-class Worker:
+@dataclass(eq=False)
+class Worker(processes.Hand):
     """A spawned process, the pipe to it, what it is doing and how much of the news it has heard."""
 
-    process: BaseProcess
-    pipe: Connection
     order: Order | None = None
     heard: int = 0
     ready: bool = False
@@ -108,8 +101,7 @@ class Local:
         """Give a start to an idle worker, with the news that it has not heard."""
         worker = self._idle()[0]
         worker.order = order
-        with contextlib.suppress(OSError):  # it died: `results` finds out
-            worker.pipe.send((order, self._news[worker.heard :]))
+        worker.tell((order, self._news[worker.heard :]))
         worker.heard = len(self._news)
 
     def results(self, timeout: float) -> list[tuple[Order, Attempt]]:
@@ -128,18 +120,8 @@ class Local:
         self._news.append(numbers)
 
     def close(self) -> None:
-        """Ask, then terminate."""
-        for worker in self._workers:
-            with contextlib.suppress(OSError):
-                worker.pipe.close()
-        for worker in self._workers:
-            if worker.order is not None:
-                worker.process.terminate()
-        for worker in self._workers:
-            worker.process.join(LAST_WORDS)
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join()
+        """End them: they hold nothing that the parent does not have."""
+        processes.dismissed(self._workers)
 
     def _heard_from(self, k: int, worker: Worker) -> list[tuple[Order, Attempt]]:
         try:
@@ -156,7 +138,7 @@ class Local:
     def _replaced(self, k: int, worker: Worker) -> list[tuple[Order, Attempt]]:
         """A new process for a dead one, and its start once more or given up."""
         worker.pipe.close()
-        worker.process.join(LAST_WORDS)
+        worker.process.join(processes.LAST_WORDS)
         self._false_starts += not worker.ready
         if self._false_starts > MOST_FALSE_STARTS:
             raise OrbitfinderError(
@@ -173,21 +155,12 @@ class Local:
         return [(order, Attempt(order.number, "", reason=DIED))]
 
     def _hired(self) -> Worker:
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        # a daemon dies with this process in every orderly end; a killed parent is noticed by the closed pipe
-        process = context.Process(target=serve, args=(theirs, self._task.text(), self._task.seed), daemon=True)
-        with interrupt.held_back(), children_on_one_thread():
-            process.start()
-        theirs.close()
-        return Worker(process, ours)
+        hand = processes.hired(serve, self._task.text(), self._task.seed)
+        return Worker(hand.process, hand.pipe)
 
 
 def serve(pipe: Connection, text: str, seed: int) -> None:
     """The life of a worker: until the pipe is closed, one start after the other."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     one, known = prepared(text), Known()
     with contextlib.suppress(EOFError, OSError):
         pipe.send(None)

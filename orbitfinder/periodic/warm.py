@@ -10,6 +10,7 @@ marches of x alone, doubled until twice as many steps say the same.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -101,6 +102,7 @@ class Refiner:
 
     def __init__(self, problem: Problem, settings: WarmSettings | None = None) -> None:
         check_square(problem)
+        self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or WarmSettings()
         self.problem = problem = at_forcing_period(problem)
         self.flow = build_flow(problem.model, problem.free, unfolded_invariants(problem.model, problem.boundary))
@@ -115,8 +117,12 @@ class Refiner:
         """The orbit near a guess (default: the problem's) at the pins (default: the problem's).
 
         Raises `ConvergenceError` when Newton's method does not converge from there (find_orbit reaches farther),
-        `IntegrationError` when the motion cannot be integrated.
+        `IntegrationError` when the motion cannot be integrated. Threads that share a Refiner take turns.
         """
+        with self._alone:
+            return self._refined(guess, pin)
+
+    def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None) -> Refined:
         self.marches.states = self.marches.derivatives = 0
         path = self.marches.start(_checked(guess or self.problem.guess, len(self.problem.model.state_names)))
         conditions, path, solver = self._approach(path, pin_values(self.problem, pin))

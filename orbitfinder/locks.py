@@ -1,0 +1,54 @@
+"""Locks between processes: a file that one holds at a time and that the kernel lets go of when its holder dies."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+PATIENCE = 0.02
+"""s between two looks at a lock that another process holds"""
+
+
+@contextlib.contextmanager
+def held(path: Path, timeout: float = 0.0) -> Iterator[bool]:
+    """True inside the block when this process alone has the lock file, False when `timeout` s did not do.
+
+    The file is made if need be, never followed elsewhere nor emptied, and removed again. Where files cannot be locked
+    (some network file systems, Windows) everybody holds it. Raises `OSError` where no file can be made.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield True
+        return
+    until = time.monotonic() + timeout
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            held = _is(path, handle)  # not one that its last holder has removed meanwhile
+        except BlockingIOError:
+            held = False
+        except OSError:
+            held = True  # locking is not supported here
+        if held or time.monotonic() > until:
+            break
+        os.close(handle)
+        time.sleep(PATIENCE)
+    try:
+        yield held
+    finally:
+        if held:
+            with contextlib.suppress(OSError):
+                path.unlink()
+        os.close(handle)
+
+
+def _is(path: Path, handle: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(handle))
+    except OSError:
+        return False

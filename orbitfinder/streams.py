@@ -1,0 +1,64 @@
+"""Standard streams of a command as shells leave them: closed, full, or with a reader that went away."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from typing import Any, TextIO
+
+
+def opened() -> None:
+    """Descriptors 0, 1 and 2 lead somewhere, or the next file to be opened would be taken for one of them."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest that is free
+
+
+class _Lenient(io.FileIO):
+    """A file of which some errors are forgiven: what could not be written is dropped."""
+
+    def __init__(self, descriptor: int, forgiven: type[OSError], closefd: bool = False) -> None:
+        super().__init__(descriptor, "w", closefd=closefd)
+        self._forgiven = forgiven
+
+    def write(self, data: Any) -> int:
+        """Write, or drop."""
+        try:
+            return super().write(data)
+        except self._forgiven:
+            return memoryview(data).nbytes
+
+
+def _text(raw: io.FileIO, encoding: str, errors: str, line_buffering: bool) -> TextIO:
+    return io.TextIOWrapper(io.BufferedWriter(raw), encoding, errors, line_buffering=line_buffering)
+
+
+def sound() -> None:
+    """Give this process, at its start, streams that can be written to.
+
+    A reader of standard output that went away (`| head -1`) wants no more, which changes nothing of what was found; of
+    standard error nothing can be said anyway.
+    """
+    opened()
+    for name, descriptor, forgiven in (("stdout", 1, BrokenPipeError), ("stderr", 2, OSError)):
+        old, raw = getattr(sys, name), _Lenient(descriptor, forgiven)
+        encoding, errors = (old.encoding, old.errors) if old else ("utf-8", "backslashreplace")
+        setattr(sys, name, _text(raw, encoding, errors, name == "stderr" or raw.isatty()))
+
+
+def aside() -> TextIO:
+    """A stream to where standard error leads now, however that is captured later."""
+    return _text(_Lenient(os.dup(2), OSError, closefd=True), "utf-8", "replace", True)
+
+
+def abandoned() -> None:
+    """Let go of what could not be written to standard output, or Python complains of it once more at the end."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)

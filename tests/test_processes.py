@@ -1,0 +1,260 @@
+"""Processes and streams as shells, daemons and strangers' folders leave them."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import orbitfinder as of
+from orbitfinder import locks
+
+ROOT = Path(__file__).parents[1]
+COMMAND = [sys.executable, "-m", "orbitfinder"]
+SEARCH = ROOT / "problems" / "search" / "triple.toml"
+PLANTED = ("struct", "pickle", "socket", "selectors", "multiprocessing", "random", "tempfile")
+PENDULUM = """
+name = "{name}"
+[system]
+kind = "chain"
+links = 1
+[guess]
+state = [{angle}, 0.0]
+period = 1.8
+[find]
+pin = {{ theta1 = {angle} }}
+"""
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals and descriptors of POSIX")
+
+
+def problems(folder, count):
+    """Problem files of single pendulums."""
+    files = [folder / f"p{k}.toml" for k in range(count)]
+    for k, file in enumerate(files):
+        file.write_text(PENDULUM.format(name=f"p{k}", angle=0.5 + k / count))
+    return files
+
+
+def started(*words, cwd=ROOT, **options):
+    """The real command in a session of its own."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [*COMMAND, *map(str, words)], cwd=cwd, env=environment | options.pop("env", {}), text=True,
+        start_new_session=True, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options,
+    )  # fmt: skip
+
+
+def until(condition, seconds=60.0):
+    """Wait for a condition; False when it did not come."""
+    end = time.monotonic() + seconds
+    while not (found := condition()) and time.monotonic() < end:
+        time.sleep(0.02)
+    return bool(found)
+
+
+def session(leader):
+    """Processes of a session that are alive, by what the kernel says."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            words = stat.read_text().rpartition(")")[2].split()
+            if int(words[3]) == leader and words[0] != "Z":
+                found.append(int(stat.parent.name))
+    return found
+
+
+proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+
+
+@pytest.mark.parametrize("command", ["search", "run"])
+def test_modules_in_the_current_folder_are_not_run(tmp_path, command):
+    """A stranger's struct.py beside a problem file is not the library's; the workers' first imports are tried too."""
+    for name in PLANTED:
+        (tmp_path / f"{name}.py").write_text(f"open('RAN', 'a').write('{name}\\n')\nraise SystemExit(7)\n")
+    files = problems(tmp_path, 2)
+    words = {
+        "run": ("run", *files, "--jobs", 2, "--no-figures"),
+        "search": ("search", SEARCH, "--starts", 4, "--workers", 2, "--atlas", "z.sqlite"),
+    }[command]
+    script = "import sys; sys.path.remove(''); from orbitfinder.__main__ import main; main()"  # the installed command
+    done = subprocess.run(
+        [sys.executable, "-c", script, *map(str, words)], cwd=tmp_path, capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=120,
+    )  # fmt: skip
+    assert not (tmp_path / "RAN").exists(), (tmp_path / "RAN").read_text()
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_matplotlibrc_of_the_current_folder_is_not_read(tmp_path):
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nsavefig.dpi: 1\n")
+    running = started("run", *problems(tmp_path, 1), cwd=tmp_path)
+    out, err = running.communicate(timeout=120)
+    assert running.returncode == 0, err
+    assert (tmp_path / "orbits" / "p0" / "phase_portraits.png").is_file(), out
+
+
+@proc
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("command", ["search", "run"])
+def test_workers_do_not_outlive_their_parent(tmp_path, number, command):
+    words = {
+        "run": ("run", *problems(tmp_path, 60), "--jobs", 2, "--no-figures", "--out", tmp_path / "o"),
+        "search": ("search", SEARCH, "--starts", 9999, "--workers", 2, "--atlas", tmp_path / "z.sqlite"),
+    }[command]
+    running = started(*words)
+    assert until(lambda: len(session(running.pid)) >= 4)  # two workers, the tracker
+    until((tmp_path / ("o/p1" if command == "run" else "z.sqlite")).exists, 20)
+    os.kill(running.pid, number)
+    _, err = running.communicate(timeout=30)
+    assert until(lambda: not session(running.pid), 10), session(running.pid)
+    assert running.returncode == -number
+    assert "Traceback" not in err
+
+
+@proc
+@pytest.mark.parametrize("command", ["search", "run"])
+@pytest.mark.parametrize("after", [0.3, 0.6, 1.2, 2.0])
+def test_two_interrupts_leave_no_traceback(tmp_path, command, after):
+    """Ctrl-C twice, at moments at which workers are starting."""
+    words = {
+        "run": ("run", *problems(tmp_path, 60), "--jobs", 2, "--no-figures", "--out", tmp_path / "o"),
+        "search": ("search", SEARCH, "--starts", 9999, "--workers", 2, "--atlas", tmp_path / "z.sqlite"),
+    }[command]
+    running = started(*words)
+    time.sleep(after)
+    os.killpg(running.pid, signal.SIGINT)
+    time.sleep(0.05)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(running.pid, signal.SIGINT)
+    _, err = running.communicate(timeout=60)
+    assert running.returncode in (130, -signal.SIGINT) and (after < 0.5 or "Traceback" not in err), err
+    assert until(lambda: not session(running.pid), 10)
+
+
+def test_a_worker_that_dies_costs_its_job(tmp_path):
+    """The others are done, and the command says what became of this one."""
+    files = problems(tmp_path, 6)
+    running = started("run", *files, "--jobs", 2, "--no-figures", "--out", tmp_path / "o", stderr=subprocess.DEVNULL)
+    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
+    if not children.exists():
+        pytest.skip("needs /proc")
+    (tmp_path / "o").mkdir(exist_ok=True)
+
+    def workers():
+        return [k for k in children.read_text().split() if b"spawn_main" in Path(f"/proc/{k}/cmdline").read_bytes()]
+
+    assert until(workers)
+    os.kill(int(workers()[0]), signal.SIGKILL)
+    out, _ = running.communicate(timeout=120)
+    assert running.returncode == 1 and out.count("the process that worked on it died") == 1
+    assert out.count("certified") == 5
+
+
+@pytest.mark.parametrize("close", ["2>&-", ">&- 2>&-", "<&-", "<&- >&- 2>&-"])
+def test_closed_streams_change_nothing(tmp_path, close):
+    """As daemons start their children."""
+    (file,) = problems(tmp_path, 1)
+    line = f"'{sys.executable}' -m orbitfinder run '{file}' --out '{tmp_path / 'o'}' --no-figures {close}"
+    done = subprocess.run(line, shell=True, cwd=ROOT, timeout=120, capture_output=True)
+    assert done.returncode == 0 and (tmp_path / "o" / "p0" / "orbit.json").is_file()
+
+
+def test_a_reader_that_goes_away_does_not_change_the_exit_code(tmp_path):
+    (file,) = problems(tmp_path, 1)
+    reading, writing = os.pipe()
+    os.close(reading)
+    running = started("run", file, "--out", tmp_path / "o", "--no-figures", stdout=writing)
+    os.close(writing)
+    _, err = running.communicate(timeout=120)
+    assert running.returncode == 0 and "Traceback" not in err and "Broken" not in err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_full_disk_behind_a_stream_is_a_sentence(tmp_path, stream):
+    """Nothing of it is a traceback; what cannot be said at all is said by the exit code."""
+    (file,) = problems(tmp_path, 1)
+    with open("/dev/full", "w") as full:
+        running = started("run", file, "--out", tmp_path / "o", "--no-figures", **{stream: full})
+        out, err = running.communicate(timeout=120)
+    assert "Traceback" not in (out or "") + (err or "") and "Exception" not in (err or "")
+    if stream == "stdout":
+        assert running.returncode == 2 and "standard output: No space left on device" in err
+    else:
+        assert running.returncode == 0 and "certified" in out
+
+
+def test_without_a_home_there_is_a_cache_for_the_process(tmp_path):
+    """A container's user has no home and no entry in passwd."""
+    (file,) = problems(tmp_path, 1)
+    environment = {"ORBITFINDER_CACHE": "~nosuchuser/x"}
+    running = started("run", file, "--out", tmp_path / "o", "--no-figures", "--compile", "on", env=environment)
+    _, err = running.communicate(timeout=120)
+    assert running.returncode == 0, err
+    running = started("doctor", env=environment)
+    out, err = running.communicate(timeout=120)
+    assert "Traceback" not in err and "nosuchuser" in out, err
+
+
+def test_threads_keep_the_terminal(capfd):
+    """Four threads find orbits; what they and others print arrives, and the descriptors are those from before."""
+    before = [os.fstat(k).st_ino for k in (1, 2)]
+    problem = of.Problem(of.chain(1), of.Guess([1.0, 0.0], 1.8), of.pin(theta1=1.0))
+    found = []
+
+    def find(k):
+        for j in range(4):
+            found.append(of.find_orbit(problem).period)
+            print(f"thread {k} orbit {j}")
+
+    threads = [threading.Thread(target=find, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [os.fstat(k).st_ino for k in (1, 2)] == before
+    lines = capfd.readouterr().out.splitlines()
+    assert sorted(lines) == [f"thread {k} orbit {j}" for k in range(4) for j in range(4)]
+    assert len(found) == 16 and max(found) - min(found) < 1e-11
+
+
+def test_a_refiner_may_be_shared_by_threads():
+    """Each refinement is the one that it would have been alone."""
+    problem = of.Problem(of.chain(2), of.Guess([0.3, 0.4, 0.0, 0.0], 2.0), of.pin(theta1=0.3))
+    refiner = of.Refiner(problem)
+    angles = [0.2 + 0.01 * k for k in range(24)]
+    alone = [refiner.refine(pin=of.pin(theta1=a)).period for a in angles]
+    together = dict[float, float]()
+
+    def refine(some):
+        for a in some:
+            together[a] = refiner.refine(pin=of.pin(theta1=a)).period
+
+    threads = [threading.Thread(target=refine, args=(angles[k::4],)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [together.get(a) for a in angles] == alone
+
+
+def test_a_lock_is_held_by_one(tmp_path):
+    path = tmp_path / "lock"
+    with locks.held(path) as first, locks.held(path) as second:
+        assert first and not second
+    with locks.held(path) as again:
+        assert again
+    assert not path.exists()
+
+
+def test_a_lock_file_that_leads_elsewhere_is_not_followed(tmp_path):
+    (tmp_path / "victim").write_text("precious")
+    (tmp_path / "lock").symlink_to(tmp_path / "victim")
+    with pytest.raises(OSError), locks.held(tmp_path / "lock"):
+        pass
+    assert (tmp_path / "victim").read_text() == "precious"
