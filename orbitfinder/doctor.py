@@ -119,15 +119,15 @@ def tools() -> Iterator[Finding]:
 
 
 def _cache() -> Finding:
-    from orbitfinder.compiled.cache import folder
+    from orbitfinder.compiled.cache import usable
 
-    place = folder()
     try:
-        place.mkdir(parents=True, exist_ok=True)
+        place = usable()
         with tempfile.TemporaryFile(dir=place):
             pass
     except OSError as error:
-        return Finding("cache", NOTE, f"{place}: {error}", "set ORBITFINDER_CACHE to a folder that you can write to")
+        remedy = "set ORBITFINDER_CACHE to a folder that you, and nobody else, can write to"
+        return Finding("cache", NOTE, f"not used, nothing is compiled: {error}", remedy)
     entries = list(place.glob("*.so"))
     size = sum(entry.stat().st_size for entry in entries)
     return Finding("cache", OK, f"{place}: {len(entries)} compiled functions, {size / 1e6:.1f} MB")

@@ -15,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from orbitfinder import compiled as rooms
+from orbitfinder import locks
 from orbitfinder.clioptions import compile_option
 from orbitfinder.compiled import available, cache, compiled, compiling, mode, set_mode, statistics, with_derivatives
 from orbitfinder.compiled.compiler import CompilerError, expected_seconds, find_compiler, flags, make_library
@@ -161,13 +162,13 @@ def test_two_processes_at_once_compile_once(fresh, tmp_path):
 def test_lock_that_is_never_released(fresh, monkeypatch):
     """Another process that hangs while holding the lock costs patience, not correctness."""
     fcntl = pytest.importorskip("fcntl")
-    fresh.mkdir(parents=True)
+    cache.usable()
     monkeypatch.setattr(rooms, "expected_seconds", lambda size: -0.99)  # patience of 0.1 s
     with monkeypatch.context() as patched:
         handles = [(fresh / f"lock-{k:02x}").open("w") for k in range(256)]
         for handle in handles:
             fcntl.flock(handle, fcntl.LOCK_EX)
-        patched.setattr(cache, "PATIENCE", 0.01)
+        patched.setattr(locks, "PATIENCE", 0.01)
         assert "another process" in stays_interpreted(example())
         for handle in handles:
             handle.close()
@@ -293,6 +294,45 @@ def test_entry_that_others_may_write_is_not_loaded(monkeypatch, fresh):
     entry.chmod(0o777)
     assert cache.find(fresh, entry.stem.partition("-")[0]) is None
     assert stat.S_IMODE(fresh.stat().st_mode) == 0o700
+
+
+def _exposed_by(how, fresh):
+    """Let others reach a cache in a way of a name."""
+    if how == "folder":
+        fresh.chmod(0o777)
+    elif how == "parent":
+        fresh.parent.chmod(0o777)
+    elif how == "link":  # a safe-looking path to a folder that others reach
+        target = fresh.parent.parent / "elsewhere"
+        shutil.move(fresh, target)
+        target.chmod(0o777)
+        fresh.symlink_to(target)
+    elif os.getuid() == 0:
+        os.chown(fresh, 65534, 65534)
+    else:
+        pytest.skip("only root gives folders away")
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs POSIX permissions")
+@pytest.mark.parametrize("how", ["folder", "parent", "link", "owner"])
+def test_a_folder_that_others_can_change_is_not_used(monkeypatch, fresh, how):
+    """Its owner could put a library of his in place of one that is just being made: nothing is loaded, nothing written."""
+    compiled(example())
+    _exposed_by(how, fresh)
+    forget(monkeypatch)
+    before = sorted(fresh.iterdir())
+    assert "could be another's" in stays_interpreted(example())
+    assert sorted(fresh.iterdir()) == before
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs POSIX permissions")
+def test_a_shared_temporary_folder_may_hold_a_cache_of_ours(fresh):
+    """In a sticky folder others cannot replace what is ours; what may be written by a group of one is ours too."""
+    fresh.parent.mkdir(parents=True, exist_ok=True)
+    fresh.parent.chmod(0o1777)
+    assert compiled(example()).is_a("External")
+    about = fresh.stat()
+    assert about.st_mode & 0o777 == 0o700 and not list(fresh.glob("lock-*"))
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     paying = mode() == "on" or effort is None
     if not paying and effort < STARTING:  # type: ignore[operator]
         return function
-    remembered = (function.__hash__(), mode(), os.environ.get("CC"), str(cache.folder()), paying or effort)
+    remembered = (function.__hash__(), mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"), paying or effort)
     if remembered in _known:
         return _known[remembered][1]
     try:
@@ -146,11 +146,10 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
     key = cache.key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
     if key in _libraries:
         return _libraries[key]
-    place = cache.folder()
+    place = cache.usable()
     found = _loaded(cache.find(place, key), function)
     if found is None:
         _worth_it(len(code), effort)
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
         with cache.locked(place, key, expected_seconds(len(code)) * 10 + 10) as held:
             found = _loaded(cache.find(place, key), function)  # another process may have made it meanwhile
             if found is None:

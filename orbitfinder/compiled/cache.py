@@ -10,21 +10,33 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import stat
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
+
+from orbitfinder import locks
 
 LIMIT = 256 * 1024 * 1024
 """Bytes of libraries kept; the least recently used go first"""
 STALE = 3600.0
 """s after which an unfinished file of a process that died is removed"""
-PATIENCE = 0.02
-"""s between two looks at a lock that another process holds"""
 
 
 def folder() -> Path:
-    """Where libraries are kept: $ORBITFINDER_CACHE/compiled, else the platform's place for caches."""
+    """Where libraries are kept: $ORBITFINDER_CACHE/compiled, else the platform's place for caches.
+
+    Raises `OSError` when that is in the home of somebody who has none.
+    """
+    try:
+        return _chosen()
+    except RuntimeError as error:
+        raise OSError(f"{error} Set ORBITFINDER_CACHE to a folder of your own.") from None
+
+
+def _chosen() -> Path:
+    if os.environ.get("HOME") == "":
+        raise RuntimeError("HOME is empty.")
     chosen = os.environ.get("ORBITFINDER_CACHE", "").strip()
     if chosen:
         return Path(chosen).expanduser() / "compiled"
@@ -35,6 +47,54 @@ def folder() -> Path:
     else:
         root = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     return root / "orbitfinder" / "compiled"
+
+
+def usable() -> Path:
+    """The folder for libraries, made if need be and without links. Raises `OSError` when it must not be used.
+
+    Loading a library executes it, so nobody but its user (and root) may be able to put one there, or another folder in
+    its place.
+    """
+    place = folder()
+    for part in (*reversed(place.parents), place):
+        if not part.is_dir():
+            part.mkdir(mode=0o700, exist_ok=True)  # whatever the umask
+    place = place.resolve()
+    fault = exposed(place)
+    if fault:
+        raise PermissionError(f"{fault}, so libraries there could be another's")
+    return place
+
+
+def exposed(place: Path) -> str:
+    """Why others could change what a path without links leads to, empty when only its user and root can.
+
+    Every folder on the way must be ours or root's, and writable by nobody else; in a sticky one (/tmp) others cannot
+    replace what is ours. Once this holds it goes on holding, so no race is left between looking and loading.
+    """
+    if not hasattr(os, "getuid"):
+        return ""
+    for part in (place, *place.parents):
+        about = part.lstat()
+        if not stat.S_ISDIR(about.st_mode) or about.st_uid not in (os.getuid(), 0):
+            return f"{part} is not a folder of yours"
+        if _writable_by_others(about) and not (about.st_mode & stat.S_ISVTX and part != place):
+            return f"{part} may be written by others (chmod go-w)"
+    return ""
+
+
+def _writable_by_others(about: os.stat_result) -> bool:
+    """Group members count as others, but for those of a group that has its user's name and no other member."""
+    if about.st_mode & stat.S_IWOTH or not about.st_mode & stat.S_IWGRP:
+        return bool(about.st_mode & stat.S_IWOTH)
+    import grp
+    import pwd
+
+    try:
+        group, user = grp.getgrgid(about.st_gid), pwd.getpwuid(os.getuid())
+    except KeyError:
+        return True
+    return (group.gr_name, set(group.gr_mem) - {user.pw_name}) != (user.pw_name, set())
 
 
 def key_of(*parts: str) -> str:
@@ -51,9 +111,10 @@ def find(place: Path, key: str) -> Path | None:
     """A sound entry for this key, marked as used now; damaged ones are removed, foreign ones ignored."""
     for path in sorted(place.glob(f"{key}-*.so")):
         try:
-            if not _own(path):
+            content = _read(path)
+            if content is None:
                 continue
-            if digest(path.read_bytes()) != path.stem.partition("-")[2]:
+            if digest(content) != path.stem.partition("-")[2]:
                 path.unlink()
                 continue
         except OSError:
@@ -64,12 +125,13 @@ def find(place: Path, key: str) -> Path | None:
     return None
 
 
-def _own(path: Path) -> bool:
-    """Loading a library executes it, so it must be ours (or root's) and nobody else may write it."""
-    if not hasattr(os, "getuid"):
-        return True
-    about = path.stat()
-    return about.st_uid in (os.getuid(), 0) and not about.st_mode & 0o022
+def _read(path: Path) -> bytes | None:
+    """What a file holds; None where it is a link, no file, another's, or may be written by others."""
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+    with open(handle, "rb") as stream:
+        about = os.fstat(handle)
+        mine = not hasattr(os, "getuid") or (about.st_uid in (os.getuid(), 0) and not about.st_mode & 0o022)
+        return stream.read() if mine and stat.S_ISREG(about.st_mode) else None
 
 
 def publish(made: Path, place: Path, key: str) -> Path:
@@ -107,28 +169,9 @@ def _remove(path: Path) -> None:
     path.rmdir() if path.is_dir() else path.unlink()
 
 
-@contextlib.contextmanager
-def locked(place: Path, key: str, timeout: float) -> Iterator[bool]:
-    """One process at a time per key (256 lock files in all): True when held, False when `timeout` s did not do.
+def locked(place: Path, key: str, timeout: float) -> contextlib.AbstractContextManager[bool]:
+    """One process at a time per key (256 locks in all): True when held, False when `timeout` s did not do.
 
-    The kernel lets go of the lock when its holder dies. Where files cannot be locked (some network file systems,
-    Windows) everybody holds it: the work may then be done twice, and publishing stays atomic.
+    Where files cannot be locked the work may be done twice, and publishing stays atomic.
     """
-    try:
-        import fcntl
-    except ImportError:
-        yield True
-        return
-    with open(place / f"lock-{key[:2]}", "w", encoding="ascii") as handle:
-        held, until = False, time.monotonic() + timeout
-        while not held:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                held = True
-            except BlockingIOError:
-                if time.monotonic() > until:
-                    break
-                time.sleep(PATIENCE)
-            except OSError:
-                held = True  # locking is not supported here
-        yield held
+    return locks.held(place / f"lock-{key[:2]}", timeout)
