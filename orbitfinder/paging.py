@@ -18,7 +18,11 @@ from orbitfinder.clioptions import FILES
     "--atlas-pages", default=60, show_default=True, type=click.IntRange(0, 10_000),
     help="Orbits of each atlas, evenly chosen in energy, that get a card and a page of their own.",
 )  # fmt: skip
-def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int) -> None:
+@click.option(
+    "--verify/--no-verify", default=True, show_default=True,
+    help="Recompute the certificate of every orbit that gets a page, or say that it is the file's word.",
+)  # fmt: skip
+def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool) -> None:
     """Make a static site from any mixture of orbits, families and atlases.
 
     PATH is an orbit.json, a family.json, an atlas (database or JSON export), or a folder that holds
@@ -40,7 +44,7 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int) -> No
         interrupt.check()
         click.echo(line, err=True)
 
-    site, summary = build_site(gather(paths), Settings(title, atlas_pages), say)
+    site, summary = build_site(gather(paths), Settings(title, atlas_pages, verify), say)
     write_site(site, out)
     parts = [plural(summary.orbits, "orbit"), plural(summary.families, "family"), plural(summary.atlases, "atlas")]
     click.echo(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")

@@ -316,7 +316,7 @@ def _exposed_by(how, fresh):
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs POSIX permissions")
 @pytest.mark.parametrize("how", ["folder", "parent", "link", "owner"])
 def test_a_folder_that_others_can_change_is_not_used(monkeypatch, fresh, how):
-    """Its owner could put a library of his in place of one that is just being made: nothing is loaded, nothing written."""
+    """Its owner could put a library of his in place of one that is being made: nothing is loaded, nothing written."""
     compiled(example())
     _exposed_by(how, fresh)
     forget(monkeypatch)

@@ -427,9 +427,60 @@ def test_a_proof_is_shown(tmp_path):
     proof = {"proved": True, "theorem": "<1>", "period": {"value": "1.6553389883", "radius": 2e-30}}
     (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof}))
     text = build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
-    assert ">proved</span>" in text and "theorem &lt;1&gt; of" in text and "1.6553389883 s within 2e" in text
+    assert ">proof recorded</span>" in text and "not replayed here" in text and "theorem &lt;1&gt; of" in text and "1.6553389883 s within 2e" in text
     (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof | {"proved": False}}))
-    assert ">proved<" not in build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
+    assert "proof recorded" not in build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
+
+
+FORGED = {"proof": {"proved": True, "theorem": "1"}}
+
+
+def forged() -> dict:
+    """A file that says of a false orbit that it is certified and proved."""
+    right = document()
+    return right | {"state": [x + 0.3 for x in right["state"]], "period": 1.1 * right["period"]} | FORGED
+
+
+def test_the_page_of_a_false_orbit_says_what_verify_says(tmp_path):
+    """Neither the recorded checks nor the recorded proof are repeated; the failing checks are named."""
+    (tmp_path / "orbit.json").write_text(json.dumps(forged()))
+    made, _ = build_site(gather([tmp_path]))
+    page, index = (made.files[name].decode() for name in ("orbits/triple-1.html", "index.html"))
+    told = json.loads(CliRunner().invoke(cli, ["verify", str(tmp_path / "orbit.json"), "--json"]).stdout)
+    failing = [one["name"].replace("_", " ") for one in told["results"][0]["checks"] if not one["passed"]]
+    assert len(failing) >= 8 and f"Not an orbit, by these checks: {', '.join(failing)}." in page
+    assert page.count(">FAILED<") == len(failing) and ">rejected</span>" in page
+    assert ">certified<" not in page and "proof" not in page.lower().replace("orbitfinder verify --proof", "")
+    assert "1 rejected" in index and "certified" not in index and ">rejected</span>" in index
+
+
+def test_a_true_orbit_is_certified_by_what_the_page_recomputed(tmp_path):
+    """A file that says nothing, or says failed, of a true orbit changes nothing."""
+    for name, extra in (("a", {"certificate": None}), ("b", {"certificate": {"passed": False, "checks": []}})):
+        (tmp_path / f"{name}.json").write_text(json.dumps(document() | extra | {"name": name}))
+    made, _ = build_site(gather([tmp_path]))
+    assert "2 certified when this page was made" in made.files["index.html"].decode()
+    assert "Recomputed from the numbers of the file" in made.files["orbits/a.html"].decode()
+
+
+@pytest.mark.parametrize("why", ["not asked", "foreign"])
+def test_what_was_not_recomputed_is_the_files_word(tmp_path, why):
+    """`--no-verify`, or a system that only a program makes, which a page never runs."""
+    system = {"kind": "python", "module": "mine", "function": "make", "arguments": {}}
+    given = forged() | ({"system": system} if why == "foreign" else {})
+    (tmp_path / "orbit.json").write_text(json.dumps(given))
+    made, _ = build_site(gather([tmp_path]), Settings(verify=why == "foreign"))
+    page, index = (made.files[name].decode() for name in ("orbits/triple-1.html", "index.html"))
+    assert "As the file has it; not checked here: " in page and ">not checked here</span>" in page
+    assert ">certified<" not in page and "1 not checked here" in index and "certified" not in index
+    assert 'badge good">passed' not in page
+
+
+def test_a_state_of_another_system_is_rejected(tmp_path):
+    """Numbers that do not belong together are no orbit, and no traceback."""
+    (tmp_path / "orbit.json").write_text(json.dumps(document() | {"state": [0.1, 0.2]}))
+    page = build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
+    assert ">rejected</span>" in page and "does not belong to the system" in page
 
 
 @pytest.mark.parametrize("file", PROBLEMS, ids=lambda path: path.stem)

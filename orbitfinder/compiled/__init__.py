@@ -109,7 +109,8 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     paying = mode() == "on" or effort is None
     if not paying and effort < STARTING:  # type: ignore[operator]
         return function
-    remembered = (function.__hash__(), mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"), paying or effort)
+    surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
+    remembered = (function.__hash__(), mode(), *surroundings, paying or effort)
     if remembered in _known:
         return _known[remembered][1]
     try:

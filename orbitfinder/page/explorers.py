@@ -116,7 +116,7 @@ def family_main(family: Mapping[str, Any], items: Sequence[Mapping[str, Any]], b
     summary = (
         f"{plural(len(points), 'orbit')} of the {mechanism(family['system'])}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "
-        f"Parameter: {family['parameter']}."
+        f"Parameter: {family['parameter']}. All as `orbitfinder continue` recorded it; not checked here."
     )
     columns = ["energy", "period"] if family["parameter"] in UNITS else ["value", "energy", "period"]
     words = {"value": str(family["parameter"]), "energy": "energy, J", "period": "period, s"}
@@ -188,6 +188,7 @@ def atlas_main(name: str, entries: Sequence[Entry], total: int) -> Html:
     summary = f"{plural(total, 'distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
         summary += f" Energy {span(energies)} J, period {span(periods)} s."
+    summary += " All as the atlas records it; an orbit with a page of its own says there what was checked."
     return fill(
         "atlas", title=f"Atlas {name}", summary=summary,
         stabilities=options(one.document["stability"] for one in entries),

@@ -12,6 +12,7 @@ from orbitfinder.page.gather import OrbitFile
 from orbitfinder.page.motion import Motion, histories, packed
 from orbitfinder.page.recipe import commands, problem_name, problem_text
 from orbitfinder.page.text import Html, escaped, fill, joined, number
+from orbitfinder.page.verdicts import Verdict
 from orbitfinder.page.words import coordinate, mechanism
 
 MOST_PORTRAITS = 6
@@ -34,6 +35,7 @@ class Entry:
     """name of the atlas it came from, empty for an orbit.json"""
     label: str = ""
     """what it is called where its document has no telling name of its own"""
+    verdict: Verdict = Verdict((), False, "this orbit has no page of its own")
 
     @property
     def document(self) -> Mapping[str, Any]:
@@ -51,13 +53,6 @@ class Entry:
         return mechanism(self.document["system"])
 
     @property
-    def certified(self) -> bool | None:
-        """The recorded verdict; None when the document carries no certificate."""
-        recorded = self.document.get("certificate")
-        checks = recorded.get("checks") if isinstance(recorded, Mapping) else None
-        return recorded.get("passed") is True if checks and isinstance(recorded, Mapping) else None
-
-    @property
     def largest(self) -> float:
         """Largest modulus of the Floquet multipliers, 1 where there are none."""
         pairs = self.document["floquet_multipliers"]
@@ -69,11 +64,12 @@ def symmetry_words(name: str) -> str:
     return SYMMETRIES.get(name, name.replace("+", " and "))
 
 
-def verdict(certified: bool | None) -> Html:
-    """A badge that says whether the orbit carries a passed certificate."""
-    if certified is None:
-        return Html('<span class="badge">no certificate</span>')
-    word, style = ("certified", "good") if certified else ("not certified", "bad")
+def verdict_badge(verdict: Verdict) -> Html:
+    """A badge that says whether the orbit passed the checks when this page was made."""
+    if verdict.certified is None:
+        word = "not checked here" if verdict.checks else "no certificate"
+        return Html(f'<span class="badge">{word}</span>')
+    word, style = ("certified", "good") if verdict.certified else ("rejected", "bad")
     return Html(f'<span class="badge {style}">{word}</span>')
 
 
@@ -93,8 +89,13 @@ def card(entry: Entry) -> Html:
         energy=repr(float(document["energy"])), period=repr(float(document["period"])),
         energy_text=number(document["energy"]), period_text=number(document["period"]),
         stability=document["stability"], symmetry=document["symmetry"], largest=repr(entry.largest),
-        badge=stability_badge(document["stability"]), symmetry_text=symmetry_words(document["symmetry"]),
+        badge=Html(_doubt(entry.verdict) + stability_badge(document["stability"])), symmetry_text=symmetry_words(document["symmetry"]),
     )  # fmt: skip
+
+
+def _doubt(verdict: Verdict) -> str:
+    """The badge of an orbit that was not certified when this page was made, else nothing."""
+    return "" if verdict.certified else f"{verdict_badge(verdict)} "
 
 
 def orbit_main(entry: Entry) -> Html:
@@ -103,14 +104,14 @@ def orbit_main(entry: Entry) -> Html:
     return fill(
         "orbit",
         title=entry.title, mechanism=entry.mechanism, source=_source(document),
-        verdict=Html(f"{verdict(entry.certified)} {proved(document)}"),
+        verdict=Html(f"{verdict_badge(entry.verdict)} {proof_badge(entry)}"),
         stability=stability_badge(document["stability"]),
         symmetry=symmetry_words(document["symmetry"]), facts=_facts(entry),
         player=player(f"Moving picture of {entry.title}", entry.motion),
         portraits=_portraits(entry.motion),
         missing=Html("") if entry.motion else _missing(), note=_chosen_note(entry.motion),
         multipliers=_multipliers(document),
-        certificate=_certificate(document), proof=_proof(document), name=problem_name(document),
+        certificate=_certificate(entry.verdict), whose=_whose(entry.verdict), proof=_proof(entry), name=problem_name(document),
         toml=TOML if problem else Html(""),
         problem=problem or "This system was built in Python; no problem file describes it.",
         commands=commands(document) if problem else f"orbitfinder verify {problem_name(document)}.json\n",
@@ -202,31 +203,47 @@ def _multipliers(document: Mapping[str, Any]) -> Html:
     return fill("multipliers", rows=joined(rows), defect=note)
 
 
-def _certificate(document: Mapping[str, Any]) -> Html:
-    recorded = document.get("certificate") or {}
-    if not recorded.get("checks"):
-        return Html('<tr><td colspan="5">This file carries no certificate; run orbitfinder verify.</td></tr>')
-    return joined(_check(check) for check in recorded["checks"])
+def _whose(verdict: Verdict) -> Html:
+    """Who says what the table of checks says, and what failed."""
+    said = f'<p class="meta">{escaped(verdict.words)}</p>'
+    if verdict.certified is False:
+        said += f'<p class="notice">Not an orbit, by these checks: {escaped(verdict.failures)}.</p>'
+    return Html(said)
 
 
-def _proof(document: Mapping[str, Any]) -> Html:
-    """What `orbitfinder prove` recorded, where it proved something."""
-    proof = document.get("proof")
-    if not isinstance(proof, Mapping) or proof.get("proved") is not True:
+def _certificate(verdict: Verdict) -> Html:
+    if not verdict.checks:
+        return Html('<tr><td colspan="5">No checks; run orbitfinder verify.</td></tr>')
+    return joined(_check(check, not verdict.unchecked) for check in verdict.checks)
+
+
+def _recorded_proof(entry: Entry) -> Mapping[str, Any] | None:
+    """What `orbitfinder prove` recorded, where it proved something; of a rejected orbit nothing is proved."""
+    proof = entry.document.get("proof")
+    if not isinstance(proof, Mapping) or proof.get("proved") is not True or entry.verdict.certified is False:
+        return None
+    return proof
+
+
+def _proof(entry: Entry) -> Html:
+    proof = _recorded_proof(entry)
+    if proof is None:
         return Html("")
     period, enclosed = proof.get("period"), ""
     radius = period.get("radius") if isinstance(period, Mapping) else None
     if isinstance(period, Mapping) and isinstance(radius, (int, float)):
         enclosed = f"Its period is {period.get('value')} s within {number(float(radius), 2)} s."
-    return fill("proof", theorem=str(proof.get("theorem", "")), period=enclosed)
+    versions = proof.get("versions")
+    by = f" by orbitfinder {versions.get('orbitfinder', '')}" if isinstance(versions, Mapping) else ""
+    return fill("proof", theorem=str(proof.get("theorem", "")), period=enclosed, by=by)
 
 
-def proved(document: Mapping[str, Any]) -> Html:
-    """A badge for an orbit whose existence is proved, else nothing."""
-    return Html('<span class="badge good">proved</span>') if _proof(document) else Html("")
+def proof_badge(entry: Entry) -> Html:
+    """A badge for an orbit whose file records a proof, else nothing."""
+    return Html("") if _recorded_proof(entry) is None else Html('<span class="badge plain">proof recorded</span>')
 
 
-def _check(check: Mapping[str, Any]) -> Html:
+def _check(check: Mapping[str, Any], ours: bool) -> Html:
     def figure(name: str) -> str:
         value = check.get(name)
         return number(float(value) if isinstance(value, (int, float)) else None, 3)
@@ -235,7 +252,7 @@ def _check(check: Mapping[str, Any]) -> Html:
         str(check.get("name", "")).replace("_", " "), figure("value"), figure("tolerance"),
         "passed" if check.get("passed") else "FAILED", check.get("note", ""),
     ]  # fmt: skip
-    style = "good" if check.get("passed") else "bad"
+    style = ("good" if check.get("passed") else "bad") if ours else "plain"
     inner = "".join(f"<td>{escaped(cell)}</td>" for cell in cells[1:3])
     return Html(
         f'<tr><th scope="row">{escaped(cells[0])}</th>{inner}'

@@ -7,7 +7,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,14 @@ from orbitfinder.page.gather import AtlasFile, Gathered, evenly
 from orbitfinder.page.motion import Films, packed
 from orbitfinder.page.orbits import Entry, card, orbit_data, orbit_main
 from orbitfinder.page.text import ASSETS, Html, fill, joined, number, script_data, size, slug_maker
+from orbitfinder.page.verdicts import Judge
 from orbitfinder.page.words import mechanism, plural
 from orbitfinder.version import __version__
 
 MARK = "orbitfinder-page.json"
 """A file of this name says that a folder was written here and may be replaced."""
 WEIGHT = "@@WEIGHT@@"
+SPEAK_EVERY = 10
 PLOTTING = "plotly-basic.min.js"
 Progress = Callable[[str], None]
 
@@ -34,6 +36,8 @@ class Settings:
 
     title: str = "Periodic orbits"
     atlas_pages: int = 60
+    verify: bool = True
+    """Recompute the certificate of every orbit that gets a page; what is not recomputed is not called certified"""
 
 
 @dataclass(frozen=True)
@@ -117,10 +121,21 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
         links.insert(found.atlases.index(atlas), link)
         entries += shown
         tell(f"atlas {atlas.name}: {plural(atlas.total, 'orbit')}")
+    entries = _judged(entries, Judge(settings.verify), tell)
     for entry in entries:
         _add_orbit(site, entry)
     _add_gallery(site, entries, links, motions)
     return site, Summary(len(entries), len(found.families), len(found.atlases), site.finish())
+
+
+def _judged(entries: Sequence[Entry], judge: Judge, tell: Progress) -> list[Entry]:
+    """The entries with their verdicts."""
+    found: list[Entry] = []
+    for entry in entries:
+        found.append(replace(entry, verdict=judge.verdict(entry.file)))
+        if len(found) % SPEAK_EVERY == 0 or len(found) == len(entries):
+            tell(f"{len(found)} of {plural(len(entries), 'orbit')} judged")
+    return found
 
 
 def _add_orbit(site: Site, entry: Entry) -> None:
@@ -173,8 +188,7 @@ def _add_atlas(
 
 def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], motions: dict[str, Any]) -> None:
     motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
-    counts = [plural(len(entries), "periodic orbit")] if entries else []
-    certified = sum(entry.certified is True for entry in entries)
+    counts = [plural(len(entries), "orbit")] if entries else []
     more, jump = Html(""), Html("")
     if links:
         more = fill("links", links=joined(links))
@@ -183,7 +197,7 @@ def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], mo
         "gallery",
         title=site.settings.title,
         summary=f"{', '.join(counts) or 'No single orbits'}"
-        + (f", {certified} of them certified." if entries else "."),
+        + (f", {_tally(entries)}." if entries else "."),
         links=more,
         jump=jump,
         count=str(len(entries)),
@@ -194,6 +208,14 @@ def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], mo
     )
     about = f"A gallery of {plural(len(entries), 'periodic orbit')} of mechanical systems, each moving in real time."
     site.add("index.html", site.settings.title, main, ("gallery", motions), ("gallery.js",), about)
+
+
+def _tally(entries: Sequence[Entry]) -> str:
+    """How many were certified, rejected and not checked when the page was made."""
+    verdicts = [entry.verdict.certified for entry in entries]
+    named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}
+    counts = [(verdicts.count(one), words) for one, words in named.items()]
+    return ", ".join(f"{count} {words}" for count, words in counts if count)
 
 
 def check_target(out: Path) -> None:

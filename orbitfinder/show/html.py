@@ -62,6 +62,8 @@ def orbit_html(orbit: Orbit) -> str:
     """Mechanism and phase portrait moving in real time, multipliers, and the numbers."""
     certificate = orbit.certificate
     verdict = "no certificate" if certificate is None else verdict_of(certificate)
+    if certificate is not None and orbit.record is not None:
+        verdict = f"as its file has it, not checked here: {verdict}"
     sizes = np.abs(orbit.floquet_multipliers)
     largest = f"{sizes.max():.6g}" if sizes.size else "none but the trivial ones"
     rows = [
