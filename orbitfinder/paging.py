@@ -12,7 +12,7 @@ from orbitfinder.clioptions import FILES
 
 @click.command()
 @click.argument("paths", nargs=-1, required=True, type=FILES, metavar="PATH...")
-@click.option("-o", "--out", required=True, type=FILES, help="Folder for the site; a former page in it is replaced.")
+@click.option("-o", "--out", required=True, type=FILES, help="Folder for the site; of it a former page is replaced.")
 @click.option("--title", default="Periodic orbits", show_default=True, help="Heading of the gallery.")
 @click.option(
     "--atlas-pages", default=60, show_default=True, type=click.IntRange(0, 10_000),
@@ -34,9 +34,10 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
       orbitfinder page orbits families atlas.sqlite -o site --title "Triple pendulum"
     """
     from orbitfinder.page.gather import gather
-    from orbitfinder.page.site import Settings, build_site, check_target, write_site
+    from orbitfinder.page.site import Settings, build_site
     from orbitfinder.page.text import size
     from orbitfinder.page.words import plural
+    from orbitfinder.page.writing import check_target, write_site
 
     check_target(out)
 
@@ -45,6 +46,6 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
         click.echo(line, err=True)
 
     site, summary = build_site(gather(paths), Settings(title, atlas_pages, verify), say)
-    write_site(site, out)
+    write_site(site.files, out)
     parts = [plural(summary.orbits, "orbit"), plural(summary.families, "family"), plural(summary.atlases, "atlas")]
     click.echo(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")

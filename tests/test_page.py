@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from conftest import pendulum_period
 
+from orbitfinder import locks
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli import cli
 from orbitfinder.errors import InputError
@@ -23,13 +24,15 @@ from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
+from orbitfinder.page import writing
 from orbitfinder.page.explorers import span, spread
 from orbitfinder.page.gather import evenly, gather
 from orbitfinder.page.motion import SHARES, Films, completed, histories, packed, path_completed, resampled
 from orbitfinder.page.recipe import problem_name, problem_text, toml
-from orbitfinder.page.site import MARK, Settings, build_site, check_target, write_site
+from orbitfinder.page.site import Settings, build_site
 from orbitfinder.page.text import Html, fill, number, script_data, size, slug_maker
 from orbitfinder.page.words import coordinate, mechanism, plural
+from orbitfinder.page.writing import MARK, check_target, mark, write_site
 from orbitfinder.periodic.orbit import load_orbit, orbit_to_document
 from orbitfinder.problemfile import load_problem
 from orbitfinder.runge_kutta import march
@@ -168,28 +171,77 @@ def test_same_input_same_bytes(material):
 def test_former_page_is_replaced_and_nothing_else(site, tmp_path):
     made, _ = build_site(gather([SHIPPED / "triple-1"]), Settings("first"))
     out = tmp_path / "site"
-    write_site(made, out)
-    (out / "left-over.html").write_text("old")
-    write_site(made, out)
-    assert (out / MARK).is_file() and not (out / "left-over.html").exists()
+    write_site(made.files, out)
+    more = made.files | {"orbits/old.html": b"", "more/old.html": b""}
+    write_site(more | {MARK: mark(more)}, out)
+    write_site(made.files, out)
+    assert sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()) == sorted(made.files)
+    assert not (out / "more").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.txt").write_text("all of it")
     with pytest.raises(InputError, match="not empty and holds no former page"):
-        write_site(made, foreign)
+        write_site(made.files, foreign)
     assert (foreign / "thesis.txt").read_text() == "all of it"
     with pytest.raises(InputError, match="exists and is not a folder"):
         check_target(foreign / "thesis.txt")
     with pytest.raises(InputError, match="cannot write beside"):
-        write_site(made, foreign / "thesis.txt" / "site")
+        write_site(made.files, foreign / "thesis.txt" / "site")
+
+
+@pytest.mark.parametrize("edition", [1, 2])
+def test_what_others_keep_in_the_folder_stays(tmp_path, edition):
+    """A repository, a CNAME, links and empty folders outlive the former page, whichever edition wrote that."""
+    made, _ = build_site(gather([SHIPPED / "triple-1"]))
+    out = tmp_path / "site"
+    write_site(made.files | {"orbits/old.html": b"", MARK: mark(["orbits/old.html", *made.files])}, out)
+    if edition == 1:
+        (out / MARK).write_text('{"format": "orbitfinder/page", "version": 1}')
+    (out / ".git" / "refs").mkdir(parents=True)
+    (out / ".git" / "HEAD").write_text("ref: refs/heads/main")
+    (out / "CNAME").write_text("orbits.example")
+    (out / "orbits" / "notes.md").write_text("mine")
+    (out / "link").symlink_to("CNAME")
+    write_site(made.files, out)
+    assert (out / ".git" / "HEAD").read_text() == "ref: refs/heads/main" and (out / ".git" / "refs").is_dir()
+    assert (out / "link").is_symlink() and (out / "link").read_text() == "orbits.example"
+    assert (out / "orbits" / "notes.md").read_text() == "mine" and not (out / "orbits" / "old.html").exists()
+    assert (out / "index.html").read_bytes() == made.files["index.html"]
+    (out / "orbits" / "double.html").write_text("mine")
+    with pytest.raises(InputError, match="double.html is in the way"):
+        write_site(made.files | {"orbits/double.html": b""}, out)
+    assert (out / "orbits" / "double.html").read_text() == "mine"
+
+
+def test_what_a_killed_page_left_is_removed_or_put_back(tmp_path):
+    """Its temporary folder goes at the next run; of others' folders with like names nothing does."""
+    made, _ = build_site(gather([SHIPPED / "triple-1"]))
+    out = tmp_path / "site"
+    write_site(made.files, out)
+    (out / "CNAME").write_text("orbits.example")
+    for name, inner in ((".site.abcdefgh", "new"), (".site.12345678", "thesis"), (".site.longer-name", "new")):
+        (tmp_path / name / inner).mkdir(parents=True)
+    (tmp_path / ".site.killed_1").mkdir()
+    out.rename(tmp_path / ".site.killed_1" / "old")  # killed between the two renames
+    write_site(made.files, out)
+    assert {path.name for path in tmp_path.iterdir()} == {"site", ".site.12345678", ".site.longer-name"}
+    assert (out / "CNAME").read_text() == "orbits.example"
+
+
+def test_one_process_writes_a_site_at_a_time(tmp_path, monkeypatch):
+    made, _ = build_site(gather([SHIPPED / "triple-1"]))
+    monkeypatch.setattr(writing, "PATIENCE", 0.1)
+    with locks.held(tmp_path / ".site.lock"), pytest.raises(InputError, match="another process is writing"):
+        write_site(made.files, tmp_path / "site")
+    assert not (tmp_path / "site").exists()
 
 
 @pytest.mark.parametrize("failure", [OSError("disk full"), KeyboardInterrupt()])
 def test_a_failed_write_leaves_the_former_page(failure, tmp_path, monkeypatch):
     made, _ = build_site(gather([SHIPPED / "triple-1"]))
     out, rename = tmp_path / "site", Path.rename
-    write_site(made, out)
+    write_site(made.files, out)
     before = (out / "index.html").read_bytes()
 
     def failing(self, target):
@@ -199,7 +251,7 @@ def test_a_failed_write_leaves_the_former_page(failure, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "rename", failing)
     with pytest.raises((InputError, KeyboardInterrupt)):
-        write_site(made, out)
+        write_site(made.files, out)
     assert (out / "index.html").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
@@ -427,7 +479,8 @@ def test_a_proof_is_shown(tmp_path):
     proof = {"proved": True, "theorem": "<1>", "period": {"value": "1.6553389883", "radius": 2e-30}}
     (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof}))
     text = build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
-    assert ">proof recorded</span>" in text and "not replayed here" in text and "theorem &lt;1&gt; of" in text and "1.6553389883 s within 2e" in text
+    assert ">proof recorded</span>" in text and "not replayed here" in text
+    assert "theorem &lt;1&gt; of" in text and "1.6553389883 s within 2e" in text
     (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof | {"proved": False}}))
     assert "proof recorded" not in build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
 

@@ -24,6 +24,9 @@ TOML = Html(
 SYMMETRIES = {"none": "no symmetry"}
 
 
+UNJUDGED = Verdict((), False, "this orbit has no page of its own")
+
+
 @dataclass(frozen=True)
 class Entry:
     """One orbit of the site: its file, its motion, the name of its page and how its parts are called."""
@@ -35,7 +38,7 @@ class Entry:
     """name of the atlas it came from, empty for an orbit.json"""
     label: str = ""
     """what it is called where its document has no telling name of its own"""
-    verdict: Verdict = Verdict((), False, "this orbit has no page of its own")
+    verdict: Verdict = UNJUDGED
 
     @property
     def document(self) -> Mapping[str, Any]:
@@ -89,7 +92,8 @@ def card(entry: Entry) -> Html:
         energy=repr(float(document["energy"])), period=repr(float(document["period"])),
         energy_text=number(document["energy"]), period_text=number(document["period"]),
         stability=document["stability"], symmetry=document["symmetry"], largest=repr(entry.largest),
-        badge=Html(_doubt(entry.verdict) + stability_badge(document["stability"])), symmetry_text=symmetry_words(document["symmetry"]),
+        badge=Html(_doubt(entry.verdict) + stability_badge(document["stability"])),
+        symmetry_text=symmetry_words(document["symmetry"]),
     )  # fmt: skip
 
 
@@ -111,7 +115,8 @@ def orbit_main(entry: Entry) -> Html:
         portraits=_portraits(entry.motion),
         missing=Html("") if entry.motion else _missing(), note=_chosen_note(entry.motion),
         multipliers=_multipliers(document),
-        certificate=_certificate(entry.verdict), whose=_whose(entry.verdict), proof=_proof(entry), name=problem_name(document),
+        certificate=_certificate(entry.verdict), whose=_whose(entry.verdict), proof=_proof(entry),
+        name=problem_name(document),
         toml=TOML if problem else Html(""),
         problem=problem or "This system was built in Python; no problem file describes it.",
         commands=commands(document) if problem else f"orbitfinder verify {problem_name(document)}.json\n",

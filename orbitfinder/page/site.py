@@ -1,18 +1,13 @@
-"""The whole site: pages, data and assets, written beside the target and then put in its place."""
+"""The whole site in memory: pages, data and assets."""
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-from orbitfinder.errors import InputError
 from orbitfinder.page.explorers import atlas_data, atlas_main, family_data, family_main, options
 from orbitfinder.page.gather import AtlasFile, Gathered, evenly
 from orbitfinder.page.motion import Films, packed
@@ -20,10 +15,9 @@ from orbitfinder.page.orbits import Entry, card, orbit_data, orbit_main
 from orbitfinder.page.text import ASSETS, Html, fill, joined, number, script_data, size, slug_maker
 from orbitfinder.page.verdicts import Judge
 from orbitfinder.page.words import mechanism, plural
+from orbitfinder.page.writing import MARK, mark
 from orbitfinder.version import __version__
 
-MARK = "orbitfinder-page.json"
-"""A file of this name says that a folder was written here and may be replaced."""
 WEIGHT = "@@WEIGHT@@"
 SPEAK_EVERY = 10
 PLOTTING = "plotly-basic.min.js"
@@ -89,7 +83,7 @@ class Site:
 
     def finish(self) -> int:
         """Turn the pages into files, each with what it and the whole site weigh; returns the latter in bytes."""
-        self.files[MARK] = (json.dumps({"format": "orbitfinder/page", "version": 1}) + "\n").encode()
+        self.files[MARK] = mark([*self.files, *(page.path for page in self.pages)])
         fixed = sum(map(len, self.files.values())) + sum(
             len(page.html.encode("utf-8", "replace")) for page in self.pages
         )
@@ -216,39 +210,3 @@ def _tally(entries: Sequence[Entry]) -> str:
     named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}
     counts = [(verdicts.count(one), words) for one, words in named.items()]
     return ", ".join(f"{count} {words}" for count, words in counts if count)
-
-
-def check_target(out: Path) -> None:
-    """`InputError` when the target holds anything that was not written here."""
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise InputError(f"--out: {out} exists and is not a folder; name a new folder")
-    if out.is_dir() and any(out.iterdir()) and not (out / MARK).is_file():
-        raise InputError(
-            f"--out: {out} is not empty and holds no former page ({MARK} is missing), so it is left alone; "
-            "name a new or an empty folder"
-        )
-
-
-def write_site(site: Site, out: Path) -> None:
-    """Write everything into a temporary folder beside the target, then put it in the target's place."""
-    check_target(out)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
-    except OSError as error:
-        raise InputError(f"--out: cannot write beside {out} ({error}); choose another folder") from error
-    try:
-        fresh = temporary / "new"
-        for path, data in sorted(site.files.items()):
-            target = fresh / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(data)
-        if out.exists():
-            out.rename(temporary / "old")
-        fresh.rename(out)
-    except OSError as error:
-        raise InputError(f"--out: cannot write {out} ({error}); free some space or choose another folder") from error
-    finally:
-        if (temporary / "old").exists() and not out.exists():  # stopped between the two renames
-            (temporary / "old").rename(out)
-        shutil.rmtree(temporary, ignore_errors=True)
