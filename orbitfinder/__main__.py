@@ -8,14 +8,14 @@ import os
 import signal
 import sys
 
-from orbitfinder import interrupt, processes, streams
+from orbitfinder import interrupt, streams
 
 INTERRUPTED = 130
 
 
 def main() -> None:
     """Run the command line; Ctrl-C at any moment, even during imports, is exit code 130."""
-    processes.leave_current_folder_out()
+    streams.leave_current_folder_out()
     streams.sound()
     try:
         with interrupt.watch():

@@ -8,6 +8,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from orbitfinder.errors import InputError
+
+LOCK = ".lock"
 PATIENCE = 0.02
 """s between two looks at a lock that another process holds"""
 
@@ -29,22 +32,34 @@ def held(path: Path, timeout: float = 0.0) -> Iterator[bool]:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            held = _is(path, handle)  # not one that its last holder has removed meanwhile
+            ours = True
         except BlockingIOError:
-            held = False
+            ours = False
         except OSError:
-            held = True  # locking is not supported here
-        if held or time.monotonic() > until:
+            ours = True  # locking is not supported here
+        if not ours and time.monotonic() > until:
+            break
+        if ours and _is(path, handle):  # and not one that its last holder has removed meanwhile
             break
         os.close(handle)
-        time.sleep(PATIENCE)
+        time.sleep(0.0 if ours else PATIENCE)
     try:
-        yield held
+        yield ours
     finally:
-        if held:
+        if ours:
             with contextlib.suppress(OSError):
                 path.unlink()
         os.close(handle)
+
+
+@contextlib.contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """A folder (made if need be) to this process alone; `InputError` when another one has it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with held(folder / LOCK) as alone:
+        if not alone:
+            raise InputError(f"{folder}: another process is writing there; wait for it to end, or give another --out")
+        yield
 
 
 def _is(path: Path, handle: int) -> bool:

@@ -10,7 +10,6 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -28,26 +27,6 @@ LAST_WORDS = 5.0
 """Seconds that processes get to end by themselves"""
 LOOK_EVERY = 1.0
 """Seconds between two looks at whether the parent lives"""
-
-
-def leave_current_folder_out() -> None:
-    """Take nothing that lies in the current folder for a part of the program: for commands, at their start.
-
-    `python -m` puts that folder first on the path, and Matplotlib reads its settings there before any others.
-    """
-    home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    try:
-        here = os.getcwd()
-    except OSError:  # the folder is gone, and all that was in it
-        return
-    if sys.path and sys.path[0] in ("", here) and here != home:
-        del sys.path[0]
-    if os.path.exists("matplotlibrc"):
-        os.chdir(home)
-        try:
-            import matplotlib  # noqa: F401
-        finally:
-            os.chdir(here)
 
 
 @dataclass(eq=False)

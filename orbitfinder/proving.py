@@ -50,6 +50,7 @@ def prove_command(
     from orbitfinder.periodic.orbit import load_orbit
     from orbitfinder.proof.record import checked, entry, write_entry
     from orbitfinder.proof.theorem import Options, provable_model, prove
+    from orbitfinder.runner import check_writable
 
     given = {"order": order, "bits": bits, "tolerance": tolerance}
     chosen = Options(symmetry=symmetry, segments=segments)
@@ -57,6 +58,8 @@ def prove_command(
     options, results = checked(replace(chosen, settings=settings)), []
     for file in files:
         orbit = load_orbit(file)
+        if record:
+            check_writable(file.parent, "--record")
         model = provable_model(orbit, file.parent if trust else None)
         proof = prove(orbit, model, options, lambda line, name=orbit.name: _say(f"{name}: {line}"))  # type: ignore[misc]
         interrupt.check()

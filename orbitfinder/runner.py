@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orbitfinder import processes
+from orbitfinder import processes, streams
 from orbitfinder.errors import InputError, OrbitfinderError
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool) -> lis
     return list(jobs.values())
 
 
-def check_writable(folder: Path) -> None:
+def check_writable(folder: Path, option: str = "--out") -> None:
     """`InputError` when files cannot be created in a folder (made if need be)."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def check_writable(folder: Path) -> None:
     except (OSError, ValueError) as error:
         reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
         raise InputError(
-            f"--out: cannot write in {str(folder)!r} ({reason}); choose a folder that you can write to"
+            f"{option}: cannot write in {str(folder)!r} ({reason}); choose a folder that you can write to"
         ) from error
 
 
@@ -253,7 +253,7 @@ def _serve(pipe: Connection) -> None:
     import signal
 
     signal.signal(signal.SIGTERM, _stop)
-    processes.leave_current_folder_out()
+    streams.leave_current_folder_out()
     with contextlib.suppress(EOFError):
         while True:
             pipe.send(_work(pipe.recv()))

@@ -1,4 +1,4 @@
-"""Standard streams of a command as shells leave them: closed, full, or with a reader that went away."""
+"""What shells leave a command with: streams closed, full or without a reader, and a current folder of anybody's."""
 
 from __future__ import annotations
 
@@ -62,3 +62,23 @@ def abandoned() -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.close(nowhere)
+
+
+def leave_current_folder_out() -> None:
+    """Take nothing that lies in the current folder for a part of the program: for commands, at their start.
+
+    `python -m` puts that folder first on the path, and Matplotlib reads its settings there before any others.
+    """
+    home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    try:
+        here = os.getcwd()
+    except OSError:  # the folder is gone, and all that was in it
+        return
+    if sys.path and sys.path[0] in ("", here) and here != home:
+        del sys.path[0]
+    if os.path.exists("matplotlibrc"):
+        os.chdir(home)
+        try:
+            import matplotlib  # noqa: F401
+        finally:
+            os.chdir(here)

@@ -1,6 +1,7 @@
 """Processes and streams as shells, daemons and strangers' folders leave them."""
 
 import contextlib
+import errno
 import os
 import signal
 import subprocess
@@ -10,9 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 import orbitfinder as of
 from orbitfinder import locks
+from orbitfinder.cli import cli
 
 ROOT = Path(__file__).parents[1]
 COMMAND = [sys.executable, "-m", "orbitfinder"]
@@ -71,8 +74,9 @@ def session(leader):
 proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 
 
+@pytest.mark.parametrize("way", ["installed", "module"])
 @pytest.mark.parametrize("command", ["search", "run"])
-def test_modules_in_the_current_folder_are_not_run(tmp_path, command):
+def test_modules_in_the_current_folder_are_not_run(tmp_path, command, way):
     """A stranger's struct.py beside a problem file is not the library's; the workers' first imports are tried too."""
     for name in PLANTED:
         (tmp_path / f"{name}.py").write_text(f"open('RAN', 'a').write('{name}\\n')\nraise SystemExit(7)\n")
@@ -81,9 +85,10 @@ def test_modules_in_the_current_folder_are_not_run(tmp_path, command):
         "run": ("run", *files, "--jobs", 2, "--no-figures"),
         "search": ("search", SEARCH, "--starts", 4, "--workers", 2, "--atlas", "z.sqlite"),
     }[command]
-    script = "import sys; sys.path.remove(''); from orbitfinder.__main__ import main; main()"  # the installed command
+    script = "import sys; sys.path.remove(''); from orbitfinder.__main__ import main; main()"
+    command = {"installed": [sys.executable, "-c", script], "module": COMMAND}[way]
     done = subprocess.run(
-        [sys.executable, "-c", script, *map(str, words)], cwd=tmp_path, capture_output=True, text=True,
+        [*command, *map(str, words)], cwd=tmp_path, capture_output=True, text=True,
         env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=120,
     )  # fmt: skip
     assert not (tmp_path / "RAN").exists(), (tmp_path / "RAN").read_text()
@@ -241,6 +246,62 @@ def test_a_refiner_may_be_shared_by_threads():
     for thread in threads:
         thread.join()
     assert [together.get(a) for a in angles] == alone
+
+
+def test_two_continuations_do_not_share_a_folder(tmp_path):
+    """One does it, the other is told; the journal has every line once, and the next one goes on from it."""
+    files = [tmp_path / "family.toml"]
+    text = PENDULUM.format(name="swing", angle=0.5)
+    files[0].write_text(text)
+    words = ("continue", files[0], "--points", 40, "--out", tmp_path / "f", "--no-figures")
+    pair = [started(*words), started(*words)]
+    ends = [(one.communicate(timeout=120), one.returncode) for one in pair]
+    assert sorted(code for _, code in ends) in ([0, 2], [0, 0]), ends  # both, where the first was done too soon
+    for (_, err), code in ends:
+        assert code == 0 or "another process is writing there" in err
+    lines = (tmp_path / "f" / "swing" / "family.jsonl").read_bytes().splitlines()
+    assert len(lines) == len(set(lines)) > 10
+    with locks.alone_in(tmp_path / "f" / "swing"):
+        refused = started(*words)
+        assert "another process is writing there" in refused.communicate(timeout=60)[1] and refused.returncode == 2
+    assert not list((tmp_path / "f" / "swing").glob(".*"))
+
+
+@pytest.mark.parametrize("verb", ["continue", "export", "prove", "plot", "run"])
+def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch, pendulum_orbit, verb):
+    """Every file is put in its place by a rename; when that fails the command says so and what there was stays."""
+    file = of.save_orbit(pendulum_orbit, tmp_path / "orbit.json")
+    before = file.read_bytes()
+    words = {
+        "continue": ["continue", file, "--points", "3", "--out", tmp_path / "f"],
+        "export": ["export", file, "--to", "csv", "--out", tmp_path / "e"],
+        "prove": ["prove", file],
+        "plot": ["plot", file, "-o", tmp_path / "figures"],
+        "run": ["run", *problems(tmp_path, 1), "--out", tmp_path / "o"],
+    }[verb]
+    if verb == "prove":
+        pytest.importorskip("flint")
+
+    def full(source, target, **_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
+
+    monkeypatch.setattr(os, "replace", full)
+    done = CliRunner().invoke(cli, [str(word) for word in words])
+    assert done.exit_code == 2 and "No space left on device" in done.stderr and "Traceback" not in done.output, done
+    assert file.read_bytes() == before and not list(tmp_path.rglob(".*"))
+
+
+def test_a_proof_is_not_begun_that_cannot_be_recorded(tmp_path, monkeypatch, pendulum_orbit):
+    pytest.importorskip("flint")
+    file = of.save_orbit(pendulum_orbit, tmp_path / "orbit.json")
+
+    def refused(**_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("orbitfinder.runner.tempfile.TemporaryFile", refused)
+    monkeypatch.setattr("orbitfinder.proof.theorem.prove", None)
+    done = CliRunner().invoke(cli, ["prove", str(file)])
+    assert done.exit_code == 2 and "--record: cannot write in" in done.stderr
 
 
 def test_a_lock_is_held_by_one(tmp_path):

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder import locks
 from orbitfinder.errors import InputError
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.continuation import follow
@@ -67,14 +68,15 @@ def continue_command(
     if not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
     folder, request = Path(out) / label, _request(origin, settings, until, at)
-    journal = read_journal(folder)
-    if journal is None or journal.header.get("request") != request:
-        start = _started(origin, settings, model)
-        journal = _fresh(folder, label, start, settings, request, _source(origin))
-        curve = start.curve
-    else:
-        curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
-    return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
+    with locks.alone_in(folder):
+        journal = read_journal(folder)
+        if journal is None or journal.header.get("request") != request:
+            start = _started(origin, settings, model)
+            journal = _fresh(folder, label, start, settings, request, _source(origin))
+            curve = start.curve
+        else:
+            curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
+        return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
 
 
 def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, model: Model | None) -> Start:
