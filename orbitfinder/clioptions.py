@@ -17,6 +17,7 @@ JSON_KEY = "orbitfinder.json"
 """Where the context keeps whether --json was given: an error is then printed as JSON too"""
 COMPILE_VARIABLE = "ORBITFINDER_COMPILE"
 TRUST = "Execute Python problem files; only for files you have read."
+SYSTEM_TRUST = "Import the Python module that a system was made with; only if you have read it."
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 

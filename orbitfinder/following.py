@@ -69,11 +69,10 @@ def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Bran
 
 
 def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
-    """The model of a file's `system`; a trusted module is looked for beside the file, then in the working folder."""
+    """The model of a file's `system`."""
     from orbitfinder.mechanics.catalogue import build_model
 
-    beside = file.parent / f"{system.get('module')}.py"
-    return build_model(system, (file.parent if beside.is_file() else Path.cwd()) if trust else None)
+    return build_model(system, file.parent if trust else None)
 
 
 @click.command(name="continue")

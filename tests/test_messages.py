@@ -209,6 +209,11 @@ def test_nothing_is_run_when_one_file_is_bad(tmp_path, good):
     assert not (tmp_path / "out").exists()
 
 
+def test_animations_of_an_unknown_kind_make_no_folder(tmp_path):
+    message = refused(["animate", "any.json", "-o", tmp_path / "x.avi"])
+    assert ".avi" in message and ".gif or .mp4" in message and not list(tmp_path.iterdir())
+
+
 def test_python_file_without_trust(tmp_path):
     (tmp_path / "p.py").write_text("raise SystemExit('executed')")
     assert "--trust" in refused(["run", tmp_path / "p.py"])
