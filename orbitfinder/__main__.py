@@ -6,6 +6,7 @@ import atexit
 import contextlib
 import os
 import sys
+import warnings
 
 from orbitfinder import interrupt
 
@@ -14,6 +15,7 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Run the command line; Ctrl-C at any moment, even during imports, is exit code 130."""
+    warnings.formatwarning = lambda message, category, *_, **__: f"{category.__name__}: {message}\n"
     try:
         with interrupt.watch():
             from orbitfinder.cli import cli

@@ -8,8 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.arguments import check_fields
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.flow import integration_error
+from orbitfinder.flow import check_tolerances, integration_error
 from orbitfinder.mechanics.constrained import CONSISTENCY_TOLERANCE, RANK_TOLERANCE, ConstrainedModel
 from orbitfinder.quiet import captured
 
@@ -30,6 +31,10 @@ class DaeSettings:
     """both near the floor: on the triple pendulum IDAS still works at 3e-15 and fails at 2e-15"""
     max_steps: int = 1_000_000
     """internal steps between two output times after which the integration is given up"""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_tolerances(self.relative_tolerance, self.absolute_tolerance, self.max_steps)
 
     def options(self) -> dict[str, Any]:
         """The same in CasADi's words.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder import interrupt
-from orbitfinder.clioptions import FILES, SYSTEM_TRUST, json_option, print_json, trust_option
+from orbitfinder.clioptions import FILES, FINITE, SYSTEM_TRUST, json_option, print_json, trust_option
 
 if TYPE_CHECKING:
     from orbitfinder.proof.refine import Refined
@@ -26,7 +26,7 @@ SYMMETRIES = ("none", "reflection", "brake", "reversal", "brake+reflection")
 @click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
 @click.option("--order", type=int, default=None, help="Order of the Taylor series.  [default: 20]")
 @click.option("--bits", type=int, default=None, help="Precision of the ball arithmetic.  [default: 106]")
-@click.option("--tolerance", type=float, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
+@click.option("--tolerance", type=FINITE, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
 @click.option("--record/--no-record", default=True, show_default=True, help="Write the proof into the ORBIT.json.")
 @trust_option(SYSTEM_TRUST)
 @json_option

@@ -323,3 +323,38 @@ def test_periods_of_a_small_linkage_are_those_of_the_quadrature(angle):
     orbit = find_dae_orbit(SMALL, state, first_return(SMALL, state), pin=of.pin(energy=level))
     assert orbit.certificate.passed
     assert orbit.period == pytest.approx(rocking_period(SMALL, level, -0.06), rel=1e-10)
+
+
+SLIDER_CRANK = """
+import casadi as ca
+import orbitfinder as of
+
+def make(crank=0.05, rod=0.2):
+    q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
+    pin = crank * ca.vertcat(ca.cos(q[0]), ca.sin(q[0]))
+    end = pin + rod * ca.vertcat(ca.cos(q[1]), ca.sin(q[1]))
+    middle = (pin + end) / 2
+    kinetic = (2e-4 * v[0]**2 + 0.3 * ca.sumsqr(ca.jtimes(middle, q, v)) + 1e-3 * v[1]**2 + 0.4 * v[2]**2) / 2
+    potential = 250 * (q[2] - 0.24) ** 2 - 0.3 * 9.81 * middle[1]
+    return of.constrained(kinetic, potential, end - ca.vertcat(q[2], 0.01), of.Symbols(q, v),
+                          baumgarte=of.Baumgarte(10, 10), names=["crank", "rod", "x"], angles=[True, True, False],
+                          points=ca.horzcat(ca.SX(2, 1), pin, end))
+"""
+
+
+@pytest.mark.slow
+def test_a_constrained_system_of_a_users_own_module_goes_through_every_command(tmp_path, monkeypatch):
+    """It is run, verified, drawn, animated and exported; its family is refused with the way out."""
+    (tmp_path / "slider.py").write_text(SLIDER_CRANK)
+    rod = np.arcsin((0.01 - 0.05 * np.sin(0.4)) / 0.2)
+    state = [0.4, float(rod), float(0.05 * np.cos(0.4) + 0.2 * np.cos(rod)), 0.0, 0.0, 0.0]
+    system = '[system]\nkind = "python"\nmodule = "slider"\nfunction = "make"\n'
+    (tmp_path / "crank.toml").write_text(f'name = "crank"\n{system}[guess]\nstate = {state}\nperiod = 0.2568\n')
+    monkeypatch.chdir(tmp_path)
+    orbit = "orbits/crank/orbit.json"
+    for words in ("run crank.toml --out orbits", f"verify {orbit}", f"plot {orbit}", f"animate {orbit}",
+                  f"export {orbit} --to julia"):  # fmt: skip
+        done = CliRunner().invoke(main, [*words.split(), "--trust"])
+        assert done.exit_code == 0, done.output
+    refused = CliRunner().invoke(main, ["continue", orbit, "--trust"])
+    assert refused.exit_code == 2 and "minimal coordinates (lagrange)" in refused.stderr
