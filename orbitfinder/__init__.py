@@ -11,6 +11,7 @@ Importing this package is cheap: each name below loads what it needs on first us
 from __future__ import annotations
 
 from importlib import import_module
+from inspect import isfunction
 from typing import TYPE_CHECKING, Any
 
 from orbitfinder import display as _display
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from orbitfinder.mechanics.maximal import chain_dae as chain_dae
     from orbitfinder.mechanics.maximal import maximal_states as maximal_states
     from orbitfinder.mechanics.maximal import minimal_states as minimal_states
+    from orbitfinder.mechanics.model import Invariant as Invariant
     from orbitfinder.mechanics.model import Model as Model
     from orbitfinder.mechanics.model import energies as energies
     from orbitfinder.mechanics.model import energy as energy
@@ -100,6 +102,7 @@ _HOMES = {
     "chain": "mechanics.chain",
     "Symbols": "mechanics.lagrange",
     "lagrange": "mechanics.lagrange",
+    "Invariant": "mechanics.model",
     "Model": "mechanics.model",
     "energies": "mechanics.model",
     "energy": "mechanics.model",
@@ -162,9 +165,21 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'orbitfinder' has no attribute {name!r}")
     home = _HOMES[name]
-    value = getattr(import_module(f"orbitfinder.{home}"), name) if home else import_module(f"orbitfinder.{name}")
+    module = import_module(f"orbitfinder.{home or name}")
+    value = _public(getattr(module, name)) if home else module
     globals()[name] = value
     return value
+
+
+def _public(value: Any) -> Any:
+    """A function with its arguments checked, under this package's name so that it can be pickled; a class as it is."""
+    if not isfunction(value):
+        return value
+    from orbitfinder.arguments import checked
+
+    front = checked(value)
+    front.__module__ = __name__
+    return front
 
 
 def __dir__() -> list[str]:

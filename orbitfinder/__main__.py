@@ -7,6 +7,7 @@ import contextlib
 import os
 import signal
 import sys
+import warnings
 
 from orbitfinder import interrupt, streams
 
@@ -17,6 +18,7 @@ def main() -> None:
     """Run the command line; Ctrl-C at any moment, even during imports, is exit code 130."""
     streams.leave_current_folder_out()
     streams.sound()
+    warnings.formatwarning = lambda message, category, *_, **__: f"{category.__name__}: {message}\n"
     try:
         with interrupt.watch():
             from orbitfinder.cli import cli

@@ -206,7 +206,7 @@ def _print_certificate(heading: str, certificate: Certificate) -> None:
 
 @cli.command()
 @click.argument("file", type=FILES)
-@click.option("--duration", type=float, default=None, help="Time to simulate in s; default: [simulate] duration or 10.")
+@click.option("--duration", type=float, default=None, help="Time in s; default: [simulate] duration or 10.")
 @click.option("--out", default=None, type=FILES, help="Write DIR/<name>/simulation.csv.")
 @trust_option()
 @json_option

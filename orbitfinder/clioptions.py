@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -13,10 +14,25 @@ import click
 from orbitfinder.jsontext import finite
 
 FILES = click.Path(path_type=Path)
+
+
+class Finite(click.types.FloatParamType):
+    """A number, neither infinite nor NaN."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number, or a usage error."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
+
+
+FINITE = Finite()
 JSON_KEY = "orbitfinder.json"
 """Where the context keeps whether --json was given: an error is then printed as JSON too"""
 COMPILE_VARIABLE = "ORBITFINDER_COMPILE"
 TRUST = "Execute Python problem files; only for files you have read."
+SYSTEM_TRUST = "Import the Python module that a system was made with; only if you have read it."
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 

@@ -8,10 +8,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.arguments import check_fields
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.flow import integration_error
+from orbitfinder.flow import check_tolerances, integration_error
 from orbitfinder.mechanics.constrained import CONSISTENCY_TOLERANCE, RANK_TOLERANCE, ConstrainedModel
 from orbitfinder.quiet import captured
+
+ALGEBRAIC_ROOM = 1e6
+"""Accelerations and forces are sought to this multiple of the absolute tolerance, in units of their largest.
+
+Their linear system gives them to round-off times its condition, 1e4 and more in a linkage of centimetres. Newton's
+method, asked for 5e-15, then converges or not as the rounding falls, and IDAS halves its step until nothing is left
+(14 of 50 releases of four-bars of 60, 180, 120 mm). x has its own test, so that it loses nothing."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +31,10 @@ class DaeSettings:
     """both near the floor: on the triple pendulum IDAS still works at 3e-15 and fails at 2e-15"""
     max_steps: int = 1_000_000
     """internal steps between two output times after which the integration is given up"""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_tolerances(self.relative_tolerance, self.absolute_tolerance, self.max_steps)
 
     def options(self) -> dict[str, Any]:
         """The same in CasADi's words.
@@ -87,8 +99,9 @@ def simulate_dae(
             n = model.coordinates
             # without x' at the start IDAS takes it for 0 and fails its first error test
             options = {**settings.options(), "init_xdot": [*start[n:], *z0[:n]]}
+            unit = algebraic_unit(z0)
             solver = ca.integrator("dae", "idas", dae(model), 0.0, list(times), options)
-            states = solver(x0=start, z0=z0, p=model.parameter_values)["xf"].full().T
+            states = solver(x0=start, z0=z0 / unit, p=ca.vertcat(model.parameter_values, unit))["xf"].full().T
         except RuntimeError as failure:
             error = failure
     if error is not None:
@@ -109,12 +122,18 @@ def dae_error(text: str, start: np.ndarray, settings: DaeSettings) -> Integratio
 
 
 def dae(model: ConstrainedModel) -> dict[str, Any]:
-    """The DAE as CasADi's integrators take it: t, x = (q, v), z = (a, lambda), p, ode, alg."""
+    """The DAE as CasADi's integrators take it: t, x = (q, v), z = (a, lambda) / unit, (p, unit), ode, alg."""
     n = model.coordinates
     t, x, p = ca.SX.sym("t"), ca.SX.sym("x", 2 * n), ca.SX.sym("p", model.parameter_values.size)
-    z = ca.SX.sym("z", n + model.constraints)
-    ode = ca.vertcat(x[n:], z[:n])
-    return {"t": t, "x": x, "z": z, "p": p, "ode": ode, "alg": model.residual(t, x, z, p)}
+    z, unit = ca.SX.sym("z", n + model.constraints), ca.SX.sym("unit")
+    ode = ca.vertcat(x[n:], unit * z[:n])
+    return {"t": t, "x": x, "z": z, "p": ca.vertcat(p, unit), "ode": ode, "alg": model.residual(t, x, unit * z, p)}
+
+
+def algebraic_unit(z0: Any) -> Any:
+    """The unit in which IDAS sees z = (a, lambda), numbers or an MX, so that its tolerance leaves `ALGEBRAIC_ROOM`."""
+    largest = ca.norm_inf(z0)
+    return ALGEBRAIC_ROOM * ca.if_else(largest > 0, largest, 1.0)
 
 
 def trajectory(model: ConstrainedModel, times: np.ndarray, states: np.ndarray, settings: DaeSettings) -> DaeTrajectory:

@@ -42,3 +42,7 @@ class IntegrationError(OrbitfinderError):
 
 class ConvergenceError(OrbitfinderError):
     """The solver ended without an orbit; the message says which defect and what to try."""
+
+
+class Hint(UserWarning):
+    """Something that is allowed and yet looks like a slip."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orbitfinder.clioptions import FILES
+from orbitfinder.clioptions import FILES, SYSTEM_TRUST, trust_option
 from orbitfinder.errors import InputError
 
 
@@ -14,7 +14,8 @@ from orbitfinder.errors import InputError
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
 @click.option("--to", required=True, type=click.Choice(["csv", "auto", "julia", "c"]), help="What to write.")
 @click.option("-o", "--out", default=None, type=FILES, help="Folder for the files; default: beside each ORBIT.json.")
-def export(files: tuple[Path, ...], to: str, out: Path | None) -> None:
+@trust_option(SYSTEM_TRUST)
+def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> None:
     """Write each ORBIT.json for another program.
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
@@ -26,20 +27,18 @@ def export(files: tuple[Path, ...], to: str, out: Path | None) -> None:
       orbitfinder export orbits/triple-1/orbit.json --to auto -o auto
     """
     from orbitfinder.exports.write import export_orbit
-    from orbitfinder.periodic.orbit import load_orbit
     from orbitfinder.problemfile import checked_name
-    from orbitfinder.runner import check_consistent, check_writable
+    from orbitfinder.runner import check_writable, orbit_and_model
 
     seen: dict[str, Path] = {}
-    orbits = [(file, load_orbit(file)) for file in files]
-    for file, orbit in orbits:
+    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    for file, orbit, _ in orbits:
         checked_name(orbit.name, f"{file}: name")
-        check_consistent(orbit)
         if out is not None and seen.setdefault(orbit.name, file) != file:
             both = f"{seen[orbit.name]} and {file} are both named {orbit.name!r}"
             raise InputError(f"--out: {both}; export one at a time")
-    for file, orbit in orbits:
+    for file, orbit, model in orbits:
         folder = file.parent if out is None else out
         check_writable(folder)
-        for written in export_orbit(orbit, to, folder):
+        for written in export_orbit(orbit, to, folder, model):
             click.echo(str(written))

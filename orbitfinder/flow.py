@@ -20,9 +20,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.arguments import check_fields
 from orbitfinder.compiled import interpreted_seconds, mode, with_derivatives
-from orbitfinder.errors import IntegrationError
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.mechanics.model import Invariant, Model, check_state
 from orbitfinder.quiet import captured
 from orbitfinder.runge_kutta import variational_field
 
@@ -41,6 +42,10 @@ class IntegratorSettings:
     max_steps: int = 50_000
     """internal steps in one segment after which the integration is given up"""
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_tolerances(self.relative_tolerance, self.absolute_tolerance, self.max_steps)
+
     def options(self) -> dict[str, Any]:
         """The same in CasADi's words."""
         return {
@@ -50,6 +55,15 @@ class IntegratorSettings:
             "linear_multistep_method": "adams",
             "nonlinear_solver_iteration": "functional",
         }
+
+
+def check_tolerances(relative: float, absolute: float, steps: int) -> None:
+    """`InputError` unless an integrator can work with these."""
+    if not (0 < relative < 1 and 0 < absolute < np.inf and steps >= 1):
+        raise InputError(
+            f"relative_tolerance, absolute_tolerance, max_steps: must be positive, the first below 1, got {relative}, "
+            f"{absolute} and {steps}; the defaults are near what double precision can do"
+        )
 
 
 @dataclass(frozen=True)
@@ -260,6 +274,7 @@ def transition(
 
 
 def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float, start: float) -> list[Any]:
+    state = check_state(flow.model, state)
     free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
     error: Exception | None = None
     with captured() as output:
@@ -277,6 +292,9 @@ def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float,
 
 def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: float = 0.0) -> np.ndarray:
     """States (count x 2n) at `count` equal times from 0 to `duration` inclusive, by CVODES."""
+    state = check_state(flow.model, state)
+    if count < 2:
+        raise InputError(f"count: must be at least 2, the start and the end, got {count}")
     _, clock, t0, span, x, s, free = _symbols(flow.field)
     rate = span * flow.field(t0 + clock * span, x, s, free)
     problem = {"t": clock, "x": x, "p": ca.vertcat(t0, span, s, free), "ode": rate}
@@ -303,7 +321,10 @@ def integration_error(
     found = re.search(r"[Aa]t t = ([-+0-9.eE]+)", text)
     time = start + (float(found.group(1)) if found else 0.0) * duration
     causes = {
-        r"mxstep|TOO_MUCH_WORK": "too many internal steps; the motion is too fast or blows up there",
+        r"NaN detected": "the equations of motion are not finite there (0 / 0, the root of a negative number, or a "
+        "motion that has run off to infinity); write them so that they are smooth along the motion",
+        r"mxstep|TOO_MUCH_WORK": f"too many internal steps in {duration:.4g} s; that is too long for one segment, or "
+        "the motion too fast: take more segments or a shorter period",
         r"not finite|nan|NaN": "the equations of motion are not finite there",
         r"hmin|ERR_FAILURE|error test failures": "the step size fell to nothing; the motion is singular there",
         r"CONV_FAILURE|convergence test": "the corrector does not converge; the motion is singular there",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder import interrupt
-from orbitfinder.clioptions import FILES, compile_option, trust_option
+from orbitfinder.clioptions import FILES, FINITE, compile_option, trust_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ def numbers(text: str) -> tuple[float, ...]:
             found.append(float(word))
         except ValueError as error:
             raise InputError(f"--at: {word!r} is not a number; give values separated by commas") from error
+        if not math.isfinite(found[-1]):
+            raise InputError(f"--at: {word!r} is not finite; give values that the family can reach")
     return tuple(found)
 
 
@@ -69,17 +72,16 @@ def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Bran
 
 
 def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
-    """The model of a file's `system`; a trusted module is looked for beside the file, then in the working folder."""
+    """The model of a file's `system`."""
     from orbitfinder.mechanics.catalogue import build_model
 
-    beside = file.parent / f"{system.get('module')}.py"
-    return build_model(system, (file.parent if beside.is_file() else Path.cwd()) if trust else None)
+    return build_model(system, file.parent if trust else None)
 
 
 @click.command(name="continue")
 @click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
 @click.option("--parameter", default="energy", show_default=True, help="energy, period or a physical parameter.")
-@click.option("--until", type=float, default=None, help="Stop when the parameter reaches this value.")
+@click.option("--until", type=FINITE, default=None, help="Stop when the parameter reaches this value.")
 @click.option("--at", default="", metavar="V,V,...", help="Compute points exactly at these values of the parameter.")
 @click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
 @click.option(

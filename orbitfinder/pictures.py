@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from orbitfinder import interrupt
-from orbitfinder.clioptions import FILES, compile_option
+from orbitfinder.clioptions import FILES, SYSTEM_TRUST, compile_option, trust_option
 from orbitfinder.errors import InputError
 
 
@@ -49,31 +49,32 @@ def reproduce(out: Path, fresh: bool) -> None:
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
 @click.option("-o", "--out", default=None, type=FILES, help="Folder for the figures; default: beside each file.")
-def plot(files: tuple[Path, ...], out: Path | None) -> None:
+@trust_option(SYSTEM_TRUST)
+def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
     \b
     Example:
       orbitfinder plot orbits/triple-1/orbit.json -o figures
     """
-    from orbitfinder.periodic.orbit import load_orbit
     from orbitfinder.problemfile import checked_name
-    from orbitfinder.runner import check_writable
+    from orbitfinder.runner import check_writable, orbit_and_model
     from orbitfinder.show.plot import save_figures
 
-    orbits = [(file, load_orbit(file)) for file in files]
-    for file, orbit in orbits:
+    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    for file, orbit, model in orbits:
         name = checked_name(orbit.name, f"{file}: name")
         folder = file.parent if out is None else (out if len(orbits) == 1 else out / name)
         check_writable(folder)
-        for written in save_figures(orbit, folder):
+        for written in save_figures(orbit, folder, model):
             click.echo(str(written))
 
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
 @click.option("-o", "--out", default=None, type=FILES, help="A .gif or .mp4 file (one orbit), or a folder.")
-def animate(files: tuple[Path, ...], out: Path | None) -> None:
+@trust_option(SYSTEM_TRUST)
+def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     """Animate each ORBIT.json in real time over whole periods, as a GIF (or MP4 with the extra `mp4`).
 
     \b
@@ -81,20 +82,21 @@ def animate(files: tuple[Path, ...], out: Path | None) -> None:
       orbitfinder animate orbits/triple-1/orbit.json
       orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4
     """
-    from orbitfinder.periodic.orbit import load_orbit
     from orbitfinder.problemfile import checked_name
-    from orbitfinder.runner import check_writable
-    from orbitfinder.show.animate import orbit_clip, save_animation
+    from orbitfinder.runner import check_writable, orbit_and_model
+    from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation
 
-    single = out is not None and out.suffix in (".gif", ".mp4")
+    single = out is not None and bool(out.suffix) and not out.is_dir()
+    if single and out is not None:
+        check_suffix(out)
     if single and len(files) > 1:
         raise InputError(f"--out: {out} is one file for {len(files)} orbits; name a folder")
-    orbits = [(file, load_orbit(file)) for file in files]
-    for file, orbit in orbits:
+    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    for file, orbit, model in orbits:
         name = checked_name(orbit.name, f"{file}: name")
         if single and out is not None:
             target = out
         else:
             target = (file.parent if out is None else out) / f"{name}.gif"
         check_writable(target.parent)
-        click.echo(str(save_animation(orbit_clip(orbit), target)))
+        click.echo(str(save_animation(orbit_clip(orbit, model), target)))

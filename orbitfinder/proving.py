@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder import interrupt
-from orbitfinder.clioptions import FILES, json_option, print_json, trust_option
+from orbitfinder.clioptions import FILES, FINITE, SYSTEM_TRUST, json_option, print_json, trust_option
 
 if TYPE_CHECKING:
     from orbitfinder.proof.refine import Refined
@@ -19,9 +19,6 @@ NOT_PROVED = 1
 SYMMETRIES = ("none", "reflection", "brake", "reversal", "brake+reflection")
 
 
-TRUST = "Import the Python module that a system was made with; only if you have read it."
-
-
 @click.command(name="prove")
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
 @click.option("--symmetry", type=click.Choice(SYMMETRIES), default=None,
@@ -29,9 +26,9 @@ TRUST = "Import the Python module that a system was made with; only if you have 
 @click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
 @click.option("--order", type=int, default=None, help="Order of the Taylor series.  [default: 20]")
 @click.option("--bits", type=int, default=None, help="Precision of the ball arithmetic.  [default: 106]")
-@click.option("--tolerance", type=float, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
+@click.option("--tolerance", type=FINITE, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
 @click.option("--record/--no-record", default=True, show_default=True, help="Write the proof into the ORBIT.json.")
-@trust_option(TRUST)
+@trust_option(SYSTEM_TRUST)
 @json_option
 def prove_command(
     files: tuple[Path, ...], symmetry: str | None, segments: int | None, order: int | None, bits: int | None,
@@ -127,7 +124,7 @@ def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
 @click.option("--bits", type=int, default=None, help="Precision of the arithmetic; default: by the digits.")
 @click.option("--symmetry", type=click.Choice(SYMMETRIES), default=None, help="Default: the recorded one.")
 @click.option("--enclose/--no-enclose", default=True, show_default=True, help="Prove the digits; slower.")
-@trust_option(TRUST)
+@trust_option(SYSTEM_TRUST)
 @json_option
 def refine_command(
     file: Path, digits: int, order: int | None, bits: int | None, symmetry: str | None, enclose: bool, trust: bool,

@@ -169,36 +169,34 @@ def explained(certificate: Certificate | None) -> str:
 def verify_file(file: Path, trust: bool = False) -> tuple[Orbit, Certificate]:
     """An orbit and its certificate, recomputed from its file alone. `InputError` names the file.
 
-    With `trust` a system made by a foreign Python function is rebuilt by calling it again: from beside the
-    file, from the current folder, or from what is installed.
+    With `trust` a system made by a foreign Python function is rebuilt by calling it again.
     """
-    from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.periodic.certify import certify
-    from orbitfinder.periodic.orbit import load_orbit
 
     try:
-        orbit = load_orbit(file)
-        model = build_model(orbit.system, _folder_of(orbit, file) if trust else None)
-        check_consistent(orbit, model)
+        orbit, model = orbit_and_model(file, trust)
         return orbit, certify(orbit, model)
     except InputError as error:
         where = "" if str(file) in str(error) else f"{file}: "
         raise InputError(f"{where}{error}") from error
 
 
-def _folder_of(orbit: Orbit, file: Path) -> Path:
-    """The folder that a foreign module of an orbit is in: the current one where it is there and not beside the file."""
-    name = f"{orbit.system.get('module')}.py"
-    return Path.cwd() if not (file.parent / name).is_file() and Path(name).is_file() else file.parent
+def orbit_and_model(file: Path, trust: bool = False) -> tuple[Orbit, Model]:
+    """The orbit of a file, whose entries belong together, and the model of its system; the way in of every command."""
+    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.periodic.orbit import load_orbit
+
+    orbit = load_orbit(file)
+    model = build_model(orbit.system, file.parent if trust else None)
+    check_consistent(orbit, model)
+    return orbit, model
 
 
-def check_consistent(orbit: Orbit, model: Model | None = None) -> None:
+def check_consistent(orbit: Orbit, model: Model) -> None:
     """`InputError` when the entries of an orbit do not belong together; a certificate is about those that do."""
     import numpy as np
 
-    from orbitfinder.mechanics.catalogue import build_model
-
-    n = (model or build_model(orbit.system)).degrees_of_freedom
+    n = model.degrees_of_freedom
     again = "the file was edited or damaged, run the problem again"
     if orbit.state.shape != (2 * n,) or len(orbit.winding) != n:
         found = f"{orbit.state.size} numbers in state and {len(orbit.winding)} in winding"

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -210,8 +211,8 @@ def test_simulate_calls_a_change_of_energy_what_it_is():
 FOREIGN = "from orbitfinder.systems import FUNCTIONS\ndef make(cubic):\n    return FUNCTIONS['duffing'](1.0, cubic)\n"
 
 
-def test_verify_runs_foreign_systems_only_with_trust(tmp_path, monkeypatch):
-    """The module is looked for beside the orbit, then in the current folder; without --trust it is not run."""
+def test_commands_run_foreign_systems_only_with_trust(tmp_path, monkeypatch):
+    """Every command looks beside the orbit, then in the current folder; without --trust nothing of it is run."""
     (tmp_path / "mine.py").write_text(FOREIGN)
     text = (
         '[system]\nkind = "python"\nmodule = "mine"\nfunction = "make"\narguments = { cubic = 1.0 }\n'
@@ -226,6 +227,11 @@ def test_verify_runs_foreign_systems_only_with_trust(tmp_path, monkeypatch):
     assert missing.exit_code == 2 and "cannot be imported" in missing.stderr
     monkeypatch.chdir(tmp_path)
     assert invoke("verify", orbit, "--trust").exit_code == 0
+    provable = [["prove"], ["refine", "--digits", "20"]] if find_spec("flint") else []
+    for words in (*provable, ["plot"], ["animate"], ["export", "--to", "c"]):
+        assert "--trust" in invoke(*words, orbit).stderr
+        taken = invoke(*words, orbit, "--trust")
+        assert taken.exit_code == 0, taken.output
     (orbit.parent / "mine.py").write_text(FOREIGN.replace("1.0, cubic", "2.0, cubic"))
     other = invoke("verify", orbit, "--trust")
     assert other.exit_code == 1 and "closure" in other.stdout

@@ -21,6 +21,7 @@ from orbitfinder.periodic.conditions import unfolded_invariants
 from orbitfinder.periodic.dae_orbit import certify_dae, dae_problem, find_dae_orbit
 from orbitfinder.periodic.dae_segments import build_dae_flow, forward_sensitivities
 from orbitfinder.periodic.linkage_guesses import first_return, linkage_equilibrium, linkage_mode, linkage_modes
+from orbitfinder.reference import integrate
 
 FILES = Path(__file__).parents[1] / "problems" / "linkages"
 FOUR_BAR = {"length": [0.5, 1.2, 1.0], "ground": [0.2, 1.0]}  # a crank-rocker
@@ -292,3 +293,68 @@ def test_a_reflection_is_refused_in_redundant_coordinates():
     problem = of.dae_problem(model, of.maximal_states(model, np.array([1.0, 0.0])), 1.7)
     with pytest.raises(InputError, match="redundant coordinates.*use symmetry = 'brake' or 'none'"):
         replace(problem, symmetry="reflection")
+
+
+SMALL = of.linkage([0.06, 0.18, 0.12], [0.3, 0.9, 0.6], (0.0, 0.16))
+"""A four-bar of 60, 180 and 120 mm: accelerations of hundreds of rad/s^2 beside coordinates of centimetres."""
+
+
+def released(angle):
+    return of.linkage_state(SMALL, of.assemble(SMALL, {"theta1": angle}, branch=1))
+
+
+def test_a_small_linkage_moves_from_wherever_it_is_released():
+    """IDAS is not asked for forces to more digits than their linear system has: 6 of these 19 once stopped at t = 0."""
+    minimal = minimal_linkage(SMALL, [1], 1)
+    p = minimal.parameter_values
+    for angle in np.linspace(0.3, 1.2, 19):
+        end = of.simulate_dae(SMALL, released(angle), 0.3, 2).states[-1]
+        expected = integrate(
+            lambda t, x: np.array([x[1], float(minimal.acceleration(t, x[0], x[1], p))]), [angle, 0.0], [0.0, 0.3]
+        )[-1]
+        np.testing.assert_allclose(end[[2, 11]], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("angle", [0.3, 0.9, 1.0, 1.2])
+def test_periods_of_a_small_linkage_are_those_of_the_quadrature(angle):
+    state = released(angle)
+    level = energy(reduced(SMALL), state)
+    orbit = find_dae_orbit(SMALL, state, first_return(SMALL, state), pin=of.pin(energy=level))
+    assert orbit.certificate.passed
+    assert orbit.period == pytest.approx(rocking_period(SMALL, level, -0.06), rel=1e-10)
+
+
+SLIDER_CRANK = """
+import casadi as ca
+import orbitfinder as of
+
+def make(crank=0.05, rod=0.2):
+    q, v = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
+    pin = crank * ca.vertcat(ca.cos(q[0]), ca.sin(q[0]))
+    end = pin + rod * ca.vertcat(ca.cos(q[1]), ca.sin(q[1]))
+    middle = (pin + end) / 2
+    kinetic = (2e-4 * v[0]**2 + 0.3 * ca.sumsqr(ca.jtimes(middle, q, v)) + 1e-3 * v[1]**2 + 0.4 * v[2]**2) / 2
+    potential = 250 * (q[2] - 0.24) ** 2 - 0.3 * 9.81 * middle[1]
+    return of.constrained(kinetic, potential, end - ca.vertcat(q[2], 0.01), of.Symbols(q, v),
+                          baumgarte=of.Baumgarte(10, 10), names=["crank", "rod", "x"], angles=[True, True, False],
+                          points=ca.horzcat(ca.SX(2, 1), pin, end))
+"""
+
+
+@pytest.mark.slow
+def test_a_constrained_system_of_a_users_own_module_goes_through_every_command(tmp_path, monkeypatch):
+    """It is run, verified, drawn, animated and exported; its family is refused with the way out."""
+    (tmp_path / "slider.py").write_text(SLIDER_CRANK)
+    rod = np.arcsin((0.01 - 0.05 * np.sin(0.4)) / 0.2)
+    state = [0.4, float(rod), float(0.05 * np.cos(0.4) + 0.2 * np.cos(rod)), 0.0, 0.0, 0.0]
+    system = '[system]\nkind = "python"\nmodule = "slider"\nfunction = "make"\n'
+    (tmp_path / "crank.toml").write_text(f'name = "crank"\n{system}[guess]\nstate = {state}\nperiod = 0.2568\n')
+    monkeypatch.chdir(tmp_path)
+    orbit = "orbits/crank/orbit.json"
+    for words in ("run crank.toml --out orbits", f"verify {orbit}", f"plot {orbit}", f"animate {orbit}",
+                  f"export {orbit} --to julia"):  # fmt: skip
+        done = CliRunner().invoke(main, [*words.split(), "--trust"])
+        assert done.exit_code == 0, done.output
+    refused = CliRunner().invoke(main, ["continue", orbit, "--trust"])
+    assert refused.exit_code == 2 and "minimal coordinates (lagrange)" in refused.stderr

@@ -247,6 +247,8 @@ def test_a_state_that_is_not_a_number_is_reported():
     ("text", "reason"),
     [
         ("At t = 0.25, mxstep steps taken before reaching tout", "too many internal steps"),
+        ("At t = 0.25, mxstep steps taken before reaching tout", "in 2 s; that is too long for one segment"),
+        ("NaN detected for output ode\nAt t = 0.25, mxstep steps taken", "not finite there (0 / 0"),
         ("CV_ERR_FAILURE", "singular"),
         ("CV_CONV_FAILURE", "corrector"),
         ("CV_TOO_MUCH_ACC", "round-off"),

@@ -209,6 +209,18 @@ def test_nothing_is_run_when_one_file_is_bad(tmp_path, good):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("option", "value"), [("--until", "nan"), ("--until", "inf"), ("--at", "nan,1")])
+def test_a_family_has_no_end_at_nan(tmp_path, option, value):
+    result = CliRunner().invoke(cli, ["continue", "any.toml", option, value, "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2 and option in result.stderr and "finite" in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_animations_of_an_unknown_kind_make_no_folder(tmp_path):
+    message = refused(["animate", "any.json", "-o", tmp_path / "x.avi"])
+    assert ".avi" in message and ".gif or .mp4" in message and not list(tmp_path.iterdir())
+
+
 def test_python_file_without_trust(tmp_path):
     (tmp_path / "p.py").write_text("raise SystemExit('executed')")
     assert "--trust" in refused(["run", tmp_path / "p.py"])

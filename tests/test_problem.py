@@ -147,10 +147,6 @@ GOOD = [0.1, 0.1, 0.0, 0.0]
         (dict(guess=Guess([[0.1, 0.2, 0.3, 0.4]], 2.0)), "guess.state"),
         (dict(guess=Guess([0.1, np.nan, 0, 0], 2.0)), "guess.state: must be finite, got .*nan"),
         (dict(guess=Guess([0.1, np.inf, 0, 0], 2.0)), "guess.state: must be finite, got .*inf"),
-        (dict(guess=Guess(GOOD, 0.0)), "guess.period: must be positive and finite, got 0.0"),
-        (dict(guess=Guess(GOOD, -1.0)), "guess.period: must be positive and finite, got -1.0"),
-        (dict(guess=Guess(GOOD, np.nan)), "guess.period: must be .*got nan"),
-        (dict(guess=Guess(GOOD, np.inf)), "guess.period: must be .*got inf"),
         (dict(symmetry="mirror"), "symmetry: unknown 'mirror'; use one of none, reflection, brake"),
         (dict(winding=(1,)), "winding: 1 numbers for 2 coordinates"),
         (dict(winding=(1, 0), symmetry="brake"), r"winding: a brake orbit comes back, so \[1, 0\] cannot hold"),
@@ -172,6 +168,12 @@ def test_bad_input_is_refused_where_the_problem_is_made(changes, message):
     """Each unusable entry of a Problem is an InputError with field, value and remedy."""
     with pytest.raises(InputError, match=message):
         problem(**changes)
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, np.nan, np.inf])
+def test_a_guess_needs_a_period(period):
+    with pytest.raises(InputError, match=f"guess.period: must be positive and finite, got {period}"):
+        Guess(GOOD, period)
 
 
 def test_a_coordinate_that_is_no_angle_cannot_wind():

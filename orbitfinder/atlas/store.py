@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder import display
+from orbitfinder.arguments import checked
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError
@@ -113,6 +114,7 @@ class Atlas:
     of a Python module that makes the system, which the caller vouches for.
     """
 
+    @checked
     def __init__(
         self, path: str | Path, system: Mapping[str, Any] | None = None, write: bool = False,
         model: Model | None = None, trusted: Path | None = None,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder import locks
+from orbitfinder.arguments import checked
 from orbitfinder.errors import InputError
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.continuation import follow
@@ -42,6 +43,7 @@ Progress = Callable[[Batch], None]
 Origin = str | Path | Orbit | Problem | Start | Branch
 
 
+@checked
 def continue_command(
     origin: Origin,
     parameter: str = "energy",

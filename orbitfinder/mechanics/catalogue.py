@@ -46,8 +46,9 @@ def build_constrained(system: Mapping[str, Any]) -> ConstrainedModel:
 def _built(builder: Callable[..., Any], system: Mapping[str, Any]) -> Any:
     if (kind := system.get("kind")) not in REBUILDABLE:
         raise InputError(
-            f"system.kind: cannot rebuild {kind!r} from a file; give the Model itself (model=...) or use kind = "
-            + " or ".join(repr(known) for known in REBUILDABLE)
+            f"system.kind: cannot rebuild {kind!r} from a file; in Python give the Model itself (model=...), and for "
+            "commands find the orbit by a problem file of kind = 'python' (module, function), rebuilt with --trust, or "
+            "of kind = " + " or ".join(repr(known) for known in REBUILDABLE)
         )
     try:
         return builder(**{key: value for key, value in system.items() if key != "kind"})

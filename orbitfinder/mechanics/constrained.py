@@ -17,9 +17,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.arguments import check_fields
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.elimination import LinearBalances, eliminated
-from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, mass_matrix_and_bias
+from orbitfinder.mechanics.lagrange import (
+    Symbols,
+    coordinate_angles,
+    coordinate_names,
+    energy_invariant,
+    mass_matrix_and_bias,
+    polyline,
+)
 from orbitfinder.mechanics.model import Invariant, Model
 
 RANK_TOLERANCE = 1e-8
@@ -34,6 +42,9 @@ class Baumgarte:
 
     alpha: float = 0.0
     beta: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -78,6 +89,10 @@ class ConstrainedModel:
     def constraints(self) -> int:
         """m, the number of constraints and of constraint forces."""
         return len(self.force_names)
+
+    def as_model(self) -> Model:
+        """The same system as a Model; see `reduced`."""
+        return reduced(self)
 
     def residual(self, t: Any, x: Any, z: Any, p: Any) -> Any:
         """The n + m algebraic equations of the DAE in z = (a, lambda), Baumgarte terms included."""
@@ -141,10 +156,10 @@ def constrained(
     return constrained_model(
         equations,
         baumgarte or Baumgarte(),
-        names=names or [f"q{i + 1}" for i in range(q.numel())],
-        angles=tuple(angles or (False,) * q.numel()),
+        names=coordinate_names(names, q.numel()),
+        angles=coordinate_angles(angles, q.numel()),
         invariants=invariants,
-        points=None if points is None else ca.Function("points", [q, p], [points]),
+        points=polyline("points", points, [q, p]),
         system=dict(system or {"kind": "custom"}),
     )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.constrained import ConstrainedModel, reduced
 from orbitfinder.mechanics.model import Model
 from orbitfinder.suggest import closest
 
@@ -18,8 +19,8 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
     """The Model of a `kind = "python"` description {module, function, arguments}.
 
     `orbitfinder.systems` is always allowed and only its registered functions are. With `trusted`
-    (the folder of a file that the user vouches for) any other module is imported: from that folder
-    if it is there, else an installed one. Raises `InputError`, also for whatever the function raises.
+    (the folder of a file that the user vouches for) any other module is imported (see `module_file`).
+    A ConstrainedModel comes in its reduced form. Raises `InputError`, also for whatever the function raises.
     """
     module, name = system.get("module", BUILT_IN), system.get("function")
     arguments = system.get("arguments", {})
@@ -34,12 +35,21 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         raise InputError(f"system.arguments: {error}; compare with help({module}.{name})") from error
     except Exception as error:
         raise InputError(f"system.function: {module}.{name} failed with {type(error).__name__}: {error}") from error
-    if not isinstance(model, Model):
+    if not isinstance(model, (Model, ConstrainedModel)):
         raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
-    if module == BUILT_IN:
-        return model
-    described = {"kind": "python", "module": module, "function": name, "arguments": dict(arguments)}
-    return replace(model, system=described)
+    if module != BUILT_IN:
+        described = {"kind": "python", "module": module, "function": name, "arguments": dict(arguments)}
+        model = replace(model, system=described)
+    return reduced(model) if isinstance(model, ConstrainedModel) else model
+
+
+def module_file(module: str, folder: Path) -> Path | None:
+    """Where a trusted module lies: beside the file that names it, else in the working folder; None: installed.
+
+    The one answer for every command: an orbit.json is seldom in the folder of the problem that it came from.
+    """
+    places = (folder / f"{module}.py", Path.cwd() / f"{module}.py")
+    return next((place for place in places if place.is_file()), None)
 
 
 def _built_in(name: str) -> Callable[..., Any]:
@@ -63,10 +73,9 @@ def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]
         )
     if not all(part.isidentifier() for part in module.split(".")):
         raise InputError(f"system.module: {module!r} is no module name; give one such as 'my_system' (my_system.py)")
-    beside = trusted / f"{module}.py"
     try:
-        if beside.is_file():
-            spec = importlib.util.spec_from_file_location(f"orbitfinder_trusted_{module}", beside)
+        if (place := module_file(module, trusted)) is not None:
+            spec = importlib.util.spec_from_file_location(f"orbitfinder_trusted_{module}", place)
             assert spec is not None and spec.loader is not None
             found = importlib.util.module_from_spec(spec)
             spec.loader.exec_module(found)

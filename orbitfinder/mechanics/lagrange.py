@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.arguments import check_fields
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Invariant, Model
 
@@ -32,6 +33,20 @@ class Symbols:
     parameter_values: tuple[float, ...] = ()
     time: ca.SX | None = None
     forcing_period: ca.SX | float | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name in ("coordinates", "velocities", "parameters", "time"):
+            symbols = getattr(self, name)
+            if symbols is not None and not (isinstance(symbols, ca.SX) and symbols.is_valid_input()):
+                raise InputError(f"{name}: {symbols} is no symbol of its own; make one by ca.SX.sym({name[0]!r}, n)")
+        count = 0 if self.parameters is None else self.parameters.numel()
+        found = len(self.parameter_names), len(self.parameter_values)
+        if found != (count, count):
+            raise InputError(
+                f"parameter_names, parameter_values: {found[0]} names and {found[1]} values for {count} parameters; "
+                "give one each"
+            )
 
 
 @dataclass(frozen=True)
@@ -177,14 +192,13 @@ def lagrange(
     """
     q, v = symbols.coordinates, symbols.velocities
     p = symbols.parameters if symbols.parameters is not None else ca.SX(0, 1)
+    labels, turning = coordinate_names(names, q.numel()), coordinate_angles(angles, q.numel())
     t = symbols.time if symbols.time is not None else ca.SX.sym("t")
     arguments = [t, q, v, p]
     _check_energies(kinetic, potential, forces, arguments)
     terms = take_apart(ca.SX(kinetic), ca.SX(potential), forces, arguments)
     lagrangian = terms.kinetic if terms.gyroscopic is None else terms.kinetic + terms.gyroscopic
     matrix, bias = mass_matrix_and_bias(lagrangian, terms.potential, q, v, terms.forces)
-    size = q.numel()
-    labels = tuple(names) if names is not None else tuple(f"q{i + 1}" for i in range(size))
     if invariants is None:
         invariants = detected_invariants(terms, labels, arguments)
     clock = symbols.forcing_period
@@ -198,12 +212,47 @@ def lagrange(
         potential=ca.Function("potential", [q, p], [terms.potential]),
         forces=None if terms.forces is None else ca.Function("forces", arguments, [terms.forces]),
         invariants=tuple(invariants),
-        angles=tuple(angles) if angles is not None else (False,) * size,
-        points=None if points is None else ca.Function("points", [q, p], [points]),
-        centres=None if centres is None else ca.Function("centres", [q, p], [centres]),
+        angles=turning,
+        points=polyline("points", points, [q, p]),
+        centres=polyline("centres", centres, [q, p]),
         gyroscopic=None if terms.gyroscopic is None else ca.Function("gyroscopic", [q, v, p], [terms.gyroscopic]),
         forcing_period=None if clock is None else ca.Function("forcing_period", [p], [ca.SX(clock)]),
     )
+
+
+def coordinate_names(names: Sequence[str] | None, count: int) -> tuple[str, ...]:
+    """Names of the coordinates, q1, q2, ... without any; `InputError` unless one each, and none twice or taken."""
+    if names is None:
+        return tuple(f"q{i + 1}" for i in range(count))
+    if len(names) != count:
+        raise InputError(f"names: {len(names)} given for {count} coordinates, {list(names)}; give one per coordinate")
+    everything = [*names, *(f"{name}dot" for name in names), "energy", "period"]
+    twice = sorted({name for name in everything if everything.count(name) > 1})
+    if twice:
+        raise InputError(
+            f"names: {', '.join(map(repr, twice))} would name two things (rates get a trailing 'dot', 'energy' and "
+            f"'period' are taken), got {list(names)}; give different ones"
+        )
+    return tuple(names)
+
+
+def coordinate_angles(angles: Sequence[bool] | None, count: int) -> tuple[bool, ...]:
+    """Which coordinates are angles, none without a word; `InputError` unless one answer each."""
+    if angles is not None and len(angles) != count:
+        raise InputError(f"angles: {len(angles)} given for {count} coordinates; give True or False for each")
+    return (False,) * count if angles is None else tuple(bool(one) for one in angles)
+
+
+def polyline(name: str, expression: ca.SX | None, arguments: Sequence[ca.SX]) -> ca.Function | None:
+    """Positions (2 x k) as a Function of (q, p), or none. Raises `InputError`."""
+    if expression is None:
+        return None
+    if ca.SX(expression).shape[0] != 2:
+        raise InputError(
+            f"{name}: shape {ca.SX(expression).shape}; give 2 x k, x down and y right in each column: ca.horzcat of "
+            "ca.vertcat(x, y)"
+        )
+    return ca.Function(name, list(arguments), [expression])
 
 
 def _check_energies(kinetic: ca.SX, potential: ca.SX, forces: ca.SX | None, arguments: Sequence[ca.SX]) -> None:
@@ -224,5 +273,12 @@ def _check_energies(kinetic: ca.SX, potential: ca.SX, forces: ca.SX | None, argu
         if stray:
             raise InputError(f"{name}: depends on {', '.join(stray)}; it may depend on {allowed[name]} only")
     hessian = ca.hessian(ca.SX(kinetic), v)[0]
-    if ca.depends_on(hessian, v) or ca.sprank(hessian) < v.numel():
-        raise InputError("kinetic: not quadratic in the velocities, or not in all; write T = 1/2 v.M(q) v + ...")
+    if ca.depends_on(hessian, v):
+        raise InputError("kinetic: not quadratic in the velocities; write T = 1/2 v.M(q) v + ...")
+    if ca.sprank(hessian) < v.numel():
+        idle = [str(v[i]) for i in range(v.numel()) if hessian[i, :].is_zero()]
+        raise InputError(
+            f"kinetic: no mass moves with {', '.join(idle) or 'some combination of velocities'}; every velocity needs "
+            "its term in T = 1/2 v.M(q) v. A first-order system q' = f(q) has none: take T = v^2 / 2 and the forces "
+            "(df/dq) v - k (v - f), k > 0, whose motions on v = f are its own"
+        )

@@ -18,6 +18,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.mechanics.chain import ChainSymbols, Numbers, chain_symbols, chain_system
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Baumgarte, ConstrainedModel
 from orbitfinder.mechanics.maximal import maximal_chain, maximal_states
+from orbitfinder.mechanics.model import check_state
 
 DEFAULT_BAUMGARTE = Baumgarte(10.0, 10.0)
 """1/s; phi decays within a few tenths of a second, much faster than a linkage of metres moves"""
@@ -130,7 +131,7 @@ def joint_forces(model: ConstrainedModel, state: np.ndarray) -> np.ndarray:
 
     For a linkage the last column is the force on the ground at its pivot.
     """
-    x, n = np.asarray(state, float), model.coordinates
+    x, n = check_state(model, state), model.coordinates
     z = model.algebraic(0.0, x[:n], x[n:], model.parameter_values).full().ravel()
     return np.asarray(z[n:].reshape(-1, 2).T)
 

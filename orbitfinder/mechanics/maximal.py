@@ -189,4 +189,7 @@ def minimal_states(model: ConstrainedModel, states: np.ndarray) -> np.ndarray:
     """Angles and rates (2n, or k x 2n) of maximal states (6n, or k x 6n): theta and thetadot picked out."""
     if model.lift is None:
         raise InputError("this system has no link angles to go to; use its own coordinates")
-    return np.asarray(np.asarray(states, float)[..., 2::3])
+    rows = np.asarray(states, float)
+    if rows.ndim == 0 or rows.shape[-1] != 2 * model.coordinates:
+        raise InputError(f"states: shape {rows.shape}; give {2 * model.coordinates} numbers, or rows of that many")
+    return np.asarray(rows[..., 2::3])

@@ -110,16 +110,37 @@ class Model:
         return self.state_names.index(name)
 
 
+def check_state(model: Model | ConstrainedModel, state: Any) -> np.ndarray:
+    """One state (2n) as floats; `InputError` for another size."""
+    found = np.squeeze(np.asarray(state, float))
+    if found.shape != (len(model.state_names),):
+        raise InputError(_missized("state", f"{found.size} numbers", model, ""))
+    return found
+
+
+def check_states(model: Model, states: Any) -> np.ndarray:
+    """States (k x 2n) as floats; `InputError` for another shape."""
+    found = np.asarray(states, float)
+    if found.ndim != 2 or found.shape[1] != len(model.state_names):
+        raise InputError(_missized("states", f"shape {found.shape}", model, "rows of "))
+    return found
+
+
+def _missized(name: str, found: str, model: Model | ConstrainedModel, what: str) -> str:
+    n = len(model.state_names) // 2
+    return f"{name}: {found} for {n} coordinates; give {what}{2 * n} numbers ({', '.join(model.state_names)})"
+
+
 def energy(model: Model, state: np.ndarray) -> float:
-    """Total energy E = T(q, v) + V(q) of one state (2n), in J."""
-    q, v = np.split(np.asarray(state, float), 2)
+    """Total energy E = T(q, v) + V(q) of one state (2n), in J. Raises `InputError`."""
+    q, v = np.split(check_state(model, state), 2)
     p = model.parameter_values
     return float(model.kinetic(q, v, p)) + float(model.potential(q, p))
 
 
 def energies(model: Model, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kinetic and potential energy (two arrays of k) along states (k x 2n), in J."""
-    q, v = np.split(np.asarray(states, float).T, 2)
+    """Kinetic and potential energy (two arrays of k) along states (k x 2n), in J. Raises `InputError`."""
+    q, v = np.split(check_states(model, states).T, 2)
     count = q.shape[1]
     p = np.tile(model.parameter_values[:, None], (1, count))
     kinetic = model.kinetic.map(count)(q, v, p).full().ravel()
@@ -128,8 +149,10 @@ def energies(model: Model, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def positions(model: Model, states: np.ndarray, which: str = "points") -> np.ndarray:
     """Joint (`points`) or centre-of-mass (`centres`) positions along states (k x 2n): (k, 2, m), m."""
+    if which not in ("points", "centres"):
+        raise InputError(f"which: must be 'points' or 'centres', got {which!r}")
     function = model.points if which == "points" else model.centres
     if function is None:
         raise InputError(f"this system declares no {which}; pass {which}= when you build it")
-    q = np.asarray(states, float).T[: model.degrees_of_freedom]
+    q = check_states(model, states).T[: model.degrees_of_freedom]
     return np.stack([function(column, model.parameter_values).full() for column in q.T])

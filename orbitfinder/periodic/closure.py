@@ -44,7 +44,8 @@ def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: f
     is measured in that tenth: `masses` are the diagonal of the mass matrix (n).
     """
     clock, weights = period / (2 * np.pi), np.maximum(masses, 1e-300)
-    action = float(np.max(weights * moved * rushed))
+    # what turns steadily has moved, although its rate has not changed
+    action = float(np.max(weights * moved * np.maximum(rushed, moved / period)))
     if not (np.isfinite(action) and action > 0.0):
         return np.ones(moved.shape), np.full(moved.shape, 1.0 / clock)
     lengths = LEAST_SHARE * np.sqrt(action * clock / weights)

@@ -19,7 +19,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from orbitfinder.dae_flow import DaeSettings
+from orbitfinder.dae_flow import DaeSettings, algebraic_unit
 from orbitfinder.errors import InputError
 from orbitfinder.flow import Flow, IntegratorSettings, custom_jacobian, remembered
 from orbitfinder.mechanics.constrained import ConstrainedModel
@@ -58,12 +58,13 @@ class DaeFlow(Flow):
         solver = ca.integrator("segment", "idas", self._dae(), 0.0, 1.0, self.dae_settings.options())
         native, n = _native(self.model), self.model.degrees_of_freedom
         z0 = native.algebraic(t0, x0[:n], x0[n:], self.model.parameters(self.free, free))
-        slope = duration * self.field(t0, x0, s, free)
-        deviation = solver(x0=ca.MX(x0.numel(), 1), z0=z0, p=ca.vertcat(t0, duration, s, free, x0, slope))["xf"]
+        slope, unit = duration * self.field(t0, x0, s, free), algebraic_unit(z0)
+        p = ca.vertcat(t0, duration, s, free, x0, slope, unit)
+        deviation = solver(x0=ca.MX(x0.numel(), 1), z0=z0 / unit, p=p)["xf"]
         return x0 + slope + deviation
 
     def _dae(self) -> dict[str, ca.SX]:
-        """The DAE on [0, 1] as CasADi's integrators take it; p = (t0, duration, s, free, x(0), x'(0)).
+        """The DAE on [0, 1] as CasADi's integrators take it; p = (t0, duration, s, free, x(0), x'(0), unit).
 
         Its state is the deviation x - x(0) - clock x'(0), which starts with derivative 0: IDAS takes x' for 0
         at the start and fails its first error test where that is wrong.
@@ -72,16 +73,16 @@ class DaeFlow(Flow):
         clock, t0, duration = ca.SX.sym("clock"), ca.SX.sym("t0"), ca.SX.sym("duration")
         s, free = ca.SX.sym("s", len(self.unfolded)), ca.SX.sym("free", len(self.free))
         y, z = ca.SX.sym("y", 2 * n), ca.SX.sym("z", n + native.constraints)
-        base, slope = ca.SX.sym("base", 2 * n), ca.SX.sym("slope", 2 * n)
+        base, slope, unit = ca.SX.sym("base", 2 * n), ca.SX.sym("slope", 2 * n), ca.SX.sym("unit")
         x = base + clock * slope + y
         parameters = self.model.parameters(self.free, free)
-        acceleration = z[:n]
+        acceleration = unit * z[:n]
         for k, invariant in enumerate(self.unfolded):
             acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
         return {
-            "t": clock, "x": y, "z": z, "p": ca.vertcat(t0, duration, s, free, base, slope),
+            "t": clock, "x": y, "z": z, "p": ca.vertcat(t0, duration, s, free, base, slope, unit),
             "ode": duration * ca.vertcat(x[n:], acceleration) - slope,
-            "alg": native.residual(t0 + clock * duration, x, z, parameters),
+            "alg": native.residual(t0 + clock * duration, x, unit * z, parameters),
         }  # fmt: skip
 
 

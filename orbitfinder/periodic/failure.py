@@ -12,6 +12,8 @@ from orbitfinder.quiet import captured
 
 REST = 1e-6
 """Nodes whose rates and accelerations are all below this, relative to the guess's, are an equilibrium."""
+STEADY = 1e-6
+"""Rates that are this much, relative, beside the directions of the symmetries count as along them."""
 NO_UNFOLDING = 1e-6
 """A fictitious damping (per period) above this says that the conserved quantities do not fit together."""
 
@@ -54,6 +56,11 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
     place = layout.size * layout.segments
     if at_rest(shooting, w):
         return f"the search fell on an equilibrium; {_away_from_rest(shooting)}"
+    if turning := _turning(shooting, w):
+        return (
+            f"the motion only turns along the symmetry of {turning} (a relative equilibrium), where energy and "
+            "momentum say the same and a pin is one condition too many; leave the pin out"
+        )
     low, high = layout.physical(shooting.lower), layout.physical(shooting.upper)
     if period < 1.05 * low[place]:
         return "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
@@ -82,6 +89,22 @@ def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
     if shooting.problem.model.forced:  # at rest although pushed: every node is the same
         return len(nodes) > 1 and bool(np.ptp(nodes, axis=0).max() < REST * max(np.ptp(given, axis=0).max(), REST))
     return _speed(shooting, w) < REST * max(_speed(shooting, shooting.start), REST)
+
+
+def _turning(shooting: Shooting, w: np.ndarray) -> str:
+    """Invariants along whose symmetries all motion goes, x' = sum_k c_k generator_k(x) at every node, or nothing."""
+    layout, model, n = shooting.layout, shooting.problem.model, shooting.layout.size // 2
+    _, unfolding, free = layout.tail(w)
+    turns = [one for one in model.invariants if one.generator is not None]
+    p = model.parameter_values.copy()
+    p[[model.parameter_index(name) for name in shooting.problem.free]] = free
+    left = 1.0 if not turns else 0.0
+    for node in layout.nodes(w) if turns else ():
+        along = np.column_stack([one.generator(node[:n], node[n:], p).full() for one in turns])  # type: ignore[misc]
+        rate = shooting.flow.field(0.0, node, 0 * unfolding, free).full().ravel()
+        missed = rate - along @ np.linalg.lstsq(along, rate, rcond=None)[0]
+        left = max(left, float(np.abs(missed).max() / max(np.abs(rate).max(), 1e-300)))
+    return " and ".join(one.name for one in turns) if left < STEADY else ""
 
 
 def _speed(shooting: Shooting, w: np.ndarray) -> float:

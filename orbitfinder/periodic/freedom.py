@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.arguments import check_fields
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import Symmetry, quantity
@@ -90,6 +91,9 @@ class Constraint:
     upper: float = 0.0
     rows: int = 1
     name: str = "constraint"
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @property
     def equation(self) -> bool:

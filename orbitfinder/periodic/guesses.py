@@ -29,6 +29,8 @@ def normal_modes(
     mass, _ = ca.hessian(model.kinetic(q, v, values), v)
     at_rest = ca.Function("at_rest", [q], [ca.densify(ca.substitute(mass, v, ca.DM.zeros(n))), stiffness, slope])
     place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
+    if place.shape != (n,):
+        raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")
     m, k, force = (part.full() for part in at_rest(place))
     if np.abs(force).max() > 1e-9 * max(1.0, float(np.abs(k).max())):
         raise InputError(f"guess.mode: {place.tolist()} is not an equilibrium; give the coordinates of one")

@@ -111,6 +111,8 @@ def first_return(model: ConstrainedModel, state: np.ndarray, longest: float = 20
 def _terms(model: ConstrainedModel, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """(grad L, phi), J, d2L/dtheta2 and mu of least |grad L|, and M, at link angles."""
     system = holonomic(model)
+    if theta.shape != (system.size,):
+        raise InputError(f"equilibrium: shape {theta.shape} for {system.size} bars; give the angle of each, in rad")
     q, v, mu = ca.SX.sym("q", system.size), ca.SX.sym("v", system.size), ca.SX.sym("mu", 2)
     phi = system.constraint(q)
     first = ca.Function("first", [q], [ca.gradient(system.potential(q), q), ca.jacobian(phi, q), phi])

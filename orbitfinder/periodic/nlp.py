@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder.arguments import check_fields
 from orbitfinder.flow import IntegratorSettings
 from orbitfinder.periodic.failure import explain, refuse_equilibrium
 from orbitfinder.periodic.shooting import Shooting
@@ -37,6 +38,9 @@ class SolveSettings:
     """segments are added until no state-transition matrix is larger than this"""
     most_segments: int = 40
     with_certificate: bool = True
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)

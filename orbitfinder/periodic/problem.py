@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder.arguments import check, check_fields
 from orbitfinder.dae_flow import check_consistent
 from orbitfinder.errors import CountError, InputError
+from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.conditions import SYMMETRIES, Pin, Symmetry, check_pin, unfolded_invariants
 from orbitfinder.periodic.freedom import Constraint, Expression, check_bounds, check_constraint
@@ -30,13 +32,20 @@ class Guess:
     """A starting point: state (2n) at t = 0 and period T in s; optionally a whole trajectory.
 
     `times` (k, from 0 to T) and `states` (k x 2n) give the trajectory when there is one;
-    without it the start is simulated from `state`.
+    without it the start is simulated from `state`. Raises `InputError`.
     """
 
     state: Any
     period: float
     times: np.ndarray | None = None
     states: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        check("guess.state", "Sequence[float]", self.state)
+        check("guess.period", "float", self.period)
+        check_fields(self)
+        if not np.isfinite(self.period) or self.period <= 0:
+            raise InputError(f"guess.period: must be positive and finite, got {self.period}; give a period in s")
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ class Count:
 
 @dataclass(frozen=True)
 class Problem:
-    """What to find. `pin=()` takes the orbit nearest to the guess.
+    """What to find. `pin=()` takes the orbit nearest to the guess; a ConstrainedModel is taken in its reduced form.
 
     `symmetry` is none | brake | reflection | reversal | brake+reflection; `winding` the whole turns of each
     coordinate in one period; `segments` the shooting intervals of the horizon (None: chosen from
@@ -97,6 +106,10 @@ class Problem:
     phase_condition: Expression | None = None
 
     def __post_init__(self) -> None:
+        given: Any = self.model
+        if isinstance(given, ConstrainedModel):
+            object.__setattr__(self, "model", given.as_model())
+        check_fields(self)
         _check(self)
 
     @property
@@ -182,8 +195,6 @@ def _check(problem: Problem) -> None:
         )
     if not np.all(np.isfinite(state)):
         raise InputError(f"guess.state: must be finite, got {state.tolist()}; replace NaN and infinity by numbers")
-    if not np.isfinite(guess.period) or guess.period <= 0:
-        raise InputError(f"guess.period: must be positive and finite, got {guess.period}; give a period in s")
     if problem.symmetry not in SYMMETRIES:
         raise InputError(f"symmetry: unknown {problem.symmetry!r}; use one of {', '.join(SYMMETRIES)}")
     _check_winding(problem)
@@ -267,7 +278,7 @@ def _check_winding(problem: Problem) -> None:
     n = problem.model.degrees_of_freedom
     if len(problem.winding) != n:
         raise InputError(f"winding: {len(problem.winding)} numbers for {n} coordinates; give one per coordinate")
-    if any(k and not angle for k, angle in zip(problem.winding, problem.model.angles, strict=True)):
+    if any(k and not angle for k, angle in zip(problem.winding, problem.model.angles or (False,) * n, strict=True)):
         raise InputError(f"winding: {list(problem.winding)} turns a coordinate that is not an angle; set it to 0")
     if any(problem.winding) and problem.symmetry not in ("none", "reversal"):
         raise InputError(

@@ -11,11 +11,12 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder import interrupt
-from orbitfinder.errors import ConvergenceError, IntegrationError, OrbitfinderError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.flow import Flow, build_flow, end_state, transition
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.onethread import one_thread
+from orbitfinder.periodic import hints
 from orbitfinder.periodic.balanced_start import balanced_guess
 from orbitfinder.periodic.certify import certified
 from orbitfinder.periodic.conditions import Pin, unfolded_invariants
@@ -35,6 +36,9 @@ from orbitfinder.periodic.shooting import Shooting, transcribe, units_of
 NEAR_BOUND = 1e-6
 """A quantity this near to the end of its range, relative, is held there by it."""
 
+DEPENDENT = 1e-6
+"""Unfoldings whose forces along the orbit agree to this, relative, cannot be told apart."""
+
 
 @one_thread()
 def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress: Callback | None = None) -> Orbit:
@@ -53,6 +57,9 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     settings = settings or SolveSettings()
     began = time.perf_counter()
     problem.check_count()
+    if settings.with_certificate:
+        _certifiable(problem.model)
+    hints.say(hints.of_degrees(problem))
     if suits(problem):
         return find_long_chain(problem, settings, progress)
     check_invariants(problem)
@@ -69,15 +76,44 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     except (ConvergenceError, IntegrationError) as error:
         refined, w = _shot_again(problem, flow, settings, _reporter(progress, began), error)
         said = {"start": "harmonic balance along the family of the guess's linear mode"}
-    orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), *refined.layout.tail(w)[:2])
+    period, unfolding = refined.layout.tail(w)[:2]
+    unfolding = acting(refined.flow, refined.layout.nodes(w), unfolding)
+    orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), period, unfolding)
     _within(problem, orbit)
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
         orbit = certified(orbit, refined.problem.model)
+        hints.say(hints.of_invariants(problem, orbit))
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
+
+
+def _certifiable(model: Model) -> None:
+    """`InputError` for what no certificate is made of, before anything is solved."""
+    if model.native is not None and not model.conservative:
+        raise InputError(
+            "system: under constraints only conservative systems are certified, and forces or time act on this one; "
+            "describe it in minimal coordinates (lagrange), or solve it with SolveSettings(with_certificate=False)"
+        )
+
+
+def acting(flow: Flow, nodes: np.ndarray, unfolding: np.ndarray) -> np.ndarray:
+    """The smallest s with the same fictitious forces sum_k s_k u_k(q, v) at all nodes.
+
+    On a relative equilibrium (a conical pendulum) the velocity is the direction of a symmetry, so that the energy's
+    unfolding and the momentum's are one, and Newton's method leaves any amount of one against the other.
+    """
+    n, p = flow.model.degrees_of_freedom, flow.model.parameter_values
+    if len(unfolding) < 2:
+        return unfolding
+    columns = [[one.unfolding(x[:n], x[n:], p).full().ravel() for x in nodes] for one in flow.unfolded]
+    forces = np.asarray(columns).reshape(len(unfolding), -1).T
+    sizes = np.linalg.norm(forces, axis=0)
+    sizes[sizes == 0] = 1.0
+    scaled = forces / sizes
+    return np.asarray(np.linalg.pinv(scaled, rcond=DEPENDENT) @ (scaled @ (sizes * unfolding))) / sizes
 
 
 def _shot(

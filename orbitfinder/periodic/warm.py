@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orbitfinder.arguments import checked
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.flow import build_flow
 from orbitfinder.periodic.certify import certified
@@ -100,6 +101,7 @@ class Refiner:
     a Problem that its pins make square. Raises `CountError`, `InputError`.
     """
 
+    @checked
     def __init__(self, problem: Problem, settings: WarmSettings | None = None) -> None:
         check_square(problem)
         self._alone = threading.Lock()  # the marches have one work space

@@ -185,9 +185,22 @@ def _dot(pen: Any, x: float, y: float, radius: float, colour: str) -> None:
     pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
 
 
+SUFFIXES = (".gif", ".mp4")
+
+
+def check_suffix(path: Path) -> None:
+    """`InputError` unless pictures that move can be written under this name."""
+    if path.suffix not in SUFFIXES:
+        raise InputError(
+            f"{path}: cannot write {path.suffix or 'a file without suffix'}; use {' or '.join(SUFFIXES)} (or, in the "
+            "command, name a folder)"
+        )
+
+
 def save_animation(clip: Clip, path: str | Path, settings: AnimationSettings | None = None) -> Path:
     """Write a clip as .gif, or as .mp4 where the extra `mp4` is installed. Raises `InputError`."""
     target = Path(path)
+    check_suffix(target)
     frames = draw_frames(clip, settings)
     if target.suffix == ".gif":
         buffer = io.BytesIO()
@@ -198,9 +211,7 @@ def save_animation(clip: Clip, path: str | Path, settings: AnimationSettings | N
         target.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(target, buffer.getvalue())
         return target
-    if target.suffix == ".mp4":
-        return _save_mp4(frames, target, clip.rate)
-    raise InputError(f"{target}: cannot write {target.suffix or 'a file without suffix'}; use .gif or .mp4")
+    return _save_mp4(frames, target, clip.rate)
 
 
 def _save_mp4(frames: list[Any], target: Path, rate: int) -> Path:

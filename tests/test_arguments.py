@@ -1,0 +1,183 @@
+"""What newcomers get wrong: one sentence each, which names the argument, and no traceback from inside."""
+
+import inspect
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import orbitfinder as of
+from orbitfinder.arguments import fits
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import energy
+from orbitfinder.systems import van_der_pol
+
+CHAIN = of.chain(2)
+STATE = [0.3, 0.4, 0.0, 0.0]
+GUESS = of.Guess(STATE, 2.5)
+PROBLEM = of.Problem(CHAIN, GUESS)
+BAR = of.linkage([0.5, 1.2, 1.0], ground=[0.2, 1.0])
+ORBIT = of.Orbit(
+    "o", CHAIN.system, np.array(STATE), 2.5, 0.0, 0.0, 0.0, "none", (0, 0), np.ones(2), 0.0, "elliptic", (),
+    np.zeros((1, 4)), np.zeros(0), np.zeros((0, 4)), 1e-12,
+)  # fmt: skip
+Q, V = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+T, U, S = ca.sumsqr(V) / 2, ca.sumsqr(Q) / 2, of.Symbols(Q, V)
+MX = ca.MX.sym("q", 2), ca.MX.sym("v", 2)
+
+MISTAKES = {
+    "chain of a list": (lambda: of.chain([1.0, 2.0]), "links"),
+    "chain of text": (lambda: of.chain("3"), "links"),
+    "chain None": (lambda: of.chain(None), "links"),
+    "chain mass text": (lambda: of.chain(2, mass="heavy"), "mass"),
+    "chain gravity None": (lambda: of.chain(2, gravity=None), "gravity"),
+    "energy short": (lambda: of.energy(of.chain(3), [0.1, 0.2]), "state"),
+    "energy long": (lambda: of.energy(CHAIN, [0.1] * 8), "state"),
+    "energy swapped": (lambda: of.energy(STATE, CHAIN), "model"),
+    "energy text": (lambda: of.energy(CHAIN, "abc"), "state"),
+    "energies vector": (lambda: of.energies(CHAIN, STATE), "states"),
+    "positions 8": (lambda: of.positions(CHAIN, np.zeros((3,8))), "states"),
+    "positions which": (lambda: of.positions(CHAIN, [STATE], "joints"), "which"),
+    "positions vector": (lambda: of.positions(CHAIN, STATE), "states"),
+    "guess neg": (lambda: of.Guess(STATE, -1), "guess.period"),
+    "guess period text": (lambda: of.Guess(STATE, "2"), "guess.period"),
+    "guess period none": (lambda: of.Guess(STATE, None), "guess.period"),
+    "guess state text": (lambda: of.Guess("here", 2.0), "guess.state"),
+    "guess state none": (lambda: of.Guess(None, 2.0), "guess.state"),
+    "problem list guess": (lambda: of.Problem(CHAIN, STATE), "guess"),
+    "problem list model": (lambda: of.Problem([1,2], GUESS), "model"),
+    "problem pin dict": (lambda: of.Problem(CHAIN, GUESS, {"energy": -10}), "pin"),
+    "problem pin one": (lambda: of.Problem(CHAIN, GUESS, pin=of.pin(energy=-10.0)[0]), "pin"),
+    "pin positional": (lambda: of.pin(-10.0), "pin"),
+    "pin text": (lambda: of.pin(energy="low"), "energy"),
+    "pin none": (lambda: of.pin(energy=None), "energy"),
+    "problem winding float": (lambda: of.Problem(CHAIN, GUESS, winding=(0.5, 0)), "winding"),
+    "problem free str": (lambda: of.Problem(CHAIN, GUESS, free="mass1"), "free"),
+    "problem bounds list": (lambda: of.Problem(CHAIN, GUESS, bounds=[1, 2]), "bounds"),
+    "problem constraints fn": (lambda: of.Problem(CHAIN, GUESS, constraints=(lambda v: v.period,)), "constraints"),
+    "problem constraints one": (
+        lambda: of.Problem(CHAIN, GUESS, constraints=of.Constraint(lambda v: v.period)),
+        "constraints",
+    ),
+    "problem tol text": (lambda: of.Problem(CHAIN, GUESS, tolerance="tight"), "tolerance"),
+    "problem expected": (lambda: of.Problem(CHAIN, GUESS, expected={"period": 2.5}), "expected"),
+    "problem objective": (lambda: of.Problem(CHAIN, GUESS, objective=3), "objective"),
+    "constraint expr": (lambda: of.Constraint(3.0), "expression"),
+    "find model": (lambda: of.find_orbit(CHAIN), "problem"),
+    "find path": (lambda: of.find_orbit("problem.toml"), "problem"),
+    "find orbit": (lambda: of.find_orbit(ORBIT), "problem"),
+    "find settings": (lambda: of.find_orbit(PROBLEM, {"max_iterations": 5}), "settings"),
+    "find progress": (lambda: of.find_orbit(PROBLEM, progress=True), "progress"),
+    "certify problem": (lambda: of.certify(PROBLEM), "orbit"),
+    "certify model str": (lambda: of.certify(ORBIT, "chain"), "model"),
+    "save_orbit swapped": (lambda: of.save_orbit("o.json", ORBIT), "orbit"),
+    "load none": (lambda: of.load_orbit(None), "path"),
+    "load_problem int": (lambda: of.load_problem(3), "path"),
+    "export swapped": (lambda: of.export_orbit("csv", ORBIT, "nowhere"), "orbit"),
+    "figures none": (lambda: of.save_figures(None, "nowhere"), "orbit"),
+    "clip": (lambda: of.orbit_clip("orbit.json"), "orbit"),
+    "save_animation orbit": (lambda: of.save_animation(ORBIT, "x.gif"), "clip"),
+    "modes text": (lambda: of.normal_mode(CHAIN, "1", 0.1), "mode"),
+    "mode 1.5": (lambda: of.normal_mode(CHAIN, 1.5, 0.1), "mode"),
+    "mode of list": (lambda: of.normal_mode([1, 2], 1, 0.1), "model"),
+    "modes eq": (lambda: of.normal_modes(CHAIN, [0.0]), "equilibrium"),
+    "modes eq scalar": (lambda: of.normal_modes(CHAIN, 0.0), "equilibrium"),
+    "mode sum scalar": (lambda: of.normal_mode_sum(CHAIN, 1, 0.1), "modes"),
+    "recurrences dur none": (lambda: of.recurrences(CHAIN, STATE, None), "duration"),
+    "refiner model": (lambda: of.Refiner(CHAIN), "problem"),
+    "atlas none": (lambda: of.Atlas(None), "path"),
+    "search energies text": (
+        lambda: of.search(CHAIN, "low", (1.0, 3.0), "nowhere.sqlite", starts=0, workers=0),
+        "energies",
+    ),
+    "search periods scalar": (lambda: of.search(CHAIN, -10.0, 3.0, "nowhere.sqlite", starts=0, workers=0), "periods"),
+    "search starts text": (
+        lambda: of.search(CHAIN, -10.0, (1.0, 2.0), "nowhere.sqlite", starts="many", workers=0),
+        "starts",
+    ),
+    "linkage baumgarte": (lambda: of.linkage([.5,1.2,1.0], baumgarte=10.0), "baumgarte"),
+    "assemble chain": (lambda: of.assemble(CHAIN, {"theta1": 0.3}), "model"),
+    "assemble list": (lambda: of.assemble(BAR, [0.3]), "known"),
+    "linkage_state chain": (lambda: of.linkage_state(CHAIN, [0.1,0.2]), "model"),
+    "linkage_rates list": (lambda: of.linkage_rates(BAR, of.assemble(BAR, {"theta1": 0.3}), [1.0]), "known"),
+    "joint_forces": (lambda: of.joint_forces(BAR, [0.1]), "state"),
+    "linkage_modes eq": (lambda: of.linkage_modes(BAR, [0.1]), "equilibrium"),
+    "linkage_equilibrium short": (lambda: of.linkage_equilibrium(BAR, [0.1]), "equilibrium"),
+    "simulate_dae chain": (lambda: of.simulate_dae(CHAIN, STATE, 1.0), "model"),
+    "minimal_states": (lambda: of.minimal_states(BAR, [0.1]), "states"),
+    "minimal_linkage": (lambda: of.minimal_linkage(BAR, 1), "independent"),
+    "find_dae": (lambda: of.find_dae_orbit(CHAIN, STATE, 1.0), "model"),
+    "build_flow": (lambda: of.build_flow(BAR.system), "model"),
+    "end_state model": (lambda: of.end_state(CHAIN, STATE, 1.0), "flow"),
+    "end_state short": (lambda: of.end_state(of.build_flow(CHAIN), [0.1], 1.0), "state"),
+    "sample count": (lambda: of.sample(of.build_flow(CHAIN), STATE, 1.0, 1), "count"),
+    "sample short": (lambda: of.sample(of.build_flow(CHAIN), [0.1], 1.0, 10), "state"),
+    "transition short": (lambda: of.transition(of.build_flow(CHAIN), [0.1], 1.0), "state"),
+    "lagrange MX": (lambda: of.lagrange(ca.sumsqr(MX[1])/2, ca.sumsqr(MX[0])/2, of.Symbols(*MX)), "coordinates"),
+    "constrained MX": (
+        lambda: of.constrained(ca.sumsqr(MX[1])/2, ca.sumsqr(MX[0])/2, MX[0][0], of.Symbols(*MX)),
+        "coordinates",
+    ),
+    "lagrange tuple": (lambda: of.lagrange(T, U, (Q, V)), "symbols"),
+    "lagrange none": (lambda: of.lagrange(T, None, S), "potential"),
+    "lagrange text": (lambda: of.lagrange("v**2/2", U, S), "kinetic"),
+    "lagrange function": (lambda: of.lagrange(lambda q, v: v, U, S), "kinetic"),
+    "lagrange names short": (lambda: of.lagrange(T, U, S, names=["x"]), "names"),
+    "lagrange names long": (lambda: of.lagrange(T, U, S, names=["x","y","z"]), "names"),
+    "lagrange names dup": (lambda: of.lagrange(T, U, S, names=["x","x"]), "names"),
+    "lagrange names dot": (lambda: of.lagrange(T, U, S, names=["x","xdot"]), "names"),
+    "lagrange names energy": (lambda: of.lagrange(T, U, S, names=["energy","x"]), "names"),
+    "lagrange names str": (lambda: of.lagrange(T, U, S, names="xy"), "names"),
+    "lagrange angles short": (lambda: of.lagrange(T, U, S, angles=[True]), "angles"),
+    "lagrange angles bool": (lambda: of.lagrange(T, U, S, angles=True), "angles"),
+    "constrained names": (lambda: of.constrained(T, U, ca.sumsqr(Q)-1, S, names=["x"]), "names"),
+    "constrained angles": (lambda: of.constrained(T, U, ca.sumsqr(Q)-1, S, angles=[True]), "angles"),
+    "lagrange points shape": (lambda: of.lagrange(T, U, S, points=ca.SX(3, 2)), "points"),
+    "symbols parameter names": (
+        lambda: of.lagrange(T, U, of.Symbols(Q, V, ca.SX.sym("k"))),
+        "parameter_names, parameter_values",
+    ),
+    "symbols numbers": (lambda: of.Symbols([1, 2], [3, 4]), "coordinates"),
+    "symbols list of SX": (lambda: of.lagrange(T, U, of.Symbols([Q[0],Q[1]], [V[0],V[1]])), "coordinates"),
+    "invariants names": (lambda: of.lagrange(T, U, S, invariants=["energy"]), "invariants"),
+    "least": (lambda: of.least_unstable(PROBLEM, starts="many"), "starts"),
+    "settings": (lambda: of.SolveSettings(max_iterations="many"), "max_iterations"),
+    "integrator": (
+        lambda: of.build_flow(CHAIN, settings=of.IntegratorSettings(relative_tolerance=-1)),
+        "relative_tolerance, absolute_tolerance, max_steps",
+    ),
+    "baumgarte text": (lambda: of.Baumgarte("a", 1), "alpha"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_newcomers_mistake_is_one_sentence_about_the_argument(mistake):
+    """`energy` of half a state was a number, `positions` of 8 a picture; most others gave an AttributeError."""
+    wrong, argument = MISTAKES[mistake]
+    with pytest.raises(InputError) as caught:
+        wrong()
+    message = str(caught.value)
+    assert message.startswith(f"{argument}: ") and len(message) < 400 and "\n" not in message
+
+
+def test_public_functions_stay_what_they_are():
+    """Checked ones keep their signature and can be pickled; what the house itself calls is not checked."""
+    assert pickle.loads(pickle.dumps(of.certify)) is of.certify
+    assert inspect.signature(of.energy) == inspect.signature(energy) and of.energy is not energy
+    assert of.energy(CHAIN, tuple(STATE)) == of.energy(CHAIN, ca.DM(STATE)) == energy(CHAIN, np.array(STATE))
+
+
+def test_a_constrained_model_does_in_a_models_place():
+    state = of.linkage_state(BAR, of.assemble(BAR, {"theta1": 0.3}))
+    assert of.energy(BAR, state) == energy(BAR.as_model(), state)
+    assert of.Problem(BAR, of.Guess(state, 1.0)).model.native is BAR
+
+
+def test_annotations_are_read_as_they_are_written():
+    assert fits("float | Sequence[float]", 1) and fits("float | Sequence[float]", np.arange(3))
+    assert fits("int", np.int64(3)) and not fits("int", True) and not fits("int", 3.0)
+    assert fits("tuple[int, ...] | None", None) and fits("tuple[int, ...] | None", [1, 0])
+    assert fits("Mapping[str, tuple[float, float]]", {"a": [0, 1]}) and not fits("Mapping[str, float]", {1: 2.0})
+    assert fits("Model | None", van_der_pol()) and not fits("Model | None", PROBLEM)
+    assert fits("WhoKnows[int]", object())
