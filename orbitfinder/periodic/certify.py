@@ -108,7 +108,9 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         _at_most(
             "unfolding", orbit.period * max(map(abs, orbit.unfolding), default=0.0), allowed.unfolding * scale,
             "back at 0, per period",
-        ),
+        )
+        if model.invariants or any(orbit.unfolding)
+        else None,
         *_constraint_checks(orbit, model, allowed, scale, evidence),
         *_record_checks(orbit, evidence, model, allowed, scale),
         *_picture_checks(pictured, evidence.reached[len(covers) :], evidence),
@@ -288,7 +290,8 @@ def _record_checks(
     # mu and 1/mu of a matrix of norm about mu, known to the integration's relative error: mu^2 of that
     room = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if model.conservative else 0.0
     defect = max(evidence.floquet.pair_defect, abs(orbit.pair_defect))
-    checks.append(_at_most("pair_defect", defect, room, "reciprocal pairs, as recorded and as found"))
+    if model.conservative or defect:
+        checks.append(_at_most("pair_defect", defect, room, "reciprocal pairs, as recorded and as found"))
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
     return checks
