@@ -77,9 +77,10 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     turns = _turns(orbit, model)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
         return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
-    covers = [k for k in COVERS if model.forcing_cycles(orbit.period) % k == 0]
-    pictured = _pictured(orbit)
-    moments = np.concatenate([orbit.period / np.asarray(covers, float), *(times for _, times, _, _ in pictured)])
+    cycles, pictured = model.forcing_cycles(orbit.period), _pictured(orbit)
+    covers = [k for k in COVERS if cycles % k == 0 and not np.any(turns % k)]
+    shares = _shares(covers)
+    moments = np.concatenate([orbit.period * shares.ravel(), *(times for _, times, _, _ in pictured)])
     try:
         evidence = gather(model, orbit.state, orbit.period, turns, moments)
         second = _second_closure(model, orbit, turns, evidence)
@@ -97,7 +98,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         else None,
         _forcing_check(orbit, model),
         *premises(model, evidence.times, evidence.states, evidence.extents, turns),
-        _minimal_period(orbit, model, covers, allowed.cover, evidence),
+        _minimal_period(orbit, covers, allowed.cover, evidence),
         _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, "extent of the motion"),
         _at_most("trivial_multipliers", evidence.trivial, allowed.trivial, "flow and energy gradient are kept")
         if model.invariants or not model.forced
@@ -113,7 +114,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         else None,
         *_constraint_checks(orbit, model, allowed, scale, evidence),
         *_record_checks(orbit, evidence, model, allowed, scale),
-        *_picture_checks(pictured, evidence.reached[len(covers) :], evidence),
+        *_picture_checks(pictured, evidence.reached[shares.size :], evidence),
         *_expected_checks(orbit, model),
     ]  # fmt: skip
     return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
@@ -201,17 +202,26 @@ def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
     return _at_most("forcing_period", abs(orbit.period / wanted - 1), 1e-14, f"period / {cycles} forcing periods - 1")
 
 
-def _minimal_period(
-    orbit: Orbit, model: Model, covers: Sequence[int], tolerance: float, evidence: Evidence
-) -> Check | None:
-    """The smallest distance between x(T/k) and x(0), k prime, in extents of the motion.
+def _shares(covers: Sequence[int]) -> np.ndarray:
+    """Shares of the period (covers x 2) at which a motion that goes round k times is back: 1/k and about a half."""
+    return np.array([[1 / k, (k // 2) / k] for k in covers]).reshape(-1, 2)
 
-    A forced motion can have a shorter period only where T/k is a multiple of the forcing's.
+
+def _minimal_period(orbit: Orbit, covers: Sequence[int], tolerance: float, evidence: Evidence) -> Check | None:
+    """The smallest distance between x(T/k), x(j T/k) and x(0), k prime, in extents of the motion.
+
+    Both: a motion that lingers where it starts is near x(0) after T/k without having been anywhere. Shorter
+    periods are possible only where the turns, and the periods of a forcing, can be divided by k.
     """
     if not covers:
         return None
-    far = distances(orbit.state, evidence.reached[: len(covers)], model.angles, evidence.extents)
-    return _at_least("minimal_period", far.min(), tolerance, f"nearest early return at T/{covers[int(far.argmin())]}")
+    shares = _shares(covers).ravel()
+    turned = 2 * np.pi * shares[:, None] * np.asarray(orbit.winding)
+    shift = np.hstack([turned, np.zeros(turned.shape)])
+    far = np.abs((evidence.reached[: shares.size] - shift - orbit.state) / evidence.extents).max(axis=1)
+    found = far.reshape(-1, 2).max(axis=1)
+    note = f"nearest early return at T/{covers[int(found.argmin())]}"
+    return _at_least("minimal_period", found.min(), tolerance, note)
 
 
 def distances(state: np.ndarray, reached: np.ndarray, angles: Sequence[bool], units: np.ndarray) -> np.ndarray:
