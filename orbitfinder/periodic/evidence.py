@@ -68,7 +68,8 @@ class Evidence:
 
     `times` are equally spaced; `closes` measures the gap in extents, `closure` in the model's units (its largest
     component); `exchanged` is the energy (J) that `drift` is relative to, `extents` (2n) those of the motion,
-    `forward` the largest |S^-1 Phi(t, 0) S| and `reached` the states at further moments that were asked for.
+    `growth` the largest |S^-1 Phi(t, s) S| of all s < t, and `reached` the states at
+    further moments that were asked for.
     """
 
     times: np.ndarray
@@ -80,7 +81,7 @@ class Evidence:
     energy: float
     exchanged: float
     extents: np.ndarray
-    forward: float
+    growth: float
     trivial: float
     symplectic: float
     floquet: Floquet
@@ -105,10 +106,7 @@ def measured(
     gradients, directions = motion.gradients * units, motion.directions / units
     gap_there = (path[-1] - path[0] - _shift(motion.turns, units.size)) / units
     found = closes(gap_there, pieces, sizes, None if model.forced else motion.rate * period / units)
-    monodromy, forward = np.eye(units.size), 1.0
-    for piece in pieces:
-        monodromy = piece @ monodromy
-        forward = max(forward, float(np.linalg.norm(monodromy, 2)))
+    monodromy, growth = _products(pieces)
     basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
     inner, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
     scale = max(1.0, float(np.abs(inner).max()))
@@ -126,13 +124,24 @@ def measured(
         energy=float(total[0]),
         exchanged=exchanged,
         extents=extents_of(model, states, period),
-        forward=forward,
+        growth=growth,
         trivial=max(_off(directions @ inner.T, directions), _off(gradients @ inner, gradients)) / scale,
         symplectic=float(np.abs(inner.T @ form @ inner - form).max()) / (scale**2 * float(np.abs(form).max())),
         floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=model.conservative),
         reached=motion.states[np.searchsorted(motion.times, moments)],
         formulation=motion.formulation,
     )
+
+
+def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
+    """Phi(T, 0) and the largest norm of Phi(t, s) between the ends of any two pieces."""
+    largest, whole = 1.0, np.eye(len(pieces[0]))
+    for begin in reversed(range(len(pieces))):
+        whole = np.eye(len(pieces[0]))
+        for piece in pieces[begin:]:
+            whole = piece @ whole
+            largest = max(largest, float(np.linalg.norm(whole)))
+    return whole, largest
 
 
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
