@@ -54,7 +54,7 @@ BAD = {
     "length-empty": (with_system("length = []"), ["system.length", "[]", "one per link"]),
     "inertia-negative": (with_system("inertia = -0.1"), ["system.inertia", "-0.1", "at least 0"]),
     "gravity-inf": (with_system("gravity = inf"), ["system.gravity", "inf", "finite"]),
-    "gravity-overflow": (with_system("gravity = 1" + "0" * 400), ["system.gravity", "expected"]),
+    "gravity-overflow": (with_system("gravity = 1" + "0" * 400), ["system.gravity", "beyond"]),
     "formulation": (with_system('formulation = "newton"'), ["system.formulation", "'newton'", "recursive"]),
     "no-guess": (SYSTEM, ["guess", "missing", "[guess]"]),
     "two-guesses": (
