@@ -14,6 +14,7 @@ import stat
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import GenericAlias
 from typing import Any
 
 from orbitfinder.errors import InputError
@@ -173,7 +174,7 @@ def select(
         return []  # no row has such an id
     with explained(path):
         rows = connection.execute(question, list(values)).fetchall()
-    return [read_as(tuple[*kinds], row, str(path), "restore a copy of the atlas") for row in rows]
+    return [read_as(GenericAlias(tuple, tuple(kinds)), row, str(path), "restore a copy of the atlas") for row in rows]
 
 
 def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
