@@ -145,10 +145,14 @@ def replay(
     proof = prove(orbit, model, options, progress)
     if not proof.proved:
         return proof, [proof.reason]
-    fresh = entry(proof)
-    with precision(max(options.settings.bits, 4 * DIGITS)):
-        return proof, [f"{name}: recorded {_brief(found.get(name))}, found {_brief(fresh[name])}"
-                       for name, same in COMPARED.items() if not same(found.get(name), fresh[name])]  # fmt: skip
+    return proof, contradictions(found, entry(proof))
+
+
+def contradictions(found: Mapping[str, Any], fresh: Mapping[str, Any]) -> list[str]:
+    """Every claim of a recorded entry that the entry of the proof done again does not bear out."""
+    with precision(max(fresh["bits"], 4 * DIGITS)):
+        return [f"{name}: recorded {_brief(found.get(name))}, found {_brief(fresh[name])}"
+                for name, same in COMPARED.items() if not same(found.get(name), fresh[name])]  # fmt: skip
 
 
 def _brief(value: Any) -> str:
