@@ -287,6 +287,14 @@ def unpacked(data: bytes, where: str) -> dict[str, Any]:
     return document
 
 
+def named_state(document: Mapping[str, Any], names: Sequence[str]) -> dict[str, float]:
+    """The state of an orbit document by its components' names. `InputError` when it is of another system."""
+    state = document["state"]
+    if len(state) != len(names):
+        raise InputError(f"orbit: {len(state)} numbers in state for {', '.join(names)}; {RESTORE}")
+    return dict(zip(names, state, strict=True))
+
+
 def canonical(system: Mapping[str, Any]) -> str:
     """A description of a system in which 2 and 2.0 are one, keys sorted."""
 

@@ -240,7 +240,7 @@ def explained(path: Path) -> Iterator[None]:
     """SQLite's errors inside the block become an `InputError` that names the file and the remedy."""
     try:
         yield
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: SQLite quoting what is no text
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         reason = REASONS.get(code, f"cannot be used ({error}); check that it is an atlas")
         raise InputError(f"{path}: {reason}") from error
