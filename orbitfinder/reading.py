@@ -66,13 +66,13 @@ def _opened(path: Path, what: str) -> BinaryIO:
 def file_bytes(path: Path, what: str = "file", limit: int = LARGEST_FILE) -> bytes:
     """The content of a regular file of at most `limit` bytes, or `InputError`."""
     with _opened(path, what) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > limit:
+            raise InputError(f"{path}: {size} bytes are too large for a {what}, the limit is {limit}")
         try:
-            data = stream.read(limit + 1)
+            return stream.read(size)
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error}); check the disk") from error
-    if len(data) > limit:
-        raise InputError(f"{path}: more than {limit} bytes are too large for a {what}; give another file")
-    return data
 
 
 def file_head(path: Path, size: int) -> bytes:
@@ -181,9 +181,9 @@ def _array(archive: zipfile.ZipFile, name: str, room: int) -> np.ndarray:
         version = np.lib.format.read_magic(stream)
         header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
         shape, fortran, dtype = header(stream)
-        content = stream.read(info.file_size)
-    if dtype.kind not in "fiu" or math.prod(shape) * dtype.itemsize != len(content):
-        raise ValueError(f"{name} is no array of numbers of its size")
+        if dtype.kind not in "fiu" or math.prod(shape) * dtype.itemsize != info.file_size - stream.tell():
+            raise ValueError(f"{name} is no array of numbers of its size")
+        content = stream.read()
     array = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name} holds a number that is not finite")

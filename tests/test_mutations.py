@@ -435,8 +435,6 @@ def test_ten_thousand_damaged_files(kind, sound, tmp_path):
 
 def test_sound_files_are_read(sound):
     """The mutator starts from files that every reader takes."""
-    for path in [*sound.glob("problems/*.toml")]:
-        use_problem(path)
     for path in [*sound.glob("orbits/*/orbit.json"), *sound.glob("*/family.json")]:
         use_result(path)
     use_journal(sound / "mode-1")
