@@ -114,7 +114,7 @@ def show(book: Path, number: int, trust: bool, as_json: bool) -> None:
     Example:
       orbitfinder atlas show triple.sqlite 12 --json > orbit.json && orbitfinder verify orbit.json
     """
-    from orbitfinder.atlas.store import Atlas
+    from orbitfinder.atlas.store import Atlas, named_state
 
     with Atlas(book, trusted=book.parent if trust else None) as opened:
         document = opened.document(number)
@@ -126,11 +126,11 @@ def show(book: Path, number: int, trust: bool, as_json: bool) -> None:
     for key, unit in (("period", "s"), ("energy", "J"), ("action", "J s"), ("closure", ""), ("symmetry", ""),
                       ("stability", "")):  # fmt: skip
         click.echo(f"  {key:<22}{document[key]!r} {unit}".rstrip().replace("'", ""))
-    for name, value in zip(names, document["state"], strict=True):
+    for name, value in named_state(document, names).items():
         click.echo(f"  {name:<22}{value!r}")
     multipliers = ", ".join(f"{complex(*mu):.6g}" for mu in document["floquet_multipliers"])
     click.echo(f"  {'floquet multipliers':<22}{multipliers}")
-    source = document["provenance"]
+    source = dict(document.get("provenance") or {})
     click.echo(f"  {'found by':<22}{source.get('strategy')}, seed {source.get('seed')}, start {source.get('index')}")
 
 

@@ -41,13 +41,14 @@ def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 
     """The Orbit of an orbit.json, the Branch of a family.json or the Problem of any other file, with its model."""
     from orbitfinder.families.store import FORMAT
     from orbitfinder.periodic.orbit import load_orbit
-    from orbitfinder.problemfile import checked_name, load_problem, read_bytes
+    from orbitfinder.problemfile import checked_name, load_problem
+    from orbitfinder.reading import file_head
 
     if file.suffix != ".json":
         if switch is not None:
             raise InputError("--switch: goes with a family.json; continue the problem first, then switch there")
         return load_problem(file, trust), None
-    if FORMAT.encode() in read_bytes(file)[:200]:
+    if FORMAT.encode() in file_head(file, 200):
         return _branch_of(file, trust, switch, branch), None
     if switch is not None:
         raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
 from orbitfinder.errors import InputError
+from orbitfinder.reading import bounded, file_bytes
 from orbitfinder.schema import SYSTEMS, FindTable, ProblemTable, check_name
 from orbitfinder.schemafaults import sentence
 
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
     from orbitfinder.mechanics.model import Model
     from orbitfinder.periodic.problem import Guess, Problem
 
-LARGEST_FILE = 100_000_000
-"""Bytes; a larger problem or CSV file is refused before it is read."""
+LARGEST_TOML = 5_000_000
+"""Bytes; a larger problem file is refused before it is read (2,000 links with a number each take 0.1 MB)."""
+MANUAL = "docs/problem-file.md"
 DEFAULT_DURATION = 10.0
 """Seconds that `simulate` covers when nothing else is asked for."""
 Result = TypeVar("Result")
@@ -77,42 +79,24 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
     return _at(str(source), lambda: _build(source, document, table, trust))
 
 
-def read_bytes(source: Path) -> bytes:
-    """The content of a regular file of reasonable size, or `InputError`."""
-    try:
-        if not source.exists():
-            named = source.with_name(f"{source.name}.toml")
-            meant = f"did you mean {named}?" if named.is_file() else "check the path"
-            raise InputError(f"{source}: no such file; {meant}")
-        if source.is_dir():
-            raise InputError(f"{source}: a folder, not a file; name a problem file in it")
-        if not source.is_file():
-            raise InputError(f"{source}: not a regular file; give a problem file")
-        if source.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{source}: {source.stat().st_size} bytes is too large; the limit is {LARGEST_FILE}")
-        return source.read_bytes()
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{source}: cannot be read ({error}); check the path and its permissions") from error
-
-
 def read_toml(source: Path) -> dict[str, Any]:
     """The TOML document at a path, or `InputError`."""
+    data = file_bytes(source, "problem file", LARGEST_TOML)
     try:
-        return tomllib.loads(read_bytes(source).decode("utf-8-sig"))
+        document = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(
             f"{source}: not UTF-8 text (byte {error.start}); save it as UTF-8, or give a problem file"
         ) from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # TOMLDecodeError, or what Python says of numbers of thousands of digits
         if source.suffix == ".json":
             raise InputError(
                 f"{source}: not a problem file; orbits and families go to verify, continue, plot, animate or export"
             ) from error
-        raise InputError(f"{source}: not TOML: {error}; see docs/problem-file.md for the format") from error
+        raise InputError(f"{source}: not TOML: {error}; see {MANUAL} for the format") from error
     except RecursionError as error:
-        raise InputError(f"{source}: nested too deeply to be a problem file; see docs/problem-file.md") from error
+        raise InputError(f"{source}: nested too deeply to be a problem file; see {MANUAL}") from error
+    return bounded(document, str(source), f"see {MANUAL}", finite=False)  # type: ignore[no-any-return]
 
 
 def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
@@ -241,7 +225,7 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
             f"{source}: a Python problem file runs as a program and {'was' if source.exists() else 'would be'} "
             "not executed; read it, then add --trust"
         )
-    read_bytes(source)
+    file_bytes(source, "problem file")
     try:
         made = runpy.run_path(str(source))["problem"]()
     except KeyError as error:

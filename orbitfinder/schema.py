@@ -164,8 +164,9 @@ class FindTable(Table):
         for name, ends in self.bounds.items():
             if len(ends) != 2 or not ends[0] < ends[1]:
                 raise PydanticCustomError(
-                    "period", "bounds.{n} must be [smallest, largest] with smallest below largest", {"n": name}
-                )
+                    "period", "bounds.{n}: must be [smallest, largest] with smallest below largest, got {v}",
+                    {"n": name, "v": str(ends)[:60]},
+                )  # fmt: skip
         return self
 
 
@@ -182,7 +183,10 @@ class SearchTable(Table):
     @model_validator(mode="after")
     def _ordered(self) -> SearchTable:
         if self.period[0] >= self.period[1]:
-            raise PydanticCustomError("period", "period must be [smallest, largest] with smallest below largest")
+            raise PydanticCustomError(
+                "period", "period: must be [smallest, largest] with smallest below largest, got {v}",
+                {"v": str(self.period)},
+            )  # fmt: skip
         return self
 
 

@@ -11,10 +11,13 @@ from pydantic import BaseModel
 from orbitfinder.schema import SYSTEMS, ProblemTable
 from orbitfinder.suggest import closest
 
+PYDANTIC = re.compile(r"(constrained-|function-|list\[).*|float|int|bool|str")
+"""What pydantic puts into the place of a fault where a value may be of several kinds."""
+
 
 def sentence(fault: Mapping[str, Any], document: Mapping[str, Any]) -> str:
     """One pydantic fault as field, value and remedy."""
-    names = [str(part) for part in fault["loc"]]
+    names = [str(part) for part in fault["loc"] if not PYDANTIC.fullmatch(str(part))]
     table, description = _table_and_description(names, document)
     where = ".".join(names) or "file"
     if fault["type"] == "extra_forbidden":
@@ -26,10 +29,13 @@ def sentence(fault: Mapping[str, Any], document: Mapping[str, Any]) -> str:
         return f"{where}.kind: {fault['msg']}"
     if fault["type"] == "name":
         return f"{where}: {fault['msg']}, got {_short(fault['input'])}; choose another name"
-    if fault["type"] in ("guess", "period") or not description:
+    if fault["type"] == "period":
+        return f"{where}.{fault['msg']}"
+    if fault["type"] == "guess" or not description:
         return f"{where}: {fault['msg']}" if names else str(fault["msg"]).replace(" is missing;", ": missing;")
     if fault["type"] == "finite_number":
-        return f"{where}: must be finite, got {_short(fault['input'])}; replace NaN and infinity by numbers"
+        rule = fault["msg"] if str(fault["msg"]).startswith("must") else "must be finite"
+        return f"{where}: {rule}, got {_short(fault['input'])}; replace NaN and infinity by numbers"
     reason = re.sub(r"^(Input|List|String|Dictionary) should", "must", str(fault["msg"]))
     if fault["type"] in ("model_type", "dict_type"):
         reason = "must be a table"

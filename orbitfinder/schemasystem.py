@@ -12,6 +12,7 @@ MOST_LINKS = 2000
 MOST_BARS = 40
 """Bars of a linkage; its state-transition matrix has 6 rows per bar."""
 LARGEST_NUMBER = 1e300
+SIZE = f"must be finite and below {LARGEST_NUMBER:g}"
 
 
 def _number_or_list(value: Any) -> Any:
@@ -19,7 +20,7 @@ def _number_or_list(value: Any) -> Any:
     if not items or any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
         raise PydanticCustomError("numbers", "must be a number or a list with one number per link")
     if any(not abs(item) < LARGEST_NUMBER for item in items):
-        raise PydanticCustomError("finite_number", "must be finite")
+        raise PydanticCustomError("finite_number", SIZE)
     return value
 
 
@@ -28,7 +29,7 @@ def _energies(value: Any) -> Any:
     if not items or any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
         raise PydanticCustomError("numbers", "must be a number or a list of numbers")
     if any(not abs(item) < LARGEST_NUMBER for item in items):
-        raise PydanticCustomError("finite_number", "must be finite")
+        raise PydanticCustomError("finite_number", SIZE)
     return value
 
 

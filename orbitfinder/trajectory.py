@@ -8,18 +8,20 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.periodic.problem import Guess
+from orbitfinder.reading import file_bytes
 
 
 def read_trajectory(folder: Path, name: str, size: int) -> Guess:
     """A Guess from a CSV file in `folder` (or below it) with `size` states; its time span is the period."""
-    from orbitfinder.problemfile import read_bytes
-
-    base = folder.resolve()
-    source = (base / name).resolve()
+    try:
+        base = folder.resolve()
+        source = (base / name).resolve()
+    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name, links that go round in a circle
+        raise InputError(f"guess.csv: {name!r} is no usable path ({error}); put the file beside") from error
     if not source.is_relative_to(base):
         raise InputError(f"guess.csv: {name!r} lies outside the problem file's folder; put the file beside it")
     try:
-        lines = read_bytes(source).decode("utf-8-sig").splitlines()
+        lines = file_bytes(source, "CSV file").decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"guess.csv: {name!r} is not UTF-8 text; save it as plain CSV") from error
     except InputError as error:

@@ -166,3 +166,10 @@ def test_values_survive_toml():
 def test_returns_need_a_duration():
     with pytest.raises(InputError, match="guess.duration"):
         of.recurrences(of.chain(2), [0.1, 0.2, 0.0, 0.0], -1.0)
+
+
+def test_a_system_without_derivatives_at_zero_says_so():
+    """The swinging spring's energy has a kink at q = 0: no modes there, close returns all the same."""
+    outcome = invoke(PROBLEMS / "gallery" / "spring-pendulum-bounce.toml", "--duration", "12")
+    assert outcome.exit_code == 0, outcome.output
+    assert "return-1" in outcome.output and "normal modes: guess.mode: the energies have no second" in outcome.output

@@ -54,7 +54,7 @@ BAD = {
     "length-empty": (with_system("length = []"), ["system.length", "[]", "one per link"]),
     "inertia-negative": (with_system("inertia = -0.1"), ["system.inertia", "-0.1", "at least 0"]),
     "gravity-inf": (with_system("gravity = inf"), ["system.gravity", "inf", "finite"]),
-    "gravity-overflow": (with_system("gravity = 1" + "0" * 400), ["system.gravity", "expected"]),
+    "gravity-overflow": (with_system("gravity = 1" + "0" * 400), ["system.gravity", "beyond"]),
     "formulation": (with_system('formulation = "newton"'), ["system.formulation", "'newton'", "recursive"]),
     "no-guess": (SYSTEM, ["guess", "missing", "[guess]"]),
     "two-guesses": (
@@ -93,7 +93,10 @@ BAD = {
         SYSTEM + GUESS + "[expected]\nperiod = { value = 2.0, tolerance = -1.0 }",
         ["expected.period.tolerance", "-1.0", "positive"],
     ),
-    "search-order": (SYSTEM + GUESS + "[search]\nperiod = [3.0, 1.0]", ["search", "smallest below largest"]),
+    "search-order": (
+        SYSTEM + GUESS + "[search]\nperiod = [3.0, 1.0]",
+        ["search.period: must", "smallest below largest", "got [3.0, 1.0]"],
+    ),
     "search-count": (SYSTEM + GUESS + "[search]\nperiod = [3.0]", ["search.period", "[3.0]", "largest"]),
     "name-path": ('name = "../../x"\n' + SYSTEM + GUESS, ["name", "'../../x'", "letters"]),
     "name-dots": ('name = "a..b"\n' + SYSTEM + GUESS, ["name", "'a..b'"]),
@@ -104,6 +107,17 @@ BAD = {
     "title-escape": ('title = "a\\u001b[2Jb"\n' + SYSTEM + GUESS, ["title", "control characters"]),
     "key-escape": ('"a\\u001b[2Jb" = 1\n' + SYSTEM + GUESS, ["unknown key"]),
     "duplicate-key": (with_system("links = 3"), ["not TOML"]),
+    "digits": (with_system("a = " + "1" * 5000), ["not TOML", "digits"]),
+    "mode-kind": (with_guess("mode = 0\namplitude = 0.1"), ["guess.mode: must be", "got 0"]),
+    "amplitude-kind": (with_guess("mode = 1\namplitude = -0.1"), ["guess.amplitude: must be", "got -0.1"]),
+    "winding-huge": (with_find(f"winding = [{10**30}, 0]"), ["find.winding[0]", "1e30"]),
+    "length-huge": (with_system("length = 1.7e308"), ["system.length: must be finite and below 1e+300", "1.7e+308"]),
+    "modes-overflow": (
+        '[system]\nkind = "chain"\nlinks = 2\nlength = [1e200, 4e11]\n[guess]\nmode = 1\namplitude = 0.1\n',
+        ["guess.mode", "not in double precision"],
+    ),
+    "bounds-order": (with_find("bounds = { period = [3.0, 1.0] }"), ["find.bounds.period: must", "got [3.0, 1.0]"]),
+    "csv-nul": (with_guess('csv = "a\\u0000b"'), ["guess.csv", "no usable path"]),
     "deep": ("a = " + "[" * 20000, ["problem.toml"]),
 }
 
@@ -229,6 +243,22 @@ def test_python_file_without_trust(tmp_path):
 @pytest.mark.parametrize("duration", ["0", "-1", "nan", "inf"])
 def test_bad_duration(good, duration):
     assert "--duration" in refused(["simulate", good, "--duration", duration])
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_family_of_numbers_that_overflow(tmp_path):
+    """A start whose variations are no numbers is an answer, not a traceback of the linear algebra."""
+    path = tmp_path / "problem.toml"
+    path.write_text(with_guess("state = [2.2e6, 0.2, 0.0, 0.0]\nperiod = 1e-300"))
+    result = CliRunner().invoke(cli, ["continue", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 1 and "not finite" in result.stderr and isinstance(result.exception, SystemExit)
+
+
+def test_csv_in_a_circle_of_links(tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    path = tmp_path / "problem.toml"
+    path.write_text(with_guess('csv = "loop"'))
+    assert "no usable path" in refused(["run", path])
 
 
 ORBIT = {"format": "orbitfinder/orbit", "version": 1, "name": "x"}

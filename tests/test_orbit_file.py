@@ -32,7 +32,7 @@ def awkward_orbit(seed: int = 0) -> Orbit:
         period=np.nextafter(1.7, 2), energy=-0.1 - 0.2, action=1 / 7, closure=1e-17, symmetry="none",
         winding=(0, -2), floquet_multipliers=random.normal(size=2) + 1j * random.normal(size=2),
         pair_defect=2e-13, stability="elliptic", unfolding=(1e-17, -3e-16), nodes=random.normal(size=(3, 4)),
-        times=random.normal(size=5), samples=random.normal(size=(5, 4)), tolerance=1e-12,
+        times=np.sort(random.normal(size=5)), samples=random.normal(size=(5, 4)), tolerance=1e-12,
         expected={"period": (1.7, 1e-9)}, provenance={"wall_time": 0.1},
         certificate=Certificate((Check("closure", 1e-17, 1e-12, True, "a note"),), 1.5),
         title="Ungewöhnlich", source="test",

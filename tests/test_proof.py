@@ -217,6 +217,16 @@ def test_prove_records_and_verify_replays(saved):
         (lambda e: e.update(box_radius=1e-3), "box_radius"),
         (lambda e: e["multipliers"].pop(), "multipliers"),
         (lambda e: e["minimal_period"].update(proved=False), "minimal_period"),
+        (lambda e: e["minimal_period"].update(divisors_excluded_up_to=10**6), "minimal_period"),
+        (lambda e: e.update(contraction=1e-30), "contraction"),
+        (lambda e: e.update(enclosure_radius=1e-60), "enclosure_radius"),
+        (lambda e: e.update(nodes=[[{"value": "9.9", "radius": 1e-9}] * 4] * e["segments"]), "nodes"),
+        (lambda e: e.update(distance=0.0), "distance"),
+        (lambda e: e.update(period_distance=1e-3), "period_distance"),
+        (lambda e: e.update(unfolding={"value": "1.0", "radius": 1e-9}), "unfolding"),
+        (lambda e: e.update(phase=e["phase"] + 0.3), "phase"),
+        (lambda e: e.update(steps=1), "steps"),
+        (lambda e: e.update(stability_reason="because"), "stability_reason"),
     ],
 )
 def test_edited_record_is_rejected(saved, change, says, monkeypatch):
@@ -246,7 +256,10 @@ def test_record_of_a_nudged_state_is_rejected(saved):
         (lambda d: d.pop("proof"), "prove the orbit first"),
         (lambda d: d["proof"].update(theorem=99), "prove it again"),
         (lambda d: d["proof"].update(order="many"), "malformed entry"),
-        (lambda d: d["proof"].update(order=10**6), "order: must be from 4 to 400"),
+        (lambda d: d["proof"].update(order=10**6), "order: must be from 10 to 120"),
+        (lambda d: d["proof"].update(order=4), "order: must be from 10 to 120"),
+        (lambda d: d["proof"].update(segments=1000), "segments: must be from 1 to 100"),
+        (lambda d: d["proof"].update(contraction="x"), "contraction: expected a finite number"),
         (lambda d: d["proof"].update(symmetry="odd"), "symmetry: unknown 'odd'"),
     ],
 )
@@ -276,8 +289,8 @@ def test_not_proved_is_exit_code_one(saved):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--order", "2"], "order: must be from 4"), (["--bits", "10"], "bits: must be from 64"),
-        (["--tolerance", "1"], "tolerance: must be between"), (["--segments", "0"], "segments: must be from 1"),
+        (["--order", "2"], "order: must be from 10"), (["--bits", "10"], "bits: must be from 64"),
+        (["--tolerance", "1"], "tolerance: must be from 1e-40"), (["--segments", "0"], "segments: must be from 1"),
         (["--symmetry", "odd"], "'odd' is not one of"),
     ],
 )  # fmt: skip

@@ -7,7 +7,7 @@ import io
 import json
 from typing import Any
 
-from orbitfinder.atlas.store import Atlas, Filter
+from orbitfinder.atlas.store import Atlas, Filter, named_state
 from orbitfinder.errors import InputError
 
 
@@ -31,10 +31,10 @@ def flat_names(state_names: tuple[str, ...]) -> tuple[str, ...]:
 
 def flat(number: int, instability: float, document: dict[str, Any], state_names: tuple[str, ...]) -> dict[str, Any]:
     """One row: numbers in SI units and rad, the state at t = 0 and where the orbit came from."""
-    origin = document.get("provenance", {})
+    origin = dict(document.get("provenance") or {})
     known = document | {"id": number, "instability": instability, "strategy": origin.get("strategy", "")}
     known |= {"seed": origin.get("seed"), "start": origin.get("index")}
-    known |= dict(zip(state_names, document["state"], strict=True))
+    known |= named_state(document, state_names)
     return {name: known[name] for name in flat_names(state_names)}
 
 

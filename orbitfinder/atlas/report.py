@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.estimate import Stratum, chao1, mirrored, remarks, stratum, total
-from orbitfinder.atlas.store import Atlas
-from orbitfinder.atlas.tables import explained
+from orbitfinder.atlas.store import RESTORE, Atlas
+from orbitfinder.reading import json_document, read_as
 
 
 @dataclass(frozen=True)
@@ -72,20 +71,18 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
     where, values = "1", list(searches or [])
     if searches is not None:
         where = f"search IN ({', '.join('?' * len(values))})"
-    with explained(atlas.path):
-        execute = atlas.connection.execute
-        counted = execute(
-            "SELECT strategy, count(*), sum(outcome != 'failed'), sum(outcome = 'new'), sum(seconds) "
-            f"FROM starts WHERE {where} GROUP BY strategy ORDER BY 4 DESC, 1",
-            values,
-        ).fetchall()
-        failed = execute(
-            f"SELECT reason, count(*) FROM starts WHERE outcome = 'failed' AND {where} GROUP BY reason "
-            "ORDER BY 2 DESC, 1",
-            values,
-        ).fetchall()
-        strata = stratified(atlas, where, values)
-        methods = execute(f"SELECT method FROM searches WHERE {where.replace('search ', 'id ')}", values).fetchall()
+    counted = atlas.select(
+        [str, int, int, int, float],
+        "SELECT strategy, count(*), sum(outcome != 'failed'), sum(outcome = 'new'), sum(seconds) "
+        f"FROM starts WHERE {where} GROUP BY strategy ORDER BY 4 DESC, 1",
+        values,
+    )
+    failed = atlas.select(
+        [str, int],
+        f"SELECT reason, count(*) FROM starts WHERE outcome = 'failed' AND {where} GROUP BY reason ORDER BY 2 DESC, 1",
+        values,
+    )
+    methods = atlas.select([str], f"SELECT method FROM searches WHERE {where.replace('search ', 'id ')}", values)
     yields = tuple(Yield(name, starts, hits, new, seconds) for name, starts, hits, new, seconds in counted)
     return Summary(
         orbits=len(atlas),
@@ -95,22 +92,30 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
         seconds=float(sum(one.seconds for one in yields)),
         yields=yields,
         failures=dict(failed),
-        strata=strata,
-        mirrors=tuple(sorted({one for (method,) in methods for one in json.loads(method).get("mirrors", ())})),
+        strata=stratified(atlas, where, values),
+        mirrors=tuple(sorted({one for (method,) in methods for one in _mirrors(method, str(atlas.path))})),
     )
+
+
+def _mirrors(method: str, where: str) -> tuple[str, ...]:
+    """The undeclared mirrors that a search started from."""
+    known = read_as(dict[str, Any], json_document(method.encode(), f"{where}: method", RESTORE), where, RESTORE)
+    return read_as(tuple[str, ...], known.get("mirrors", []), where, RESTORE)  # type: ignore[no-any-return]
 
 
 def stratified(atlas: Atlas, where: str, values: Sequence[int]) -> tuple[Stratum, ...]:
     """The orbits that some starts met, by energy and symmetry; those without symmetry even where none was met."""
     joined = f"starts JOIN searches ON searches.id = starts.search WHERE {where}"
-    execute = atlas.connection.execute
     made: dict[float, dict[str, int]] = {}
-    for energy, strategy, count in execute(
-        f"SELECT searches.energy, strategy, count(*) FROM {joined} GROUP BY searches.energy, strategy", values
+    for energy, strategy, count in atlas.select(
+        [float, str, int],
+        f"SELECT searches.energy, strategy, count(*) FROM {joined} GROUP BY searches.energy, strategy",
+        values,
     ):
         made.setdefault(energy, {})[strategy] = count
     met: dict[tuple[float, str], list[int]] = {(energy, "none"): [] for energy in made}
-    for energy, symmetry, count in execute(
+    for energy, symmetry, count in atlas.select(
+        [float, str, int],
         "SELECT searches.energy, symmetry, count(*) FROM orbits JOIN starts ON starts.orbit = orbits.id "
         f"JOIN searches ON searches.id = starts.search WHERE {where} GROUP BY searches.energy, orbits.id",
         values,
@@ -121,17 +126,17 @@ def stratified(atlas: Atlas, where: str, values: Sequence[int]) -> tuple[Stratum
 
 def discovery(atlas: Atlas, search: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Processor seconds, distinct orbits and Chao's estimate after each start of a search."""
-    with explained(atlas.path):
-        rows = atlas.connection.execute(
-            "SELECT orbit, symmetry, seconds FROM starts LEFT JOIN orbits ON orbits.id = starts.orbit "
-            "WHERE search = ? ORDER BY number",
-            [search],
-        ).fetchall()
+    rows = atlas.select(
+        [int | None, str | None, float],
+        "SELECT orbit, symmetry, seconds FROM starts LEFT JOIN orbits ON orbits.id = starts.orbit "
+        "WHERE search = ? ORDER BY number",
+        [search],
+    )
     met: dict[str, Counter[int]] = {}
     distinct, estimates = [], []
     for orbit, symmetry, _ in rows:
         if orbit is not None:
-            met.setdefault(symmetry, Counter())[orbit] += 1
+            met.setdefault(symmetry or "", Counter())[orbit] += 1
         distinct.append(sum(len(one) for one in met.values()))
         estimates.append(sum(chao1(np.array(list(one.values()), int))[0] for one in met.values()))
     return np.cumsum([seconds for *_, seconds in rows]), np.array(distinct, int), np.array(estimates)

@@ -91,13 +91,13 @@ def register(atlas: Atlas, task: Task, one: Bench) -> tuple[int, int]:
 
 def sources(atlas: Atlas, search: int) -> list[int]:
     """Orbits of other energies that the atlas held when the search was first asked for, nearest energy first."""
-    with explained(atlas.path):
-        found = atlas.connection.execute(
-            "SELECT orbits.id FROM orbits, searches WHERE searches.id = ? AND orbits.id <= searches.sources "
-            "AND abs(orbits.energy - searches.energy) > 1e-6 * max(1.0, abs(searches.energy)) "
-            "ORDER BY abs(orbits.energy - searches.energy), orbits.id LIMIT ?",
-            [search, MOST_SOURCES],
-        ).fetchall()
+    found = atlas.select(
+        [int],
+        "SELECT orbits.id FROM orbits, searches WHERE searches.id = ? AND orbits.id <= searches.sources "
+        "AND abs(orbits.energy - searches.energy) > 1e-6 * max(1.0, abs(searches.energy)) "
+        "ORDER BY abs(orbits.energy - searches.energy), orbits.id LIMIT ?",
+        [search, MOST_SOURCES],
+    )
     return [number for (number,) in found]
 
 

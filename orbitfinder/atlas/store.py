@@ -7,21 +7,23 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
 from orbitfinder import display
 from orbitfinder.arguments import checked
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
-from orbitfinder.atlas.tables import connect, explained, transaction
+from orbitfinder.atlas.tables import connect, explained, select, transaction
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.periodic.conditions import SYMMETRIES
 from orbitfinder.periodic.floquet import STABILITIES
 from orbitfinder.periodic.orbit import Orbit, check_document, orbit_from_document, orbit_to_document
+from orbitfinder.reading import inflated, json_document, read_as
 from orbitfinder.suggest import closest
 
+RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 4096
 """Loops of known orbits held in memory; others are integrated again when a look-up needs them."""
 
@@ -141,10 +143,15 @@ class Atlas:
         self.connection.close()
 
     def _recorded(self) -> dict[str, Any]:
-        row = self.connection.execute("SELECT value FROM about WHERE key = 'system'").fetchone()
-        if row is None:
+        rows = self.select([str], "SELECT value FROM about WHERE key = 'system'")
+        if not rows:
             raise InputError(f"{self.path}: system: missing; the atlas has not been searched into yet")
-        return dict(json.loads(row[0]))
+        document = json_document(rows[0][0].encode(), f"{self.path}: system", RESTORE)
+        return read_as(dict[str, Any], document, f"{self.path}: system", RESTORE)  # type: ignore[no-any-return]
+
+    def select(self, kinds: Sequence[Any], question: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """The rows that answer a SELECT, checked to hold these kinds (see `tables.select`)."""
+        return select(self.path, self.connection, kinds, question, values)
 
     def _claim(self, system: dict[str, Any], write: bool) -> dict[str, Any]:
         """The system of this atlas: recorded if none is, and refused if it is another."""
@@ -188,7 +195,7 @@ class Atlas:
         return display.html(self)
 
     def __len__(self) -> int:
-        return int(self.connection.execute("SELECT count(*) FROM orbits").fetchone()[0])
+        return int(self.select([int], "SELECT count(*) FROM orbits")[0][0])
 
     def rows(self, chosen: Filter | None = None, order: str = "energy, period") -> list[Row]:
         """The orbits that pass a filter, by energy and period (or by `order`, columns of `Row`)."""
@@ -196,19 +203,15 @@ class Atlas:
         if not set(words) <= {*COLUMNS, "DESC"}:
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
-        with explained(self.path):
-            found = self.connection.execute(
-                f"SELECT {', '.join(COLUMNS)} FROM orbits WHERE {condition} ORDER BY {order}, id", values
-            ).fetchall()
-        return [Row(*entry) for entry in found]
+        question = f"SELECT {', '.join(COLUMNS)} FROM orbits WHERE {condition} ORDER BY {order}, id"
+        return [Row(*entry) for entry in self.select(list(get_type_hints(Row).values()), question, values)]
 
     def document(self, number: int) -> dict[str, Any]:
         """The orbit.json document of an orbit by its id."""
-        with explained(self.path):
-            row = self.connection.execute("SELECT document FROM orbits WHERE id = ?", [int(number)]).fetchone()
-        if row is None:
+        rows = self.select([bytes], "SELECT document FROM orbits WHERE id = ?", [int(number)])
+        if not rows:
             raise InputError(f"{self.path}: id: no orbit {number}; list them with orbitfinder atlas list")
-        return unpacked(row[0], f"{self.path}: orbit {number}")
+        return unpacked(rows[0][0], f"{self.path}: orbit {number}")
 
     def orbit(self, number: int) -> Orbit:
         """An orbit by its id, certificate included; its dense samples are left out (see `with_samples`)."""
@@ -223,10 +226,10 @@ class Atlas:
     def look_up(self, signature: Signature) -> int | None:
         """The id of the orbit that a signature belongs to, None when it is new."""
         periods, actions = neighbours(signature)
-        found = self.connection.execute(
-            "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) ORDER BY id",
+        found = self.select(
+            [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) ORDER BY id",
             [*periods, *actions],
-        ).fetchall()
+        )  # fmt: skip
         return next((one for (one,) in found if same_orbit(self.signature(one), signature)), None)
 
     def signature(self, number: int) -> Signature:
@@ -276,11 +279,20 @@ def packed(orbit: Orbit) -> bytes:
 
 def unpacked(data: bytes, where: str) -> dict[str, Any]:
     """The document that `packed` made; `InputError` when it is damaged."""
+    document = check_document(json_document(inflated(data, where, RESTORE), where, RESTORE), where)
     try:
-        document = json.loads(zlib.decompress(data))
-    except (zlib.error, ValueError, TypeError) as error:
-        raise InputError(f"{where}: damaged ({error}); restore a copy of the atlas") from error
-    return check_document(document, where)
+        orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    return document
+
+
+def named_state(document: Mapping[str, Any], names: Sequence[str]) -> dict[str, float]:
+    """The state of an orbit document by its components' names. `InputError` when it is of another system."""
+    state = document["state"]
+    if len(state) != len(names):
+        raise InputError(f"orbit: {len(state)} numbers in state for {', '.join(names)}; {RESTORE}")
+    return dict(zip(names, state, strict=True))
 
 
 def canonical(system: Mapping[str, Any]) -> str:

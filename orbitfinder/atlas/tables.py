@@ -8,13 +8,17 @@ Source: SQLite documentation, "Pragma statements", "Write-ahead logging", "Resul
 from __future__ import annotations
 
 import contextlib
+import re
 import sqlite3
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import GenericAlias
+from typing import Any
 
 from orbitfinder.errors import InputError
+from orbitfinder.reading import LARGEST_FILE, LARGEST_INTEGER, read_as
 
 APPLICATION = 0x6F726266
 """The letters `orbf`."""
@@ -57,6 +61,8 @@ CREATE INDEX starts_by_orbit ON starts (orbit);
 MIGRATIONS: tuple[str, ...] = (BASE, LISTING)
 """Scripts that raise the version by one each; a published one is never edited, only followed by another."""
 VERSION = len(MIGRATIONS)
+OURS = ("about", "orbits", "searches", "starts", "orbits_by_signature", "orbits_by_energy", "starts_by_orbit")
+"""Names of the tables and indices that the migrations make."""
 
 
 def connect(path: Path, write: bool) -> sqlite3.Connection:
@@ -71,6 +77,8 @@ def connect(path: Path, write: bool) -> sqlite3.Connection:
             raise InputError(f"{path}: a folder, not an atlas; name a file in it")
         if not path.parent.is_dir():
             raise InputError(f"{path}: the folder {str(path.parent)!r} does not exist; make it first")
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: not a regular file; give an atlas")
         if path.exists() and not path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
             raise InputError(f"{path}: read-only; make it writable, or work on a copy")
         connection = sqlite3.connect(path, timeout=PATIENCE, isolation_level=None)
@@ -122,7 +130,7 @@ def _version(path: Path, connection: sqlite3.Connection) -> int:
         connection.execute("BEGIN")
     try:
         mark = connection.execute("PRAGMA application_id").fetchone()[0]
-        tables = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
+        tables = connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
         found = int(connection.execute("PRAGMA user_version").fetchone()[0])
     finally:
         if not inside and connection.in_transaction:
@@ -136,7 +144,37 @@ def _version(path: Path, connection: sqlite3.Connection) -> int:
             f"{path}: version: an atlas of version {found}, this orbitfinder knows up to {VERSION}; "
             "update orbitfinder, nothing was changed"
         )
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_FILE)
+    _check_schema(path, tables, found)
     return found
+
+
+def _check_schema(path: Path, made: Sequence[tuple[Any, ...]], version: int) -> None:
+    """`InputError` unless the tables are those that the migrations make: no view computes, no trigger acts."""
+    statements = [one for script in MIGRATIONS[:version] for one in script.split(";") if one.strip()]
+    wanted = {_squeezed(one) for one in statements}
+    for kind, name, text in made:
+        if _squeezed(text) in wanted:
+            wanted.remove(_squeezed(text))
+        elif kind not in ("table", "index") or str(name) in OURS:
+            raise InputError(f"{path}: {kind} {str(name)[:60]!r} is not as orbitfinder makes it; restore a copy")
+    if wanted:
+        raise InputError(f"{path}: misses {min(wanted)[:60]!r}; restore a copy of the atlas")
+
+
+def _squeezed(text: object) -> str:
+    return re.sub(r"\s+", " ", str(text)).strip()
+
+
+def select(
+    path: Path, connection: sqlite3.Connection, kinds: Sequence[Any], question: str, values: Sequence[Any] = ()
+) -> list[tuple[Any, ...]]:
+    """The rows that answer a SELECT, every column of its kind (as `reading.typed` has them). Raises `InputError`."""
+    if any(isinstance(value, int) and abs(value) > LARGEST_INTEGER for value in values):
+        return []  # no row has such an id
+    with explained(path):
+        rows = connection.execute(question, list(values)).fetchall()
+    return [read_as(GenericAlias(tuple, tuple(kinds)), row, str(path), "restore a copy of the atlas") for row in rows]
 
 
 def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
@@ -202,7 +240,7 @@ def explained(path: Path) -> Iterator[None]:
     """SQLite's errors inside the block become an `InputError` that names the file and the remedy."""
     try:
         yield
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: SQLite quoting what is no text
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         reason = REASONS.get(code, f"cannot be used ({error}); check that it is an atlas")
         raise InputError(f"{path}: {reason}") from error

@@ -14,10 +14,11 @@ from orbitfinder.arguments import checked
 from orbitfinder.errors import InputError
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.continuation import follow
-from orbitfinder.families.points import Batch, Family, FamilyPoint, FamilySettings
+from orbitfinder.families.points import CLOSURE, Batch, Family, FamilyPoint, FamilySettings, winding
 from orbitfinder.families.start import Start, begin, curve_of
 from orbitfinder.families.store import (
     FORMAT,
+    JOURNAL,
     VERSION,
     Journal,
     append,
@@ -78,7 +79,22 @@ def continue_command(
             curve = start.curve
         else:
             curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
+            if not journal.sealed and settings.certify:
+                _check_again(journal, curve, folder)
         return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
+
+
+def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
+    """`InputError` unless every point of a journal without digests still closes, by independent means."""
+    check = closure_check(curve.propagator.model)
+    for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
+        allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
+        closure = check(point.state, point.period, winding(curve), allowed, point.free)
+        if not closure <= allowed:
+            raise InputError(
+                f"{folder / JOURNAL}: the point at {journal.header['parameter']} {point.value:.9g} closes only to "
+                f"{closure:.2g}; the file was edited or damaged, delete it to start again"
+            )
 
 
 def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, model: Model | None) -> Start:

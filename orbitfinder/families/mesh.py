@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from orbitfinder.errors import ConvergenceError
+from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.propagate import rates, step_errors, variation_errors
 from orbitfinder.families.system import Aim, Curve, Place, Solution, correct
 
@@ -58,9 +58,10 @@ def _errors(curve: Curve, found: Solution, every: int = 1) -> np.ndarray:
 def _growths(curve: Curve, found: Solution) -> np.ndarray:
     size = curve.propagator.size
     clock = np.sqrt(curve.weights[:size])
-    return np.array([
-        np.linalg.norm(block[:, :size] * clock[:, None] / clock[None, :], 2) for block in found.march.sensitivities
-    ])  # fmt: skip
+    blocks = [block[:, :size] * clock[:, None] / clock[None, :] for block in found.march.sensitivities]
+    if not np.all(np.isfinite(blocks)):
+        raise IntegrationError("the variations of the motion overflow; give a state and a period that fit each other")
+    return np.array([np.linalg.norm(block, 2) for block in blocks])
 
 
 def _density(errors: np.ndarray, allowed: float = STEP_ERROR) -> np.ndarray:

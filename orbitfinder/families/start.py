@@ -40,6 +40,7 @@ from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.solve import find_orbit
 from orbitfinder.periodic.symmetry import check_symmetry, recognise
+from orbitfinder.reading import read_as
 
 FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
@@ -187,13 +188,32 @@ def _independent(propagator: Propagator, held: tuple[tuple[int, float], ...]) ->
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
-    if entry.get("symmetry") not in FORMULATIONS:
-        raise InputError(f"curve: unknown symmetry {entry.get('symmetry')!r}; continue the family again")
+    known = read_as(CurveEntry, entry, "curve", "continue the family again")
+    if known.symmetry not in FORMULATIONS:
+        raise InputError(f"curve: unknown symmetry {known.symmetry!r}; continue the family again")
     unknown_parameters(model, settings)
-    propagator = build_propagator(model, entry["symmetry"], tuple(entry["free"]))
-    held = tuple((int(k), float(value)) for k, value in entry["held"])
-    constant, weights = (np.asarray(entry[name], float) for name in ("constant", "weights"))
-    return Curve(propagator, *boundary_matrices(propagator), constant, held, weights, entry["period"])
+    for name in known.free:
+        model.parameter_index(name)
+    propagator = build_propagator(model, known.symmetry, known.free)
+    first, last = boundary_matrices(propagator)
+    wanted = len(first), propagator.size + 1 + len(known.free)
+    if (known.constant.shape, known.weights.shape) != (wanted[:1], wanted[1:]) or not np.all(known.weights > 0):
+        raise InputError("curve: constant or weights do not fit the system; continue the family again")
+    if not all(0 <= k < len(model.invariants) for k, _ in known.held):
+        raise InputError(f"curve.held: {list(known.held)} of {len(model.invariants)} invariants; continue again")
+    return Curve(propagator, first, last, known.constant, known.held, known.weights, known.period)
+
+
+@dataclass(frozen=True)
+class CurveEntry:
+    """The `curve` of a journal or family.json: what a `Curve` is rebuilt from."""
+
+    symmetry: str
+    free: tuple[str, ...]
+    constant: np.ndarray
+    held: tuple[tuple[int, float], ...]
+    weights: np.ndarray
+    period: float | None
 
 
 def _half_turns(model: Model, q: np.ndarray) -> np.ndarray:

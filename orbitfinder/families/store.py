@@ -1,17 +1,21 @@
 """A family on disk: a journal that survives being killed, and family.json + family.npz made from it.
 
 `family.jsonl` holds a header line and then one line per step with everything that the step added,
-flushed to the disk before the next step begins. A line that was cut short by a kill is dropped, so a
-step is there completely or not at all; the walk resumes from the last one.
+flushed to the disk before the next step begins. Every line ends with a digest of itself: a last line that was
+cut short by a kill is dropped, so a step is there completely or not at all, and the walk resumes from the last
+one; any other line that is not what was written is an error. family.json carries the digest of its own entries
+(`record`) and of the arrays beside it (`dense`). Files of 0.1.0 have no digests and are read without.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import io
 import json
+import logging
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,13 +25,17 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.families.points import Batch, End, Event, Family, FamilyPoint
 from orbitfinder.periodic.orbit import write_atomically
+from orbitfinder.reading import arrays, content_digest, file_lines, json_document, json_file, read_as, typed
 
 FORMAT, VERSION = "orbitfinder/family", 1
 JOURNAL = "family.jsonl"
 COMPLEX = ("floquet_multipliers", "indices")
-ARRAYS = ("state", "unfolding", "nodes", "mesh", "tangent")
 DENSE = ("nodes", "mesh", "tangent")
 """What goes into family.npz instead of family.json."""
+SEAL = "digest"
+"""The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
+SEAL_DIGITS = 16
+AGAIN = "continue the family again"
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,8 @@ class Journal:
 
     header: Mapping[str, Any]
     batches: tuple[Batch, ...]
+    sealed: bool = True
+    """False when it was written without digests"""
 
     def steps(self, direction: int) -> list[FamilyPoint]:
         """The steps already taken in one direction."""
@@ -63,30 +73,78 @@ def plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any]) -> Any:
-    """A FamilyPoint or an Event out of what `plain` made of it."""
-    entries = dict(document)
-    for name in ARRAYS:
-        if name in entries:
-            entries[name] = np.asarray(entries[name], float)
-    for name in COMPLEX:
-        if name in entries:
-            entries[name] = np.asarray([complex(*pair) for pair in entries[name]], complex)
-    if "multiplier" in entries:
-        entries["multiplier"] = complex(*entries["multiplier"])
-    if "krein" in entries:
-        entries["krein"] = tuple(entries["krein"])
-    return kind(**entries)
+def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any], where: str = "") -> Any:
+    """A FamilyPoint or an Event out of what `plain` made of it; `ValueError` names the entry that is wrong."""
+    found = typed(kind, document, where)
+    named = [name for name in COMPLEX if hasattr(found, name)]
+    one = replace(found, **{name: _as_complex(getattr(found, name), f"{where}.{name}") for name in named})
+    size = one.state.size
+    if one.state.ndim != 1 or size < 2 or size % 2 or not one.period > 0:
+        raise ValueError(f"{where}: state of {size} numbers, period {one.period}: no orbit")
+    if one.nodes.size and (one.nodes.shape[1:] != (size,) or not _fits(one.mesh, len(one.nodes))):
+        raise ValueError(f"{where}.nodes: do not fit the state or the mesh")
+    return one
+
+
+def _as_complex(pairs: np.ndarray, where: str) -> np.ndarray:
+    if pairs.size and pairs.shape[1:] != (2,):
+        raise ValueError(f"{where}: expected a list of [re, im]")
+    return np.asarray([complex(*pair) for pair in pairs], complex)
+
+
+def _fits(mesh: np.ndarray, pieces: int) -> bool:
+    """Whether a mesh has the same number of rising steps in each of the pieces."""
+    rising = mesh.ndim == 1 and mesh.size > pieces and bool(np.all(np.diff(mesh) > 0))
+    return rising and (mesh.size - 1) % pieces == 0
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A line of a journal."""
+
+    direction: int
+    points: tuple[Mapping[str, Any], ...]
+    events: tuple[Mapping[str, Any], ...]
+    end: End | None = None
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The first line of a journal."""
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    origin: Mapping[str, Any]
+    curve: Mapping[str, Any]
+    request: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    away: int = 1
+
+
+@dataclass(frozen=True)
+class _Document:
+    """A family.json."""
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    points: tuple[Mapping[str, Any], ...]
+    events: tuple[Mapping[str, Any], ...]
+    ends: tuple[End, ...]
+    curve: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    dense: str = ""
 
 
 def _batch(document: Mapping[str, Any]) -> Batch:
-    end = document.get("end")
-    return Batch(
-        direction=int(document["direction"]),
-        points=tuple(restored(FamilyPoint, entry) for entry in document["points"]),
-        events=tuple(restored(Event, entry) for entry in document["events"]),
-        end=None if end is None else End(**end),
-    )
+    step = typed(_Step, document, "")
+    return Batch(step.direction, _restored(FamilyPoint, step.points, "points"),
+                 _restored(Event, step.events, "events"), step.end)  # fmt: skip
+
+
+def _restored(kind: Any, entries: Sequence[Mapping[str, Any]], where: str) -> tuple[Any, ...]:
+    return tuple(restored(kind, entry, f"{where}[{k}]") for k, entry in enumerate(entries))
 
 
 def start_journal(folder: Path, header: Mapping[str, Any]) -> None:
@@ -105,7 +163,12 @@ def append(folder: Path, batch: Batch) -> None:
 
 
 def _line(document: Mapping[str, Any]) -> bytes:
-    return (json.dumps(plain(document), separators=(",", ":")) + "\n").encode()
+    entries = plain(document)
+    return (json.dumps(entries | {SEAL: _seal(entries)}, separators=(",", ":"), allow_nan=False) + "\n").encode()
+
+
+def _seal(entries: Mapping[str, Any]) -> str:
+    return content_digest(entries)[:SEAL_DIGITS]
 
 
 def _sync_folder(folder: Path) -> None:
@@ -117,31 +180,73 @@ def _sync_folder(folder: Path) -> None:
 
 
 def read_journal(folder: Path) -> Journal | None:
-    """The journal of a folder, its torn last line cut off the file; None when there is none to read."""
+    """The journal of a folder, a damaged last line cut off the file; None when there is none to read.
+
+    Raises `InputError` about any other line that is not as it was written.
+    """
     path = folder / JOURNAL
-    if not path.is_file():
+    if not path.exists():
         return None
-    data = path.read_bytes()
-    documents, kept = [], 0
-    for line in data.splitlines(keepends=True):
+    found = list(_entries(path))
+    if found and isinstance(found[-1], InputError):
+        logging.getLogger(__name__).warning("%s: the last line was cut short and is computed again", found.pop())
+        _cut(path, len(found))
+    for one in found:
+        if isinstance(one, InputError):
+            raise one
+    entries = [one for one in found if not isinstance(one, InputError)]
+    return _journal(path, [{k: v for k, v in one.items() if k != SEAL} for one in entries],
+                    all(SEAL in one for one in entries))  # fmt: skip
+
+
+def _entries(path: Path) -> Iterator[dict[str, Any] | InputError]:
+    """What each line of a journal says, or what is wrong with it."""
+    sealed = False
+    for number, line in enumerate(file_lines(path, "family.jsonl"), start=1):
         try:
-            document = json.loads(line) if line.endswith(b"\n") else None
-        except ValueError:
-            document = None
-        if document is None:
-            break
-        documents.append(document)
-        kept += len(line)
-    if not documents or documents[0].get("format") != FORMAT:
+            entries = json_document(line, f"{path}: line {number}", "restore a copy, or delete the file to start again")
+            check_line(entries, line, sealed)
+            sealed = SEAL in entries
+            yield entries
+        except InputError as error:
+            yield error
+        except ValueError as error:
+            yield InputError(f"{path}: line {number}: {error}; restore a copy, or delete the file to start again")
+
+
+def check_line(entries: Any, line: bytes, sealed: bool) -> None:
+    """`ValueError` unless a line is complete and has its digest; one after no `sealed` line may be without."""
+    if not isinstance(entries, dict) or not line.endswith(b"\n"):
+        raise ValueError("incomplete")
+    if not sealed and SEAL not in entries:
+        return
+    if entries.get(SEAL) != _seal({key: value for key, value in entries.items() if key != SEAL}):
+        raise ValueError("not what was written, its digest is another (edited or damaged)")
+
+
+def _cut(path: Path, lines: int) -> None:
+    """Keep so many lines of a file."""
+    kept = sum(len(line) for _, line in zip(range(lines), file_lines(path), strict=False))
+    with open(path, "r+b") as stream:
+        stream.truncate(kept)
+        os.fsync(stream.fileno())
+
+
+def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> Journal | None:
+    if not entries:
         return None
-    if kept < len(data):
-        with open(path, "r+b") as stream:
-            stream.truncate(kept)
-            os.fsync(stream.fileno())
-    try:
-        return Journal(documents[0], tuple(_batch(one) for one in documents[1:]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: malformed journal ({error}); delete it to start again") from error
+    header, batches = entries[0], []
+    if header.get("format") != FORMAT or header.get("version") != VERSION:
+        raise InputError(f"{path}: format: expected {FORMAT!r} version {VERSION}; delete the file to start again")
+    for number, entry in enumerate(entries, start=1):
+        try:
+            if number == 1:
+                restored(FamilyPoint, typed(_Header, header, "").origin, "origin")
+            else:
+                batches.append(_batch(entry))
+        except ValueError as error:
+            raise InputError(f"{path}: line {number}: {error}; delete the file to start again") from error
+    return Journal(header, tuple(batches), sealed)
 
 
 def assemble(journal: Journal) -> Family:
@@ -164,7 +269,8 @@ def family_to_document(family: Family) -> dict[str, Any]:
     points = []
     for point in family.points:
         entry = {key: value for key, value in plain(point).items() if key not in DENSE}
-        points.append(entry | {family.parameter: point.value} | dict(point.free))
+        also = {family.parameter: point.value} | dict(point.free)
+        points.append(entry | {key: value for key, value in also.items() if key not in entry})
     events = [{k: v for k, v in plain(event).items() if k not in DENSE} for event in family.events]
     return {
         "format": FORMAT,
@@ -183,54 +289,88 @@ def family_to_document(family: Family) -> dict[str, Any]:
 def save_family(family: Family, folder: Path) -> Path:
     """Write family.json and family.npz whole or not at all; returns the JSON's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    arrays: dict[str, np.ndarray] = {}
+    dense: dict[str, np.ndarray] = {}
     for kind, members in (("point", family.points), ("event", family.events)):
         for name in DENSE:
             pieces = [np.asarray(getattr(one, name), float).ravel() for one in members]  # type: ignore[attr-defined]
-            arrays[f"{kind}_{name}"] = np.concatenate(pieces) if pieces else np.zeros(0)
-            arrays[f"{kind}_{name}_sizes"] = np.array([piece.size for piece in pieces], int)
+            dense[f"{kind}_{name}"] = np.concatenate(pieces) if pieces else np.zeros(0)
+            dense[f"{kind}_{name}_sizes"] = np.array([piece.size for piece in pieces], int)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(buffer, **dense)  # type: ignore[arg-type]
     write_atomically(folder / "family.npz", buffer.getvalue())
-    text = json.dumps(family_to_document(family), indent=1, allow_nan=False)
-    write_atomically(folder / "family.json", (text + "\n").encode())
+    document = family_to_document(family) | {"dense": _dense_digest(dense)}
+    document["record"] = content_digest(document)
+    write_atomically(folder / "family.json", (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
     return folder / "family.json"
 
 
+def _dense_digest(dense: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of the numbers of family.npz."""
+    found = hashlib.sha256()
+    for name in _dense_names():
+        found.update(f"{name} {dense[name].size} ".encode() + np.ascontiguousarray(dense[name], "<f8").tobytes())
+    return found.hexdigest()
+
+
+def _dense_names() -> list[str]:
+    return [f"{kind}_{name}{part}" for kind in ("point", "event") for name in DENSE for part in ("", "_sizes")]
+
+
 def load_family(path: str | Path) -> Family:
-    """Read family.json (and family.npz beside it). Raises `InputError` on anything unreadable."""
+    """Read family.json (and family.npz beside it). Raises `InputError` on anything unreadable, edited or damaged."""
     source = Path(path)
-    try:
-        document = json.loads(source.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{source}: cannot be read ({error}); give a family.json") from error
+    document = json_file(source, "family.json", AGAIN)
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         raise InputError(f"{source}: format: expected {FORMAT!r} version {VERSION}; give a family.json")
+    record = document.pop("record", None)
+    if (record is not None or "dense" in document) and record != content_digest(document):
+        raise InputError(f"{source}: record: its digest is another, so the file was edited or damaged; {AGAIN}")
+    found = read_as(_Document, document, str(source), AGAIN)
+    if not found.points:
+        raise InputError(f"{source}: points: none; {AGAIN}")
+    dense = _read_dense(source.with_suffix(".npz"), found.dense)
     try:
-        size = len(document["points"][0]["state"]) if document["points"] else 0
-        points = _with_dense(source, "point", FamilyPoint, document["points"], size)
-        events = _with_dense(source, "event", Event, document["events"], size)
-        ends = tuple(End(**end) for end in document["ends"])
-        about = document.get("curve", {}), document.get("source", {})
-        return Family(document["name"], document["system"], document["parameter"], points, events, ends, *about)
-    except (KeyError, TypeError, ValueError, OSError) as error:
-        raise InputError(f"{source}: malformed entry ({error}); continue the family again") from error
+        points = _with_dense(dense, "point", FamilyPoint, found.points)
+        events = _with_dense(dense, "event", Event, found.events)
+        if len({one.state.size for one in (*points, *events)}) > 1:
+            raise ValueError("state: not of one size in all points and events")
+    except ValueError as error:
+        raise InputError(f"{source}: {error}; {AGAIN}") from error
+    return Family(found.name, found.system, found.parameter, points, events, found.ends, found.curve, found.source)
+
+
+def _read_dense(path: Path, expected: str) -> dict[str, np.ndarray]:
+    """The arrays of family.npz, none where there is no such file: without it an orbit is its state and period."""
+    if not path.exists():
+        return {}
+    dense = arrays(path, _dense_names(), AGAIN)
+    if expected and expected != _dense_digest(dense):
+        raise InputError(f"{path}: its digest is not that in family.json, edited or damaged; {AGAIN}")
+    return dense
 
 
 def _with_dense(
-    source: Path, kind: str, type_: Any, entries: Sequence[Mapping[str, Any]], size: int
+    dense: Mapping[str, np.ndarray], kind: str, type_: Any, entries: Sequence[Mapping[str, Any]]
 ) -> tuple[Any, ...]:
     """Points or events with the arrays of family.npz put back."""
-    known = {one.name for one in dataclasses.fields(type_)}
-    if not source.with_suffix(".npz").is_file():  # without it an orbit is its state and period
-        empty = np.zeros(0)
-        bare = {"nodes": np.zeros((0, size)), "mesh": empty, "tangent": empty}
-        return tuple(restored(type_, {k: v for k, v in entry.items() if k in known} | bare) for entry in entries)
-    with np.load(source.with_suffix(".npz"), allow_pickle=False) as data:
-        dense = {name: np.split(data[f"{kind}_{name}"], np.cumsum(data[f"{kind}_{name}_sizes"])[:-1]) for name in DENSE}
+    split = {name: _pieces(dense, f"{kind}_{name}", len(entries)) for name in DENSE}
     found = []
     for k, entry in enumerate(entries):
-        numbers = {name: dense[name][k] for name in DENSE}
+        numbers = {name: pieces[k] for name, pieces in split.items()}
+        size = len(entry["state"]) if isinstance(entry.get("state"), list) else 0
+        if not size or numbers["nodes"].size % size:
+            raise ValueError(f"{kind}s[{k}].state: missing, or its size does not divide the nodes")
         numbers["nodes"] = numbers["nodes"].reshape(-1, size)
-        found.append(restored(type_, {key: value for key, value in entry.items() if key in known} | numbers))
+        found.append(restored(type_, {**entry, **numbers}, f"{kind}s[{k}]"))
     return tuple(found)
+
+
+def _pieces(dense: Mapping[str, np.ndarray], name: str, count: int) -> list[np.ndarray]:
+    """One array for each of `count` members; empty ones where there is no file."""
+    if not dense:
+        return [np.zeros(0)] * count
+    flat, sizes = dense[name], dense[f"{name}_sizes"]
+    counts = sizes.dtype.kind == "i" and sizes.shape == (count,) and bool(np.all(sizes >= 0))
+    if flat.ndim != 1 or not counts or sizes.sum() != flat.size:
+        raise ValueError(f"family.npz: {name}: does not fit the {count} entries of family.json")
+    return np.split(flat, np.cumsum(sizes)[:-1]) if count else []

@@ -26,6 +26,15 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
     `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
     Raises `InputError` for an unknown or wrong description.
     """
+    try:
+        return _model(system, trusted)
+    except InputError:
+        raise
+    except (TypeError, ValueError, KeyError, IndexError, OverflowError, AttributeError) as error:
+        raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
+
+
+def _model(system: Mapping[str, Any], trusted: Path | None) -> Model:
     if system.get("kind") == "python":
         return python_model(system, trusted)
     if system.get("kind") == "linkage" and "independent" in system:

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.families.points import Family
 from orbitfinder.families.store import FORMAT as FAMILY
-from orbitfinder.page.familyfile import checked_family
+from orbitfinder.families.store import family_to_document, load_family
+from orbitfinder.periodic.orbit import AGAIN, check_document, dense_samples, orbit_from_document
 from orbitfinder.periodic.orbit import FORMAT as ORBIT
-from orbitfinder.periodic.orbit import check_document, orbit_from_document
+from orbitfinder.reading import file_head, json_file
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
@@ -100,41 +102,28 @@ def _holds_results(file: Path) -> bool:
         return True
     if file.suffix != ".json" or file.name.startswith("rejected"):
         return False
-    with file.open("rb") as stream:
-        return OURS.match(stream.read(400)) is not None
+    return OURS.match(file_head(file, 400)) is not None
 
 
 def _take(file: Path, found: Gathered) -> None:
     if file.suffix in DATABASES:
         found.atlases.append(_from_database(file))
         return
-    document = _read(file)
+    document = json_file(file, "result file", AGAIN)
     if isinstance(document, list):
         found.atlases.append(_from_export(document, file))
     elif isinstance(document, dict) and document.get("format") == FAMILY:
-        found.families.append(_with_nodes(checked_family(document, str(file)), file))
+        found.families.append(_with_nodes(load_family(file)))
     elif isinstance(document, dict) and document.get("format") == ORBIT:
         orbit = _orbit(document, str(file))
-        found.orbits.append(OrbitFile(orbit.document, orbit.text, _dense(file, len(document["state"]))))
+        times, samples = dense_samples(file.with_suffix(".npz"), len(document["state"]))
+        found.orbits.append(OrbitFile(orbit.document, orbit.text, (times, samples) if times.size else None))
     else:
         given = document.get("format") if isinstance(document, dict) else type(document).__name__
         raise InputError(
             f"{file}: format: {given!r} is not an orbit, a family or an atlas export; give orbit.json, "
             "family.json, the JSON of `orbitfinder atlas export`, or an atlas database"
         )
-
-
-def _read(file: Path) -> Any:
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{file}: no such file; check the path") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: cannot be read ({error}); check the path and its permissions") from error
-    except RecursionError as error:
-        raise InputError(f"{file}: nested too deeply to be a result file; run the problem again") from error
-    except ValueError as error:
-        raise InputError(f"{file}: truncated or corrupt JSON ({error}); run the problem again") from error
 
 
 def _orbit(document: Any, where: str) -> OrbitFile:
@@ -168,49 +157,18 @@ def _order(one: OrbitFile) -> tuple[float, float]:
     return float(f"{one.document['energy']:.9g}"), float(one.document["period"])
 
 
-def _dense(file: Path, size: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times and states of orbit.npz beside an orbit.json, when they are there and fit."""
-    beside = file.with_suffix(".npz")
-    try:
-        with beside.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-            times, samples = np.asarray(data["times"], float), np.asarray(data["samples"], float)
-    except FileNotFoundError:
-        return None
-    except Exception as error:  # zipfile.BadZipFile and others have no common base
-        raise InputError(f"{beside}: damaged ({error}); delete it or run the problem again") from error
-    fits = samples.shape == (times.size, size) and times.size > 1 and bool(np.all(np.diff(times) > 0))
-    return (times, samples) if fits and bool(np.all(np.isfinite(samples))) else None
-
-
-def _with_nodes(family: dict[str, Any], file: Path) -> dict[str, Any]:
-    """The same with the shooting nodes of family.npz, where it lies beside and fits, in `nodes` and `edges`.
+def _with_nodes(family: Family) -> dict[str, Any]:
+    """The document of a family with its shooting nodes, where they are known, in `nodes` and `edges`.
 
     `edges` are the times of the nodes and of the end of the last segment, in periods.
     """
-    beside, size = file.with_suffix(".npz"), len(family["points"][0]["state"])
-    try:
-        with beside.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-            dense = {name: np.asarray(data[name]) for name in data.files}
-        for kind, members in (("point", family["points"]), ("event", family["events"])):
-            for one, flat, mesh in zip(
-                members, _split(dense, f"{kind}_nodes"), _split(dense, f"{kind}_mesh"), strict=True
-            ):
-                count = flat.size // size
-                if count and flat.size == count * size and mesh.size > count and (mesh.size - 1) % count == 0:
-                    one |= {"nodes": flat.reshape(count, size), "edges": mesh[:: (mesh.size - 1) // count]}
-    except FileNotFoundError:
-        pass
-    except Exception as error:  # zipfile.BadZipFile and others have no common base
-        raise InputError(f"{beside}: damaged ({error}); delete it or continue the family again") from error
-    return family
-
-
-def _split(dense: Mapping[str, np.ndarray], name: str) -> list[np.ndarray]:
-    return (
-        np.split(dense[name].astype(float), np.cumsum(dense[f"{name}_sizes"])[:-1])
-        if dense[f"{name}_sizes"].size
-        else []
-    )
+    document = family_to_document(family)
+    for entries, members in ((document["points"], family.points), (document["events"], family.events)):
+        for entry, one in zip(entries, members, strict=True):
+            if one.nodes.size:  # type: ignore[attr-defined]
+                every = (one.mesh.size - 1) // len(one.nodes)  # type: ignore[attr-defined]
+                entry |= {"nodes": one.nodes, "edges": one.mesh[::every]}  # type: ignore[attr-defined]
+    return document
 
 
 def _from_database(file: Path) -> AtlasFile:

@@ -32,9 +32,17 @@ def normal_modes(
     if place.shape != (n,):
         raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")
     m, k, force = (part.full() for part in at_rest(place))
+    if not all(np.all(np.isfinite(part)) for part in (m, k, force)):
+        raise InputError(
+            f"guess.mode: the energies have no second derivatives at {place.tolist()}, or not in double precision; "
+            "give the coordinates of an equilibrium, or a state and a period"
+        )
     if np.abs(force).max() > 1e-9 * max(1.0, float(np.abs(k).max())):
         raise InputError(f"guess.mode: {place.tolist()} is not an equilibrium; give the coordinates of one")
-    squared, shapes = eigh(k, m)
+    try:
+        squared, shapes = eigh(k, m)
+    except np.linalg.LinAlgError as error:
+        raise InputError(f"guess.mode: no modes at {place.tolist()} ({error}); give a state and a period") from error
     return np.asarray(squared), np.asarray(shapes)
 
 

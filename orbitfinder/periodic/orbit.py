@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import tempfile
@@ -15,8 +14,10 @@ import numpy as np
 
 from orbitfinder import display
 from orbitfinder.errors import InputError
+from orbitfinder.reading import arrays, content_digest, json_file
 
 FORMAT, VERSION = "orbitfinder/orbit", 1
+AGAIN = "run the problem again"
 
 
 @dataclass(frozen=True)
@@ -147,20 +148,7 @@ def _with_number(check: Mapping[str, Any]) -> dict[str, Any]:
 
 def digest(document: Mapping[str, Any]) -> str:
     """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
-    numbers = {name: document.get(name) for name in DIGESTED}
-    text = json.dumps(_floats(numbers), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _floats(value: Any) -> Any:
-    """Whole floats and integers read alike, so that 2.0 and 2 have one digest."""
-    if isinstance(value, Mapping):
-        return {str(k): _floats(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_floats(v) for v in value]
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return repr(float(value))
-    return value
+    return content_digest({name: document.get(name) for name in DIGESTED})
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -196,40 +184,23 @@ def load_orbit(path: str | Path) -> Orbit:
     """Read orbit.json (and orbit.npz if it is there). Raises `InputError` on anything unreadable."""
     source = Path(path)
     document = read_document(source)
-    times, samples = np.zeros(0), np.zeros((0, len(document["state"])))
-    dense = source.with_suffix(".npz")
-    if dense.is_file():
-        try:
-            with dense.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-                times, samples = data["times"], data["samples"]
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise InputError(f"{dense}: not a readable sample file ({error}); run the problem again") from error
-        except Exception as error:  # zipfile.BadZipFile has no common base with the above
-            raise InputError(f"{dense}: damaged ({error}); run the problem again") from error
-    return orbit_from_document(document, times, samples)
+    return orbit_from_document(document, *dense_samples(source.with_suffix(".npz"), len(document["state"])))
+
+
+def dense_samples(path: Path, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) and states (k x 2n) of an orbit.npz; none where there is no such file. Raises `InputError`."""
+    if not path.exists():
+        return np.zeros(0), np.zeros((0, size))
+    found = arrays(path, ("times", "samples"), AGAIN)
+    times, samples = found["times"].astype(float), found["samples"].astype(float)
+    if samples.shape != (*times.shape, size) or times.size == 1 or np.any(np.diff(times) <= 0):
+        raise InputError(f"{path}: damaged (its times and states do not fit together or the orbit); {AGAIN}")
+    return times, samples
 
 
 def read_document(source: Path) -> dict[str, Any]:
     """The checked JSON document at a path."""
-    try:
-        document = json.loads(source.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except FileNotFoundError as error:
-        raise InputError(f"{source}: no such file; check the path") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{source}: a folder, not a file; name the orbit.json in it") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{source}: cannot be read ({error}); check the path and its permissions") from error
-    except RecursionError as error:
-        raise InputError(f"{source}: nested too deeply to be an orbit.json; run the problem again") from error
-    except ValueError as error:
-        if source.suffix in (".toml", ".py"):
-            raise InputError(f"{source}: a problem file; run it, then give the orbit.json that was written") from error
-        raise InputError(f"{source}: truncated or corrupt JSON ({error}); run the problem again") from error
-    return check_document(document, str(source))
-
-
-def _refuse_constant(text: str) -> float:
-    raise ValueError(f"{text} is not a number")
+    return check_document(json_file(source, "orbit.json", AGAIN), str(source))
 
 
 def check_document(document: Any, where: str) -> dict[str, Any]:

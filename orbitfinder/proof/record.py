@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +17,15 @@ from orbitfinder.periodic.orbit import Orbit, read_document, write_atomically
 from orbitfinder.proof.balls import arb, flint, precision
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, prove
+from orbitfinder.reading import read_as
 from orbitfinder.version import __version__
 
 DIGITS = 30
 """Decimal places of the centres of enclosures in a record"""
+PHASE = 1e-6
+"""Largest difference, in periods, between a recorded phase and the recomputed one (a minimum found to 1e-9)"""
+NUMBER = r"\[?[-+]?\d[-+\d.e/ ]*\]?"
+"""A decimal, or a ball such as [1.25 +/- 3e-10]"""
 
 
 def enclosure(ball: Any, digits: int = DIGITS) -> dict[str, Any]:
@@ -87,27 +95,45 @@ def read_entry(path: Path) -> dict[str, Any]:
     return found
 
 
+@dataclass(frozen=True)
+class Recorded:
+    """What a `proof` entry must hold to be replayed; the enclosures are compared by `_meet`."""
+
+    order: int
+    bits: int
+    tolerance: float
+    symmetry: str
+    segments: int
+    proved: bool
+    steps: int
+    box_radius: float
+    enclosure_radius: float
+    contraction: float
+    phase: float
+    distance: float
+    period_distance: float
+    minimal_period: Mapping[str, Any]
+    stability: str
+    stability_reason: str
+
+
 def options_of(found: Mapping[str, Any]) -> Options:
-    """The options that a recorded proof was made with."""
-    try:
-        settings = Settings(order=int(found["order"]), bits=int(found["bits"]), tolerance=float(found["tolerance"]))
-        options = Options(settings, str(found["symmetry"]), int(found["segments"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"proof: malformed entry ({error}); prove the orbit again") from error
-    return checked(options)
+    """The options that a recorded proof was made with. Raises `InputError`."""
+    known = read_as(Recorded, found, "proof: malformed entry", "prove the orbit again")
+    return checked(Options(Settings(known.order, known.bits, known.tolerance), known.symmetry, known.segments))
 
 
 def checked(options: Options) -> Options:
     """The same options, or `InputError` naming the one that is out of range."""
     settings = options.settings
     for name, value, low, high in (
-        ("order", settings.order, 4, 400), ("bits", settings.bits, 64, 20000),
-        ("segments", 1 if options.segments is None else options.segments, 1, 1000),
+        ("order", settings.order, 10, 120), ("bits", settings.bits, 64, 2000),
+        ("segments", 1 if options.segments is None else options.segments, 1, 100),
     ):  # fmt: skip
         if not low <= value <= high:
             raise InputError(f"{name}: must be from {low} to {high}, got {value}; the default is fine for most orbits")
-    if not 0 < settings.tolerance < 1e-6:
-        raise InputError(f"tolerance: must be between 0 and 1e-6, got {settings.tolerance}; the default is 1e-18")
+    if not 1e-40 <= settings.tolerance < 1e-6:
+        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {settings.tolerance}; the default is 1e-18")
     return options
 
 
@@ -119,18 +145,32 @@ def replay(
     proof = prove(orbit, model, options, progress)
     if not proof.proved:
         return proof, [proof.reason]
-    fresh = entry(proof)
-    wrong = [f"{name}: recorded {found.get(name)!r}, found {fresh[name]!r}"
-             for name in ("proved", "stability") if found.get(name) != fresh[name]]  # fmt: skip
-    if not (isinstance(minimal := found.get("minimal_period"), dict) and minimal.get("proved") is True):
-        wrong.append(f"minimal_period: recorded {minimal!r}, proved now")
-    with precision(max(options.settings.bits, 4 * DIGITS)):
-        wrong += [f"{name}: the recorded enclosure and the recomputed one do not meet"
-                  for name in ("period", "energy", "state", "multipliers")
-                  if not _meet(found.get(name), fresh[name])]  # fmt: skip
-    if not _at_least(found.get("box_radius"), fresh["box_radius"]):
-        wrong.append(f"box_radius: recorded {found.get('box_radius')!r}, found {fresh['box_radius']!r}")
-    return proof, wrong
+    return proof, contradictions(found, entry(proof))
+
+
+def contradictions(found: Mapping[str, Any], fresh: Mapping[str, Any]) -> list[str]:
+    """Every claim of a recorded entry that the entry of the proof done again does not bear out."""
+    with precision(max(fresh["bits"], 4 * DIGITS)):
+        return [f"{name}: recorded {_brief(found.get(name))}, found {_brief(fresh[name])}"
+                for name, same in COMPARED.items() if not same(found.get(name), fresh[name])]  # fmt: skip
+
+
+def _brief(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def _close(recorded: Any, fresh: float) -> bool:
+    """True for a number that another machine's round-off could have made of it: within a factor of 2."""
+    return isinstance(recorded, (int, float)) and 0.5 * fresh <= recorded <= 2 * fresh
+
+
+def _wider(recorded: Any, fresh: float) -> bool:
+    """True for a distance that claims no more than the theorem asks and not much less than was found.
+
+    It is made of round-off: from machine to machine it differs by factors of ten.
+    """
+    return isinstance(recorded, (int, float)) and fresh / 100 <= recorded <= Options.nearness
 
 
 def _at_least(recorded: Any, fresh: float) -> bool:
@@ -138,8 +178,21 @@ def _at_least(recorded: Any, fresh: float) -> bool:
     return isinstance(recorded, float) and 0 < recorded <= fresh * (1 + 1e-6)
 
 
+def _minimal(recorded: Any, fresh: Mapping[str, Any]) -> bool:
+    """True when the period was recorded as minimal, proved against about as many divisors."""
+    name = "divisors_excluded_up_to"
+    return recorded.get("proved") is True and _close(recorded.get(name), fresh[name])
+
+
+def _same_words(recorded: Any, fresh: str) -> bool:
+    """True for the same sentence, whatever the last digits of the numbers in it."""
+    return isinstance(recorded, str) and re.sub(NUMBER, "#", recorded) == re.sub(NUMBER, "#", fresh)
+
+
 def _meet(recorded: Any, fresh: Any) -> bool:
     """True when recorded enclosures overlap the recomputed ones, entry by entry."""
+    if fresh is None:
+        return recorded is None
     if isinstance(fresh, list):
         same = isinstance(recorded, list) and len(recorded) == len(fresh)
         return same and all(_meet(a, b) for a, b in zip(recorded, fresh, strict=True))
@@ -155,3 +208,16 @@ def _ball(found: Mapping[str, Any], loosest: float) -> Any:
     if not 0 <= float(found["radius"]) <= loosest:
         raise ValueError("not an enclosure")
     return arb(str(found["value"]), float(found["radius"]))
+
+
+COMPARED: dict[str, Callable[[Any, Any], bool]] = {
+    **dict.fromkeys(("proved", "reason", "symmetry", "segments", "stability"), operator.eq),
+    **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding", "multipliers"), _meet),
+    **dict.fromkeys(("contraction", "enclosure_radius", "steps"), _close),
+    **dict.fromkeys(("distance", "period_distance"), _wider),
+    "box_radius": _at_least,
+    "phase": lambda recorded, fresh: abs((recorded - fresh + 0.5) % 1.0 - 0.5) < PHASE,
+    "minimal_period": _minimal,
+    "stability_reason": _same_words,
+}
+"""What a replay compares, which is all that a record claims, and how; the rest says how it was made and when."""

@@ -87,7 +87,7 @@ def discovery_curves(atlas: Atlas) -> Figure:
     """Distinct orbits against processor time of every search, and Chao's estimate of how many there are."""
     figure = new_figure(8.0, 5.0, "Distinct orbits found, and how many such starts can find (Chao1)")
     axes = figure.subplots()
-    searches = atlas.connection.execute("SELECT id, energy, seed FROM searches ORDER BY id").fetchall()
+    searches = atlas.select([int, float, int], "SELECT id, energy, seed FROM searches ORDER BY id")
     for k, (search, energy, seed) in enumerate(searches):
         seconds, distinct, estimate = discovery(atlas, search)
         if not len(seconds):

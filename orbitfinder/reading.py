@@ -1,0 +1,318 @@
+"""Files that others made, read within bounds: the one way from a path to bytes, JSON, arrays and typed records.
+
+Whatever a file holds, what comes back is what was asked for, or an `InputError` of one sentence; nothing is
+expanded, nested or counted beyond the bounds below, and only regular files are opened (no pipes, no devices).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import math
+import os
+import stat
+import typing
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+
+LARGEST_FILE = 100_000_000
+"""Bytes; a larger file (of a journal: a larger line) is refused before it is read."""
+LARGEST_EXPANDED = 400_000_000
+"""Bytes that the compressed arrays of one file, or a compressed document, may become."""
+MOST_VALUES = 10_000_000
+"""Entries of a JSON document."""
+DEEPEST = 64
+"""Levels of lists and tables."""
+LARGEST_INTEGER = 2**63 - 1
+MOST_MEMBERS = 100
+"""Arrays in one npz file."""
+
+
+def _regular(path: Path, what: str) -> BinaryIO:
+    """The open file at a path, if it is a regular one."""
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    mode = os.fstat(handle).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(handle, "rb")
+    os.close(handle)
+    kind = "a folder, not a file; name a" if stat.S_ISDIR(mode) else "not a regular file; give a"
+    raise InputError(f"{path}: {kind} {what}{' in it' if stat.S_ISDIR(mode) else ''}")
+
+
+def _opened(path: Path, what: str) -> BinaryIO:
+    try:
+        return _regular(path, what)
+    except FileNotFoundError as error:
+        named = path.with_name(f"{path.name}.toml")
+        meant = f"did you mean {named}?" if named.is_file() else "check the path"
+        raise InputError(f"{path}: no such file; {meant}") from error
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); check the path and its permissions") from error
+
+
+def file_bytes(path: Path, what: str = "file", limit: int = LARGEST_FILE) -> bytes:
+    """The content of a regular file of at most `limit` bytes, or `InputError`."""
+    with _opened(path, what) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > limit:
+            raise InputError(f"{path}: {size} bytes are too large for a {what}, the limit is {limit}")
+        try:
+            return stream.read(size)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error}); check the disk") from error
+
+
+def file_head(path: Path, size: int) -> bytes:
+    """The first bytes of a regular file, or `InputError`."""
+    with _opened(path, "result file") as stream:
+        return stream.read(size)
+
+
+def file_lines(path: Path, what: str = "file") -> Iterator[bytes]:
+    """The lines of a regular file with their ends; one that is too long comes without its end."""
+    with _opened(path, what) as stream:
+        while line := stream.readline(LARGEST_FILE):
+            yield line
+
+
+def json_document(data: bytes, where: str, remedy: str) -> Any:
+    """What JSON text stands for, within the bounds of `bounded`; NaN and infinity are refused."""
+    try:
+        if sum(map(data.count, (b",", b"[", b"{"))) > MOST_VALUES:
+            raise ValueError(f"more than {MOST_VALUES} entries")
+        document = json.loads(data.decode("utf-8"), parse_constant=_no_number)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{where}: cannot be read (no UTF-8 text at byte {error.start}); {remedy}") from error
+    except RecursionError as error:
+        raise InputError(f"{where}: nested too deeply; {remedy}") from error
+    except ValueError as error:
+        if where.endswith((".toml", ".py")):
+            raise InputError(f"{where}: a problem file; run it, then give the orbit.json that was written") from error
+        raise InputError(f"{where}: truncated or corrupt JSON ({_short(error)}); {remedy}") from error
+    return bounded(document, where, remedy)
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(f"{text} is not a number")
+
+
+def json_file(path: Path, what: str, remedy: str) -> Any:
+    """The JSON document at a path, or `InputError`."""
+    return json_document(file_bytes(path, what), str(path), remedy)
+
+
+def bounded(document: Any, where: str, remedy: str, finite: bool = True) -> Any:
+    """The same document, if it is no deeper than `DEEPEST`, its text is Unicode and its numbers are numbers."""
+    level: list[tuple[str, Any]] = [("", document)]
+    for _ in range(DEEPEST):
+        if not level:
+            return document
+        try:
+            level = [inner for name, one in level for inner in _inside(name, one, finite)]
+        except ValueError as error:
+            raise InputError(f"{where}: {error}; {remedy}") from error
+    raise InputError(f"{where}: nested too deeply; {remedy}")
+
+
+def _inside(name: str, one: Any, finite: bool) -> Iterator[tuple[str, Any]]:
+    """The lists and tables in a list or table, named; `ValueError` about the first bad number or text in it."""
+    entries = one.items() if isinstance(one, Mapping) else enumerate(one) if isinstance(one, list) else ()
+    for key, value in entries:
+        if isinstance(value, (Mapping, list)):
+            yield _place(name, key), value
+        elif fault := _fault(value, finite) or _fault(key, finite):
+            raise ValueError(f"{_place(name, key)}: {fault}")
+
+
+def _place(name: str, key: Any) -> str:
+    text = f"[{key}]" if isinstance(key, int) else f".{ascii(key)[1:-1][:60]}"
+    return f"{name}{text}".lstrip(".")
+
+
+def _fault(value: Any, finite: bool) -> str:
+    """What is wrong with a number or text, nothing when it is sound."""
+    if isinstance(value, float):
+        return f"malformed number, {value} is not finite" if finite and not math.isfinite(value) else ""
+    if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+        return f"malformed number, beyond {LARGEST_INTEGER} (about 1e{int(value.bit_length() * math.log10(2))})"
+    if isinstance(value, str) and not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
+        return "malformed text, not Unicode"
+    return ""
+
+
+def _short(value: object, limit: int = 120) -> str:
+    text = str(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def arrays(path: Path, names: Sequence[str], remedy: str) -> dict[str, np.ndarray]:
+    """The finite numbers of an npz file by name, their sizes read before anything is expanded. `InputError`."""
+    data, found = file_bytes(path, "npz file"), dict[str, np.ndarray]()
+    try:
+        if data.count(b"PK\x01\x02") > MOST_MEMBERS:
+            raise ValueError(f"more than {MOST_MEMBERS} arrays")
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for name in names:
+                found[name] = _array(archive, name, LARGEST_EXPANDED - sum(one.nbytes for one in found.values()))
+    except Exception as error:  # zipfile, zlib, struct, tokenize: what they raise has no common base
+        raise InputError(f"{path}: damaged ({_short(error)}); {remedy}") from error
+    return found
+
+
+def _array(archive: zipfile.ZipFile, name: str, room: int) -> np.ndarray:
+    """One member, if it is a plain array of numbers of no more than `room` bytes."""
+    info = archive.getinfo(f"{name}.npy")
+    if info.file_size > room or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{name} would expand to {info.file_size} bytes")
+    with archive.open(info) as stream:
+        version = np.lib.format.read_magic(stream)
+        header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
+        shape, fortran, dtype = header(stream)
+        if dtype.kind not in "fiu" or math.prod(shape) * dtype.itemsize != info.file_size - stream.tell():
+            raise ValueError(f"{name} is no array of numbers of its size")
+        content = stream.read()
+    array = np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} holds a number that is not finite")
+    return array.astype(float if dtype.kind == "f" else int)
+
+
+def inflated(data: bytes, where: str, remedy: str) -> bytes:
+    """What zlib compressed, if it is no larger than a file may be. `InputError`."""
+    try:
+        packed = zlib.decompressobj()
+        found = packed.decompress(data, LARGEST_FILE)
+        if not packed.eof:
+            raise ValueError("truncated" if len(found) < LARGEST_FILE else f"expands beyond {LARGEST_FILE} bytes")
+    except (zlib.error, ValueError, TypeError) as error:
+        raise InputError(f"{where}: damaged ({error}); {remedy}") from error
+    return found
+
+
+def content_digest(document: Any) -> str:
+    """SHA-256 of a document's content, independent of its layout: 2 and 2.0 are one, keys have no order."""
+    text = json.dumps(_alike(document), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _alike(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _alike(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_alike(entry) for entry in value]
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return repr(float(value))
+    return value
+
+
+def typed(kind: Any, value: Any, where: str) -> Any:
+    """A JSON value as the type that an annotation names, dataclasses included; `ValueError` names the entry.
+
+    float: finite; complex: [re, im]; np.ndarray: numbers in at most two dimensions; entries that a dataclass
+    does not know are left out, those with a default may be missing.
+    """
+    if dataclasses.is_dataclass(kind):
+        return _record(kind, value, where)
+    reader = _READERS.get(typing.get_origin(kind) or kind)
+    if reader is None:
+        raise TypeError(f"{where}: no reader for {kind}")
+    return reader(typing.get_args(kind), value, where)
+
+
+def _record(kind: Any, value: Any, where: str) -> Any:
+    entries, hints = _table((str, Any), value, where), _hints(kind)
+    for one in dataclasses.fields(kind):
+        if one.name not in entries and one.default is one.default_factory is dataclasses.MISSING:
+            raise ValueError(f"{where}.{one.name}: missing".lstrip("."))
+    known = {name: entry for name, entry in entries.items() if name in hints}
+    return kind(**{name: typed(hints[name], entry, f"{where}.{name}".lstrip(".")) for name, entry in known.items()})
+
+
+@lru_cache
+def _hints(kind: type) -> dict[str, Any]:
+    return typing.get_type_hints(kind)
+
+
+def _wrong(where: str, wanted: str, value: Any) -> ValueError:
+    return ValueError(f"{where or 'document'}: expected {wanted}, got {_short(repr(value), 60)}")
+
+
+def _plain(kinds: tuple[type, ...], wanted: str) -> Callable[[Any, Any, str], Any]:
+    def read(_: Any, value: Any, where: str) -> Any:
+        if isinstance(value, kinds) and (bool in kinds or not isinstance(value, bool)):
+            return value
+        raise _wrong(where, wanted, value)
+
+    return read
+
+
+def _number(_: Any, value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise _wrong(where, "a finite number", value)
+    return float(value)
+
+
+def _numbers(_: Any, value: Any, where: str) -> np.ndarray:
+    try:
+        found = np.asarray(value)
+    except ValueError as error:
+        raise _wrong(where, "numbers in rows of one length", value) from error
+    if isinstance(value, str) or (found.size and found.dtype.kind not in "fiu") or not 1 <= found.ndim <= 2:
+        raise _wrong(where, "a list of numbers", value)
+    return found.astype(float)
+
+
+def _complex(_: Any, value: Any, where: str) -> complex:
+    if not isinstance(value, list) or len(value) != 2:
+        raise _wrong(where, "[re, im]", value)
+    return complex(*(_number((), part, where) for part in value))
+
+
+def _table(of: tuple[Any, ...], value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise _wrong(where, "a table", value)
+    return {key: typed(of[1], entry, f"{where}.{key}".lstrip(".")) for key, entry in value.items()}
+
+
+def _row(of: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
+    if not isinstance(value, (list, tuple)) or (of[-1] is not Ellipsis and len(value) != len(of)):
+        raise _wrong(where, "a list" if of[-1] is Ellipsis else f"{len(of)} entries", value)
+    kinds = of[:1] * len(value) if of[-1] is Ellipsis else of
+    return tuple(typed(kind, entry, f"{where}[{k}]") for k, (kind, entry) in enumerate(zip(kinds, value, strict=True)))
+
+
+def _either(of: tuple[Any, ...], value: Any, where: str) -> Any:
+    if value is None and NoneType in of:
+        return None
+    return typed(next(kind for kind in of if kind is not NoneType), value, where)
+
+
+_READERS: dict[Any, Callable[[Any, Any, str], Any]] = {
+    Any: lambda _, value, __: value,
+    float: _number, complex: _complex, np.ndarray: _numbers,
+    int: _plain((int,), "a whole number"), str: _plain((str,), "text"), bool: _plain((bool,), "true or false"),
+    bytes: _plain((bytes,), "bytes"),
+    dict: _table, Mapping: _table, tuple: _row, UnionType: _either, typing.Union: _either,
+}  # fmt: skip
+"""How each kind of annotation is read; X | None is X or null."""
+
+
+def read_as(kind: Any, value: Any, where: str, remedy: str) -> Any:
+    """`typed`, its complaint as an `InputError` about the file `where`."""
+    try:
+        return typed(kind, value, "")
+    except ValueError as error:
+        raise InputError(f"{where}: {error}; {remedy}") from error
