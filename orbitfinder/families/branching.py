@@ -18,9 +18,10 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.events import parameter_slopes
 from orbitfinder.families.points import Event, FamilySettings, parameter_value
-from orbitfinder.families.propagate import FORMULATIONS, build_propagator
+from orbitfinder.families.propagate import build_propagator
 from orbitfinder.families.start import FIRST_STEPS, Start, corrected, curve_at, full_samples, unknown_parameters
 from orbitfinder.families.system import Aim, Curve, Place, advanced, at_place, correct, head_of
+from orbitfinder.periodic.conditions import SYMMETRIES
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.05, 0.1)
@@ -128,7 +129,7 @@ def _turns(curve: Curve, event: Event) -> np.ndarray:
 
 def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Place:
     """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
-    base, fraction = at_place(curve, _place_of(curve, event)), FORMULATIONS[symmetry].fraction
+    base, fraction = at_place(curve, _place_of(curve, event)), SYMMETRIES[symmetry].fraction
     here = curve.propagator.symmetry.fraction
     n, period = curve.propagator.size // 2, event.period * event.order
     _, states = full_samples(curve, base)

@@ -98,7 +98,7 @@ def shortest_step(curve: Curve, found: Solution, settings: FamilySettings, short
 
 
 def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
-    energy = float(invariants_at(curve.propagator, found.place.nodes[0], found.place.free)[0][0])
+    energy = float(invariants_at(curve.propagator, found.place.nodes[0], found.place.free)[0][-1])
     n = state.size // 2
     where = np.array2string(state[:n], precision=4, suppress_small=True)
     return End(
@@ -179,7 +179,7 @@ def merged(curve: Curve, place: Place) -> End | None:
     A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
     """
     found = at_place(curve, place)
-    energy = float(invariants_at(curve.propagator, place.nodes[0], place.free)[0][0])
+    energy = float(invariants_at(curve.propagator, place.nodes[0], place.free)[0][-1])
     where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
     times, states = full_samples(curve, found)
     angles = np.asarray(curve.propagator.model.angles)

@@ -94,7 +94,7 @@ class FamilyPoint:
 class Event:
     """Something that happens between two points, located on the family.
 
-    `kind`: fold | branch_point | period_doubling | resonance | collision | stability_change. `detail`
+    `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change. `detail`
     says what exactly (of what the fold is, q of the resonance, what changed); `multiplier` is the
     critical multiplier of the root map, `order` the number of periods after which the branch closes.
     """
@@ -170,7 +170,7 @@ def parameter_value(curve: Curve, place: Place, name: str) -> float:
     if name == "period":
         return place.period
     if name == "energy":
-        return float(invariants_at(p, place.nodes[0], place.free)[0][0])
+        return float(invariants_at(p, place.nodes[0], place.free)[0][-1])
     return float(place.nodes[0][p.model.state_index(name)])
 
 

@@ -88,7 +88,7 @@ def parameter_slopes(curve: Curve, place: Place, head: np.ndarray) -> dict[str, 
     """d/ds of energy, period and every freed parameter along a direction over the head."""
     p, size = curve.propagator, curve.propagator.size
     _, slope, free = invariants_at(p, place.nodes[0], place.free)
-    energy = float(slope[0] @ head[:size] + free[0] @ head[size + 1 :])
+    energy = float(slope[-1] @ head[:size] + free[-1] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.free)}
     return slopes | {name: float(head[k]) for k, name in enumerate(p.model.state_names)}

@@ -36,6 +36,7 @@ class Spectrum:
     krein: tuple[int, ...]
     reduced: np.ndarray
     basis: np.ndarray
+    conservative: bool = True
 
 
 def spectrum(curve: Curve, found: Solution) -> Spectrum:
@@ -57,7 +58,7 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
         upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
         on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
         turns = np.where(on_circle, _krein(form, reduced, upper), 0)
-    return Spectrum(floquet, root, indices, turns, krein, reduced, basis)
+    return Spectrum(floquet, root, indices, turns, krein, reduced, basis, conservative)
 
 
 def _resolved(floquet: Floquet) -> Floquet:
@@ -121,7 +122,7 @@ def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     x, n = place.nodes[0], p.size // 2
     directions = [rate_at(p, x, place.unfolding, place.free)]
     directions += [one(x[:n], x[n:], p.model.parameter_values).full().ravel() for one in p.generators]
-    gradients = invariants_at(p, x, place.free)[1] if p.model.invariants else np.zeros((0, p.size))
+    gradients = invariants_at(p, x, place.free)[1][:-1]
     return gradients, np.asarray(directions)
 
 

@@ -15,7 +15,6 @@ from orbitfinder.families.mesh import remeshed, settled
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.points import FamilySettings
 from orbitfinder.families.propagate import (
-    FORMULATIONS,
     Propagator,
     boundary_matrices,
     build_propagator,
@@ -35,7 +34,7 @@ from orbitfinder.families.system import (
 )
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.conditions import Pin
+from orbitfinder.periodic.conditions import SYMMETRIES, Pin
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.solve import find_orbit
@@ -123,7 +122,7 @@ def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[st
         known = ["energy", "period", *model.state_names, *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
     if not model.conservative:
-        return (name,), ()
+        return (name,), others
     if settings.hold not in ("energy", "period"):
         raise InputError(f"hold: must be energy or period, got {settings.hold!r}")
     return (name,), (settings.hold, *others)
@@ -187,7 +186,7 @@ def _independent(propagator: Propagator, held: tuple[tuple[int, float], ...]) ->
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
-    if entry.get("symmetry") not in FORMULATIONS:
+    if entry.get("symmetry") not in SYMMETRIES:
         raise InputError(f"curve: unknown symmetry {entry.get('symmetry')!r}; continue the family again")
     unknown_parameters(model, settings)
     propagator = build_propagator(model, entry["symmetry"], tuple(entry["free"]))
@@ -213,7 +212,7 @@ def _first_aim(curve: Curve, place: Place, problem: Problem, free: tuple[str, ..
     if one is not None and one.name in problem.model.state_names:
         return Aim(one.value, unit[problem.model.state_index(one.name)])
     names = [invariant.name for invariant in problem.model.invariants]
-    k = names.index(one.name) if one is not None and one.name in names else 0
+    k = names.index(one.name) if one is not None and one.name in names else -1
     value = float(invariants_at(p, place.nodes[0], place.free)[0][k]) if one is None else one.value
     return Aim(value, invariant=k)
 
@@ -244,6 +243,8 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     times, states = full_samples(curve, found)
     model = curve.propagator.model
     name = recognise(times, states, np.asarray(model.angles))
+    if not model.conservative:  # symmetries that reverse time need no dissipation
+        return "reflection" if "reflection" in name and _has(model, states[0], "reflection") else "none"
     weaker = ("brake", "reversal", "reflection") if name == "brake+reflection" else ()
     return next((one for one in (name, *weaker) if _has(model, states[0], one)), "none")
 
@@ -331,6 +332,6 @@ def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple
     fresh = replace(fresh, mesh=np.linspace(0.0, propagator.symmetry.fraction, len(fresh.nodes) * steps + 1))
     unit = np.eye(old.weights.size)
     aim = Aim(float(place.free[0]), unit[-1]) if free else Aim(
-        float(invariants_at(old.propagator, place.nodes[0], place.free)[0][0]), invariant=0
+        float(invariants_at(old.propagator, place.nodes[0], place.free)[0][-1]), invariant=-1
     )  # fmt: skip
     return corrected(curve, fresh, aim)

@@ -84,7 +84,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Aim:
-    """The last row: `normal`.head = `value`, or the invariant number `invariant` = `value`."""
+    """The last row: `normal`.head = `value`, or the invariant number `invariant` (-1: the energy) = `value`."""
 
     value: float
     normal: np.ndarray | None = None
@@ -184,7 +184,7 @@ def _aim(curve: Curve, place: Place, aim: Aim) -> tuple[float, np.ndarray]:
     if aim.normal is not None:
         return float(aim.normal @ place.head - aim.value), _spread(aim.normal, place)
     value, slope, free = invariants_at(curve.propagator, place.nodes[0], place.free)
-    k = aim.invariant or 0
+    k = -1 if aim.invariant is None else aim.invariant
     return float(value[k] - aim.value), _spread(np.concatenate([slope[k], [0.0], free[k]]), place)
 
 
