@@ -67,6 +67,8 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Probe, Test]]:
         return []
     if not interval.first.about.conservative:
         return crossings(interval)
+    if not interval.first.indices.size:
+        return []
     touched = [(interval.probe(place), test) for test, place in strips(interval)]
     look(interval)
     for _ in range(ROUNDS):

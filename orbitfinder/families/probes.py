@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import invariants_at
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.system import Aim, Curve, Place, Solution, advanced, bend, correct, head_of, tangent
@@ -66,7 +67,10 @@ class Interval:
         reach = max(0.5 * self.length, 1e-6)
         found = correct(curve, self.guess(distance), aim, first.found.place, reach, self.slope(distance))
         whole = tangent(curve, found, head_of(first.whole, first.found.place))
-        return make_probe(curve, distance, found, whole, self.indices(distance))
+        probe = make_probe(curve, distance, found, whole, self.indices(distance))
+        if probe.indices.shape != first.indices.shape:
+            raise ConvergenceError("the orbit is a relative equilibrium, whose flow is one of its symmetries")
+        return probe
 
     def guess(self, distance: float) -> Place:
         """The cubic through both ends with both tangents."""

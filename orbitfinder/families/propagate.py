@@ -128,7 +128,7 @@ def rate_at(propagator: Propagator, x: np.ndarray, unfolding: np.ndarray, free: 
 def invariants_at(
     propagator: Propagator, x: np.ndarray, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Invariants, last the energy (k + 1), at one state, their derivatives by state (x 2n) and freed parameters (x f)."""
+    """Invariants, last the energy (k + 1), at one state, their derivatives by the state and by freed parameters."""
     values, slopes, by_free = called(propagator.quantities, x, free)
     return values.ravel(), slopes, by_free
 

@@ -105,27 +105,29 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
 
 
 def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """(freed physical parameters, names of what is held) for a continuation parameter. Raises `InputError`."""
+    """(freed physical parameters, names of what is held) for a continuation parameter. Raises `InputError`.
+
+    Momenta are never held: an orbit closes for one value of each, at which nothing drifts.
+    """
     from orbitfinder.suggest import closest
 
     name = settings.parameter
-    others = tuple(one.name for one in model.invariants if one.generator is not None)
     if name in ("energy", "period", *model.state_names):
         if not model.conservative:
             raise InputError(
                 f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
             )
-        return (), others
+        return (), ()
     if model.forced:
         raise InputError("system: a forced system's families are not followed yet; its orbits stand alone")
     if name not in model.parameter_names:
         known = ["energy", "period", *model.state_names, *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
     if not model.conservative:
-        return (name,), others
+        return (name,), ()
     if settings.hold not in ("energy", "period"):
         raise InputError(f"hold: must be energy or period, got {settings.hold!r}")
-    return (name,), (settings.hold, *others)
+    return (name,), (settings.hold,)
 
 
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
@@ -173,15 +175,8 @@ def curve_at(
     values = invariants_at(propagator, place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     fixed = tuple((names.index(one), float(values[names.index(one)])) for one in held if one in names)
-    fixed = _independent(propagator, fixed)
     curve = make_curve(propagator, constant, place.head, fixed)
     return replace(curve, period=place.period) if "period" in held else curve
-
-
-def _independent(propagator: Propagator, held: tuple[tuple[int, float], ...]) -> tuple[tuple[int, float], ...]:
-    """What is held without the momenta that a symmetry already makes zero."""
-    free = propagator.symmetry.name == "none"
-    return tuple(one for one in held if free or propagator.model.invariants[one[0]].generator is None)
 
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
@@ -326,8 +321,7 @@ def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple
         parts = max(1, round(len(place.nodes) * propagator.symmetry.fraction))
         chosen = begin_at + (np.arange(parts) * propagator.symmetry.fraction * (len(states) - 1) / parts).astype(int)
         fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))
-    kept = _independent(propagator, old.held)
-    curve = replace(curve_at(propagator, fresh), held=kept, weights=old.weights, period=old.period)
+    curve = replace(curve_at(propagator, fresh), held=old.held, weights=old.weights, period=old.period)
     steps = max(8, int(FIRST_STEPS * propagator.symmetry.fraction / len(fresh.nodes)))
     fresh = replace(fresh, mesh=np.linspace(0.0, propagator.symmetry.fraction, len(fresh.nodes) * steps + 1))
     unit = np.eye(old.weights.size)
