@@ -54,7 +54,7 @@ def _between(interval: Interval, low: float, high: float, depth: int) -> list[tu
     if all(_parity(found, sign) == (_beyond(a, sign) + _beyond(b, sign)) % 2 for sign in (1, -1)):
         return found
     if depth == 0:
-        if interval.length > UNTOLD:
+        if interval.share > UNTOLD:
             raise ConvergenceError("multipliers on the unit circle cannot be told apart within one step")
         return found
     middle = 0.5 * (low + high)

@@ -10,13 +10,20 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.points import End, FamilyPoint, FamilySettings
-from orbitfinder.families.propagate import invariants_at, rates
+from orbitfinder.families.propagate import invariants_at, rate_at, rates
+from orbitfinder.families.scale import extents, span
 from orbitfinder.families.start import full_samples
 from orbitfinder.families.system import Aim, Curve, Place, Solution, at_place, blended, correct, distance
 from orbitfinder.periodic.symmetry import recognise
 
 SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
+NEAR = 0.1
+"""... of an equilibrium within this share of the motion's extents,"""
+MOST_NEWTON, DIFFERENCE = 12, 1e-5
+"""... which Newton's method finds with derivatives by differences of this share of them."""
+ABRUPT = 30.0
+"""A largest acceleration this many times the median one speaks of a singularity where a family cannot go on."""
 SLOW_SHARE = 0.4
 """... and an orbit that spends this share of its period there is nearly homoclinic to it."""
 UNDERFLOW_GROWTH, UNDERFLOW_SHARE = 1.5, 0.25
@@ -73,28 +80,75 @@ def end_after(
     share, state = slowness(curve, found)
     grown = found.place.period / shortest_period
     if failure:
-        if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE:
+        if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and near_saddle(curve, found, state):
             return _homoclinic(curve, found, state, grown, f"; then {failure}")
         free = dict(zip(curve.propagator.free, map(float, found.place.free), strict=True))
         dead = dead_point(curve.propagator.model.system, found.march.states, free)
         if dead:
             return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
-        return End("step underflow", failure)
+        return _singular(curve, found, failure) or End("step underflow", failure)
     if before is not None and collapsed(curve, before, found):
         where = np.array2string(centre(curve, before), precision=6)
         reason = f"the orbits shrink to the equilibrium at q = {where}, period {before.place.period:.9g} s"
         return End("equilibrium", reason)
-    if grown > settings.longest_period and share > SLOW_SHARE:
+    if share <= SLOW_SHARE:
+        return None
+    if grown > settings.longest_period and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, "")
-    if energies is not None and share > SLOW_SHARE and energies.settled and not curve.propagator.free:
+    if energies is not None and energies.settled and not curve.propagator.free and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f", multiplier {energies.largest:.2g}, beyond what can be told")
     return None
 
 
 def shortest_step(curve: Curve, found: Solution, settings: FamilySettings, shortest_period: float) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
-    near = found.place.period > UNDERFLOW_GROWTH * shortest_period and slowness(curve, found)[0] > SLOW_SHARE
-    return HOMOCLINIC_STEP if near else settings.shortest_step
+    if not found.place.period > UNDERFLOW_GROWTH * shortest_period:
+        return settings.shortest_step
+    share, state = slowness(curve, found)
+    return HOMOCLINIC_STEP if share > SLOW_SHARE and near_saddle(curve, found, state) else settings.shortest_step
+
+
+def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
+    """Whether a state is near an equilibrium with a growing direction, relative to the extents of its motion.
+
+    Without one, a slow and long orbit is no nearly homoclinic one.
+    """
+    p, place = curve.propagator, found.place
+    n, units = p.size // 2, extents(found.march.states)
+    x = np.concatenate([state[:n], np.zeros(n)])
+    for _ in range(MOST_NEWTON):
+        slopes = _linearised(curve, place, x, units)
+        step = np.linalg.lstsq(slopes[n:, :n], -rate_at(p, x, place.unfolding, place.free)[n:], rcond=1e-9)[0]
+        x[:n] += step
+        if not np.all(np.isfinite(x)) or np.any(np.abs(x - state) > NEAR * units):
+            return False
+        if np.all(np.abs(step) < 1e-6 * units[:n]):
+            growing = np.linalg.eigvals(_linearised(curve, place, x, units)).real.max()
+            return bool(growing * place.period > 1.0)
+    return False
+
+
+def _linearised(curve: Curve, place: Place, x: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """d(dx/dt)/dx (2n x 2n) by central differences."""
+    p = curve.propagator
+    steps = DIFFERENCE * np.diag(units)
+    pairs = [[rate_at(p, x + s * one, place.unfolding, place.free) for s in (1, -1)] for one in steps]
+    return np.stack([(a - b) / (2 * size) for (a, b), size in zip(pairs, np.diag(steps), strict=True)], axis=1)
+
+
+def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
+    """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
+    states, mesh, n = found.march.states, found.place.mesh, curve.propagator.size // 2
+    speed = np.linalg.norm(rates(curve.propagator, states, found.place.tail)[:, n:], axis=1)
+    usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
+    if not speed.max() > ABRUPT * usual:
+        return None
+    where = np.array2string(states[int(np.argmax(speed)), :n], precision=4, suppress_small=True)
+    return End(
+        "singularity",
+        f"the motion comes near a singularity at q = {where} (a collision, say), where its acceleration is "
+        f"{speed.max() / usual:.3g} times the median; {failure}",
+    )
 
 
 def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
@@ -155,6 +209,7 @@ def returned(
     a, step = before.place.head, found.place.head - before.place.head
     if len(heads) < FEWEST_STEPS:
         return None
+    unit = span(curve.propagator.model.angles, curve.weights, found.march.states)
     past = np.asarray(heads[: 1 - FEWEST_STEPS])
     ahead = np.diff(np.asarray(heads[: 2 - FEWEST_STEPS]), axis=0)
     normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
@@ -167,7 +222,7 @@ def returned(
             again = correct(curve, guess, Aim(float(normal @ past[k]), normal), before.place, slope=before.jacobian)
         except (ConvergenceError, IntegrationError):
             continue
-        if distance(curve, again.place.head, past[k]) < SAME:
+        if distance(curve, again.place.head, past[k]) < SAME * unit:
             where = "its start" if k == 0 else f"its step {k}"
             return End("returned", f"a closed family: back at {where} after an arclength of {abs(arclength):.6g}")
     return None

@@ -86,14 +86,14 @@ def find_events(interval: Interval, settings: FamilySettings, arclength: float) 
     found += bifurcations(interval, settings.resonances)
     found.sort(key=lambda pair: pair[0].distance)
     turns = [probe.distance for probe, test in found if test.kind == "fold" and test.detail != "period"]
-    found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
+    found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns, interval.unit))]
     events = [(p.distance, _event(interval.curve, p, test, settings, arclength)) for p, test in found]
     return sorted(events + _changes(interval, found, settings, arclength), key=lambda pair: pair[0])
 
 
-def _near(distance: float, places: list[float]) -> bool:
-    """Whether a branch point is only the multiplier +1 that every fold in energy has."""
-    return any(abs(distance - other) < 1e-5 for other in places)
+def _near(distance: float, places: list[float], unit: float) -> bool:
+    """Whether a branch point is only the multiplier +1 that every fold has."""
+    return any(abs(distance - other) < 1e-5 * unit for other in places)
 
 
 def _event(curve: Curve, probe: Probe, test: Test, settings: FamilySettings, arclength: float) -> Event:
@@ -128,7 +128,7 @@ def _changes(
     edges = [0.0, *(p.distance for p, _ in critical), interval.length]
     verdicts = [a]
     for before, after in pairwise(edges[1:-1]):
-        inner = interval.probe(0.5 * (before + after)) if after - before > 1e-7 else None
+        inner = interval.probe(0.5 * (before + after)) if after - before > 1e-7 * interval.unit else None
         verdicts.append(verdicts[-1] if inner is None else inner.about.floquet.stability == "unstable")
     verdicts.append(b)
     changes = []

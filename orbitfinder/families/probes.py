@@ -8,6 +8,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import invariants_at
+from orbitfinder.families.scale import span
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.system import Aim, Curve, Place, Solution, advanced, bend, correct, head_of, tangent
 
@@ -41,11 +42,18 @@ class Interval:
     curvature: np.ndarray
     twist: np.ndarray
     seen: dict[float, Probe] = field(default_factory=dict, compare=False, repr=False)
+    unit: float = 1.0
+    """what arclengths are relative to (see `scale.span`)"""
 
     @property
     def length(self) -> float:
         """Arclength (measured along the first tangent)."""
         return self.last.distance
+
+    @property
+    def share(self) -> float:
+        """The length relative to the motion."""
+        return self.length / self.unit
 
     def probe(self, distance: float) -> Probe:
         """The orbit at a distance (along the first tangent) into the interval, corrected once."""
@@ -64,7 +72,7 @@ class Interval:
         first, curve = self.first, self.curve
         normal = curve.weights * head_of(first.whole, first.found.place)
         aim = Aim(float(normal @ first.found.place.head) + distance, normal)
-        reach = max(0.5 * self.length, 1e-6)
+        reach = max(0.5 * self.length, 1e-6 * self.unit)
         found = correct(curve, self.guess(distance), aim, first.found.place, reach, self.slope(distance))
         whole = tangent(curve, found, head_of(first.whole, first.found.place))
         probe = make_probe(curve, distance, found, whole, self.indices(distance))
@@ -116,7 +124,8 @@ def make_interval(curve: Curve, first: Probe, last: Probe) -> Interval:
     along = float((curve.weights * head_of(first.whole, first.found.place)) @ head_of(last.whole, last.found.place))
     if last.whole.shape == first.whole.shape and along > 0.5:
         twist = (last.whole / along - first.whole - 2 * length * curvature) / length**2
-    return Interval(curve, first, last, curvature, twist)
+    unit = span(curve.propagator.model.angles, curve.weights, first.found.march.states)
+    return Interval(curve, first, last, curvature, twist, unit=unit)
 
 
 def is_real(value: complex) -> bool:

@@ -22,6 +22,7 @@ from orbitfinder.families.propagate import (
     march,
     rates,
 )
+from orbitfinder.families.scale import length
 from orbitfinder.families.system import (
     Aim,
     Curve,
@@ -161,12 +162,12 @@ def curve_at(
     """
     model, n, name = propagator.model, propagator.size // 2, propagator.symmetry.name
     constant = np.zeros(2 * n)
+    steps = np.linspace(0, propagator.symmetry.fraction, len(place.nodes) * 40 + 1)
+    path = march(propagator, place.nodes, steps, place.tail)
     if name == "none":
         constant[:n] = 2 * np.pi * (0 if turns is None else turns)
     elif name != "brake":
-        steps = np.linspace(0, propagator.symmetry.fraction, len(place.nodes) * 40 + 1)
-        end = march(propagator, place.nodes, steps, place.tail).ends[-1, :n]
-        first = place.nodes[0, :n]
+        end, first = path.ends[-1, :n], place.nodes[0, :n]
         if name == "reflection":
             constant[:n] = 2 * _half_turns(model, 0.5 * (first + end))
         else:
@@ -175,7 +176,7 @@ def curve_at(
     values = invariants_at(propagator, place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     fixed = tuple((names.index(one), float(values[names.index(one)])) for one in held if one in names)
-    curve = make_curve(propagator, constant, place.head, fixed)
+    curve = make_curve(propagator, constant, place.head, fixed, length(model.angles, path.states))
     return replace(curve, period=place.period) if "period" in held else curve
 
 
