@@ -309,7 +309,7 @@ def test_gallery_of_motions(tmp_path):
     """Eight whole periods along a family, each closing, with the joints that a system has."""
     model = henon_heiles()
     problem = load_problem(FAMILIES / "henon-heiles-loop.toml")
-    family = continue_command(problem, points=12, out=tmp_path, settings=ONWARD)
+    family = continue_command(problem, points=20, out=tmp_path, settings=ONWARD)
     shown = motions(family, model)
     assert len(shown) == 8 and shown[0].joints.shape[1:] == (2, 1)
     assert max(np.abs(one.states[-1] - one.states[0]).max() for one in shown) < 1e-10

@@ -166,7 +166,8 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
     if found is not None and found.kind == "equilibrium":
         return Batch(walk.direction, (), (), found)
     for event in named:
-        joined = merged(curve, _place_of(curve, event)) if (event.kind, event.detail) == ("fold", "energy") else None
+        turned = (event.kind, event.detail) == ("fold", "energy")
+        joined = merged(curve, _place_of(curve, event), event.tangent) if turned else None
         if joined is not None:
             reach = abs(event.arclength - where)
             kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]

@@ -36,6 +36,8 @@ MOST_COVERS = 6
 """A family may join another one of up to this many times shorter a period."""
 JOINED = 1e-3
 """How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
+TURNED = 1e-6
+"""Share of itself that the period may change by within the scale of the motion where it counts as turning."""
 SAME = 1e-7
 """Orbits nearer than this in the family's metric are one orbit."""
 FEWEST_STEPS = 5
@@ -228,12 +230,16 @@ def returned(
     return None
 
 
-def merged(curve: Curve, place: Place) -> End | None:
+def merged(curve: Curve, place: Place, tangent: np.ndarray) -> End | None:
     """At a fold in energy: whether the family joins there one of more symmetry or of a shorter period.
 
-    A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
+    A branch is its own mirror image about the orbit that it was born from, so that its period turns there as well;
+    at a plain fold, or one close to a branch point that the family passes, it does not.
     """
     found = at_place(curve, place)
+    unit = span(curve.propagator.model.angles, curve.weights, found.march.states)
+    if abs(tangent[curve.propagator.size]) * unit > TURNED * place.period:
+        return None
     energy = float(invariants_at(curve.propagator, place.nodes[0], place.free)[0][-1])
     where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
     times, states = full_samples(curve, found)

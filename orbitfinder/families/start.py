@@ -236,7 +236,7 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     """
     if curve.propagator.symmetry.name == "brake+reflection":
         return "brake+reflection"
-    times, states = full_samples(curve, found)
+    times, states = full_samples(curve, found, 4 * SAMPLES)  # of several turns, if it branched off a resonance
     model = curve.propagator.model
     name = recognise(times, states, np.asarray(model.angles))
     if not model.conservative:  # symmetries that reverse time need no dissipation
@@ -275,13 +275,17 @@ def _numbers(curve: Curve) -> np.ndarray:
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
     p, place = curve.propagator, found.place
-    n, parts = p.size // 2, len(place.nodes)
-    edges = place.mesh[:: (place.mesh.size - 1) // parts]
-    each = -(-count // parts)
+    each, edges = -(-count // len(place.nodes)), place.edges
     mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
-    states = march(p, place.nodes, mesh, place.tail).states
+    mesh, states = unfolded(curve, mesh, march(p, place.nodes, mesh, place.tail).states)
+    times = np.linspace(0.0, place.period, count + 1)
+    return times, CubicHermiteSpline(mesh * place.period, states, rates(p, states, place.tail))(times)
+
+
+def unfolded(curve: Curve, mesh: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (in periods) and states of the whole period from those of a formulation's horizon."""
+    n, name = curve.propagator.size // 2, curve.propagator.symmetry.name
     signs = np.concatenate([np.ones(n), -np.ones(n)])
-    name = p.symmetry.name
     if "brake" in name or name == "reversal":
         about = np.concatenate([2 * curve.constant[n:], np.zeros(n)])
         mirrored = states[-2::-1] * signs if name == "brake" else about - states[-2::-1] * signs
@@ -289,8 +293,7 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     if "reflection" in name:
         half = curve.constant if name == "reflection" else np.concatenate([2 * curve.constant[n:], np.zeros(n)])
         mesh, states = np.concatenate([mesh, mesh[-1] + mesh[1:]]), np.vstack([states, half - states[1:]])
-    times = np.linspace(0.0, place.period, count + 1)
-    return times, CubicHermiteSpline(mesh * place.period, states, rates(p, states, place.tail))(times)
+    return mesh, states
 
 
 def section_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: str) -> np.ndarray:

@@ -288,6 +288,16 @@ def correct(
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
 
 
+def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
+    place, size = found.place, curve.propagator.size
+    head = 1.0 / np.sqrt(curve.weights)
+    nodes, damping = np.tile(head[:size], len(place.nodes)), np.full(place.unfolding.size, 1.0 / place.period)
+    columns = np.concatenate([nodes, [head[size]], damping, head[size + 1 :]])
+    rows = _row_units(curve, place, phase_rows(curve, place), Aim(0.0))[:-1]
+    return found.jacobian * columns / rows[:, None], columns
+
+
 def distance(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:
     """Distance of two heads in the family's metric."""
     return float(np.sqrt(curve.weights @ (one - other) ** 2))
