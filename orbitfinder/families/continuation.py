@@ -167,7 +167,8 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
         return Batch(walk.direction, (), (), found)
     for event in named:
         turned = (event.kind, event.detail) == ("fold", "energy")
-        joined = merged(curve, _place_of(curve, event), event.tangent) if turned else None
+        at = abs(event.arclength - where)
+        joined = merged(curve, _place_of(curve, event), interval, at) if turned else None
         if joined is not None:
             reach = abs(event.arclength - where)
             kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.points import End, FamilyPoint, FamilySettings
+from orbitfinder.families.probes import Interval
 from orbitfinder.families.propagate import invariants_at, rate_at, rates
 from orbitfinder.families.scale import extents, span
 from orbitfinder.families.start import full_samples
@@ -36,8 +38,10 @@ MOST_COVERS = 6
 """A family may join another one of up to this many times shorter a period."""
 JOINED = 1e-3
 """How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
-TURNED = 1e-6
-"""Share of itself that the period may change by within the scale of the motion where it counts as turning."""
+EDGE = 1e-2
+"""Share of a step that a fold must be away from its ends to be looked at from both sides."""
+MIRRORED = 1e-4
+"""Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
 SAME = 1e-7
 """Orbits nearer than this in the family's metric are one orbit."""
 FEWEST_STEPS = 5
@@ -230,16 +234,32 @@ def returned(
     return None
 
 
-def merged(curve: Curve, place: Place, tangent: np.ndarray) -> End | None:
+def mirrored(interval: Interval, at: float) -> bool:
+    """Whether a family is its own mirror image about a fold in energy `at` so far into a step.
+
+    Then orbits of one energy on its two sides have one period, which at a plain fold differ to first order, and at one
+    close to a branch point that the family passes to third. Raises `ConvergenceError` at the edge of the step.
+    """
+
+    def read(distance: float) -> np.ndarray:
+        place = interval.probe(distance).found.place
+        return np.array([invariants_at(interval.curve.propagator, place.nodes[0], place.free)[0][-1], place.period])
+
+    turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
+    near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
+    if abs(near - at) < EDGE * interval.length:
+        raise ConvergenceError("the family turns at the edge of a step")
+    level = ends[near]
+    other = read(float(brentq(lambda distance: float(read(distance)[0] - level[0]), at, far, rtol=1e-12)))
+    return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
+
+
+def merged(curve: Curve, place: Place, interval: Interval, at: float) -> End | None:
     """At a fold in energy: whether the family joins there one of more symmetry or of a shorter period.
 
-    A branch is its own mirror image about the orbit that it was born from, so that its period turns there as well;
-    at a plain fold, or one close to a branch point that the family passes, it does not.
+    A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
     """
     found = at_place(curve, place)
-    unit = span(curve.propagator.model.angles, curve.weights, found.march.states)
-    if abs(tangent[curve.propagator.size]) * unit > TURNED * place.period:
-        return None
     energy = float(invariants_at(curve.propagator, place.nodes[0], place.free)[0][-1])
     where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
     times, states = full_samples(curve, found)
@@ -248,13 +268,14 @@ def merged(curve: Curve, place: Place, tangent: np.ndarray) -> End | None:
     extent, count = float(np.ptp(states, axis=0).max()), len(states) - 1
     returns = [np.abs(_between(states, count / k) - states[0]).max() for k in range(2, MOST_COVERS + 1)]
     covers = [k for k, gap in enumerate(returns, 2) if gap < JOINED * extent]
+    what = ""
     if covers:
-        return End("merged", f"joins a family of period T/{max(covers)} {where}")
-    if name not in ("none", curve.propagator.symmetry.name):
-        return End("merged", f"joins a family of symmetry {name} {where}")
-    if "reflection" not in curve.propagator.symmetry.name and _unreflected(states, angles) < JOINED * extent:
-        return End("merged", f"joins a family that is its own mirror image {where}")
-    return None
+        what = f"of period T/{max(covers)}"
+    elif name not in ("none", curve.propagator.symmetry.name):
+        what = f"of symmetry {name}"
+    elif "reflection" not in curve.propagator.symmetry.name and _unreflected(states, angles) < JOINED * extent:
+        what = "that is its own mirror image"
+    return End("merged", f"joins a family {what} {where}") if what and mirrored(interval, at) else None
 
 
 def _unreflected(states: np.ndarray, angles: np.ndarray) -> float:
