@@ -129,7 +129,7 @@ def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen
     folder = out / family.name
     drawn = model_in(origin, model, family) if chosen["figures"] else None
     written = save_family_figures(family, folder, drawn) if chosen["figures"] else []
-    click.echo(f"{folder / 'family.json'}: {len(family.points)} certified orbits, {len(family.events)} events")
+    click.echo(f"{folder / 'family.json'}: {family.counts}")
     for end in family.ends:
         click.echo(f"  ended: {end.kind} ({end.reason})")
     if written:

@@ -90,6 +90,8 @@ class FamilyPoint:
     role: str = "step"
     wall_time: float = 0.0
     defect: float = 0.0
+    certified: bool = False
+    """whether it has every check of a certificate and not only those of its closure"""
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,7 @@ class Event:
     tangent: np.ndarray = field(default_factory=lambda: np.zeros(0))
     symmetry: str = "none"
     free: Mapping[str, float] = field(default_factory=dict)
+    certified: bool = False
 
 
 @dataclass(frozen=True)
@@ -155,6 +158,15 @@ class Family:
     def values(self, name: str) -> np.ndarray:
         """One number of every point as an array, in order along the family."""
         return np.asarray([getattr(point, name) for point in self.points])
+
+    @property
+    def counts(self) -> str:
+        """How many orbits are closed and how many of them certified, in words."""
+        sure = [sum(one.certified for one in some) for some in (self.points, self.events)]
+        return (
+            f"{len(self.points)} closed orbits, {sure[0]} of them certified; "
+            f"{len(self.events)} events, {sure[1]} of them at certified orbits"
+        )
 
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
