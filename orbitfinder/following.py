@@ -103,7 +103,7 @@ def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
-    Folds, branch points, period doublings, resonances, collisions and stability changes are located. A run
+    Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
     that was killed goes on where it stopped when the same command is given again.
 
     \b

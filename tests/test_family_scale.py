@@ -1,7 +1,6 @@
 """Families in the scale of their motion: switching, small orbits, units, and ends that are what they say."""
 
 import json
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -35,7 +34,7 @@ def three_body(mu=0.04):
     return of.lagrange(kinetic, potential, of.Symbols(q, v), names=["x", "y", "z"], system=system)
 '''
 HALO = 3.32914982648407, 2 * 1.300183082193319815123
-"""Jacobi constant and period of Howell's first L1 halo orbit at mu = 0.04, to 15 digits (140-bit Taylor integration)."""
+"""Jacobi constant and period of Howell's first L1 halo orbit at mu = 0.04 (140-bit Taylor integration)."""
 
 
 @pytest.fixture(scope="module")
