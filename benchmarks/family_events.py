@@ -62,10 +62,12 @@ def brute(family: Family, model: Model) -> tuple[Counter[str], float]:
         if now is None:
             break
         if before is not None:
-            counts["+1"] += abs(now[0] - before[0]) % 2
-            counts["-1"] += abs(now[1] - before[1]) % 2
+            passed = [abs(now[j] - before[j]) % 2 for j in (0, 1)]
+            counts["+1"] += passed[0]
+            counts["-1"] += passed[1]
             counts["collision"] += abs(now[2] - before[2])
-            counts["stability"] += now[3] != before[3]
+            between = 2 * (sum(passed) == 2 and now[3] == before[3])  # from one side of the circle to the other
+            counts["stability"] += int(now[3] != before[3]) + between
         if 0 < k < len(values) - 1:
             counts[f"fold {level}"] += (values[k] - values[k - 1]) * (values[k + 1] - values[k]) < 0
         before, last = now, point.arclength

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import invariants_at, momentum_slopes, rate_at
 from orbitfinder.families.system import Curve, Solution
 from orbitfinder.periodic.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
@@ -117,10 +118,12 @@ def _symplectic_unit(n: int) -> np.ndarray:
 
 
 def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients of the invariants and symmetry directions, the flow first, at x(0)."""
+    """Gradients of the invariants and symmetry directions, the flow first, at x(0). Raises `ConvergenceError`."""
     p, place = curve.propagator, found.place
     x, n = place.nodes[0], p.size // 2
     directions = [rate_at(p, x, place.unfolding, place.free)]
+    if not np.any(directions[0]):
+        raise ConvergenceError("the corrector found an equilibrium and no orbit")
     directions += [one(x[:n], x[n:], p.model.parameter_values).full().ravel() for one in p.generators]
     gradients = invariants_at(p, x, place.free)[1][:-1]
     return gradients, np.asarray(directions)
