@@ -42,7 +42,10 @@ def seen(model: Model, point: FamilyPoint) -> tuple[int, int, int, bool] | None:
     """(indices beyond +2, beyond -2, complex pairs, unstable) of an orbit, of its half map where it has one."""
     there = with_parameters(model, dict(point.free))
     half = point.root == 2
-    found = gather(there, point.state, point.period / point.root, np.zeros(model.degrees_of_freedom)).floquet
+    try:
+        found = gather(there, point.state, point.period / point.root, np.zeros(model.degrees_of_freedom)).floquet
+    except IntegrationError:  # too near a saddle
+        return None
     indices = -found.indices if half else found.indices
     if np.abs(found.multipliers).max(initial=1.0) > READABLE:
         return None
