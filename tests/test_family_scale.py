@@ -127,7 +127,7 @@ def test_family_passes_a_fold_beside_a_branch_point(tmp_path):
 
     The other folds are those of the tongue of ratio 5 and of the backbone beyond (G. Kerschen et al., MSSP 23 (2009)).
     """
-    family = backbone(1.0, 180, tmp_path)
+    family = backbone(1.0, 240, tmp_path)
     folds = [one.energy for one in family.events if (one.kind, one.detail) == ("fold", "energy")]
     expected = [4680.5462928, 285.1589908, 2105.4660208, 1786.3850840, 107345.2741786]
     assert np.allclose(folds[:5], expected, rtol=1e-8) and "merged" not in {end.kind for end in family.ends}
