@@ -104,7 +104,7 @@ def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
-    Folds, branch points, period doublings, resonances, collisions and stability changes are located. A run
+    Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
     that was killed goes on where it stopped when the same command is given again.
 
     \b
@@ -130,7 +130,7 @@ def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen
     folder = out / family.name
     drawn = model_in(origin, model, family) if chosen["figures"] else None
     written = save_family_figures(family, folder, drawn) if chosen["figures"] else []
-    click.echo(f"{folder / 'family.json'}: {len(family.points)} certified orbits, {len(family.events)} events")
+    click.echo(f"{folder / 'family.json'}: {family.counts}")
     for end in family.ends:
         click.echo(f"  ended: {end.kind} ({end.reason})")
     if written:

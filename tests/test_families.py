@@ -360,7 +360,8 @@ def test_no_bifurcations_out_of_round_off(monkeypatch):
 
     def probe(index, largest):
         floquet = SimpleNamespace(multipliers=np.array([largest, 1 / largest]))
-        return SimpleNamespace(indices=np.array([index + 0j]), about=SimpleNamespace(floquet=floquet))
+        about = SimpleNamespace(floquet=floquet, conservative=True)
+        return SimpleNamespace(indices=np.array([index + 0j]), about=about)
 
     def looked(interval):
         raise LookupError

@@ -47,7 +47,8 @@ def read(family: Family, s: float, expected: np.ndarray | None, distance: float,
     upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1, 1)))
     on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2)
     turns = np.where(on_circle, _krein(UNITS[len(matrix) // 2], matrix, upper), 0)
-    return Probe(distance, None, None, SimpleNamespace(root=root, floquet=floquet), indices[order], turns[order], {})
+    about = SimpleNamespace(root=root, floquet=floquet, conservative=True)
+    return Probe(distance, None, None, about, indices[order], turns[order], {})
 
 
 def one_step(family: Family, low: float, high: float, root: int = 1, trend: np.ndarray | None = None) -> Planted:

@@ -20,14 +20,16 @@ from orbitfinder.flow import build_flow, end_state
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import reduced
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.model import energy
 from orbitfinder.periodic.conditions import pin
 from orbitfinder.periodic.dae_orbit import find_dae_orbit
 from orbitfinder.periodic.linkage_guesses import linkage_mode
 from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.solve import find_orbit
 from orbitfinder.problemfile import load_problem
-from orbitfinder.systems import henon_heiles
+from orbitfinder.systems import henon_heiles, pendulum_on_cart
 
 FAMILIES = Path(__file__).parents[1] / "problems" / "families"
 QUIET = FamilySettings(events=False)
@@ -229,6 +231,41 @@ def test_momentum_is_no_second_condition_on_a_brake_orbit(tmp_path):
     assert family.points[0].symmetry == "brake" and len(family.points) == 5
 
 
+SWINGING, ROUND = 1.85404041, 2.55995496
+"""Rate (rad/s) at which a bead released at 1.2 rad turns its hoop once in one swing, and the period (s) of that."""
+
+
+def hoop(inertia=1.0):
+    """A bead on a hoop of radius 1 that spins freely: the spin's angle is absent, its momentum kept."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    kinetic = (v[0] ** 2 + (inertia + ca.sin(q[0]) ** 2) * v[1] ** 2) / 2
+    return lagrange(kinetic, -9.8 * ca.cos(q[0]), Symbols(q, v), names=["theta", "spin"], angles=[True, True])
+
+
+RUNNING = {
+    "cart": lambda: Problem(pendulum_on_cart(), Guess([0.0, 0.0, -4.5, 9.0], 0.9), pin(energy=10.45), "reversal",
+                            winding=(0, 1), name="cart"),
+    "hoop": lambda: Problem(hoop(), Guess([1.2, 0.0, 0.0, SWINGING], ROUND), winding=(0, 1), name="hoop"),
+    "spherical": lambda: Problem(hoop(0.0), Guess([1.1433, 0.0, 0.0, 1.602], 5.4616), pin(energy=-3.0),
+                                 winding=(0, 3), name="spherical"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RUNNING)
+def test_families_of_orbits_with_momentum(name, tmp_path):
+    """Momentum is neither held nor unfolded twice: it varies along the family, and every orbit closes."""
+    orbit = find_orbit(RUNNING[name]())
+    model = RUNNING[name]().model
+    family = continue_command(orbit, points=6, out=tmp_path, settings=ONWARD, model=model)
+    assert orbit.certificate.passed and len(family.points) == 7
+    kept = model.invariants[1].value
+    momenta = [float(kept(*np.split(point.state, 2), model.parameter_values)) for point in family.points]
+    assert name == "cart" or np.ptp(momenta) > 1e-3  # the cart must not drift away
+    last = family.points[-1]
+    again = find_orbit(Problem(model, Guess(last.state, last.period), pin(energy=last.energy), winding=orbit.winding))
+    assert again.certificate.passed and again.period == pytest.approx(last.period, rel=1e-10)
+
+
 # ---- ends and avoided crossings -------------------------------------------------------------------------
 
 
@@ -272,7 +309,7 @@ def test_gallery_of_motions(tmp_path):
     """Eight whole periods along a family, each closing, with the joints that a system has."""
     model = henon_heiles()
     problem = load_problem(FAMILIES / "henon-heiles-loop.toml")
-    family = continue_command(problem, points=12, out=tmp_path, settings=ONWARD)
+    family = continue_command(problem, points=20, out=tmp_path, settings=ONWARD)
     shown = motions(family, model)
     assert len(shown) == 8 and shown[0].joints.shape[1:] == (2, 1)
     assert max(np.abs(one.states[-1] - one.states[0]).max() for one in shown) < 1e-10

@@ -34,14 +34,14 @@ class ClosureCheck:
 
     def __call__(
         self, state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,
-        free: Mapping[str, float] | None = None,
+        free: Mapping[str, float] | None = None, units: np.ndarray | float = 1.0,
     ) -> float:
-        """The largest gap round the loop of an orbit (rad, rad/s); `allowed` is what will be asked of it."""
+        """The largest gap round the loop of an orbit, in `units` (2n); `allowed` is what will be asked of it."""
         n, gap = state.size // 2, np.inf
         for longest in LONGEST_STEPS:
             end = self._end(state, period, longest, free)
             moved = np.concatenate([end[:n] - state[:n] - 2 * np.pi * turns, end[n:] - state[n:]])
-            gap = float(np.abs(moved).max())
+            gap = float(np.abs(moved / units).max())
             if gap <= 0.5 * allowed:
                 break
         return gap

@@ -12,6 +12,7 @@ import numpy as np
 from orbitfinder import locks
 from orbitfinder.arguments import checked
 from orbitfinder.errors import InputError
+from orbitfinder.families.certified import batch_certified, certified
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.continuation import follow
 from orbitfinder.families.points import CLOSURE, Batch, Family, FamilyPoint, FamilySettings, winding
@@ -200,6 +201,7 @@ def _finish(
         if any(one.end is not None and one.end.kind == "returned" for one in batches):
             break  # a closed family has one direction
         for batch in follow(Walk(curve, settings, sign, origin, check, stop, exact), done):
+            batch = batch_certified(curve, batch) if settings.certify else batch
             append(folder, batch)
             batches.append(batch)
             if progress:
@@ -207,5 +209,9 @@ def _finish(
             if len(batches) % SAVE_EVERY == 0:
                 save_family(assemble(Journal(journal.header, tuple(batches))), folder)
     family = assemble(Journal(journal.header, tuple(batches)))
+    if settings.certify:
+        first, *rest = family.points
+        ends = (certified(curve, first), *rest[:-1], *(certified(curve, one) for one in rest[-1:]))
+        family = replace(family, points=ends)
     save_family(family, folder)
     return family

@@ -20,6 +20,7 @@ from orbitfinder.families.events import Interval, Probe, find_events, make_inter
 from orbitfinder.families.exact import exact_points
 from orbitfinder.families.mesh import refined, regraded, settled
 from orbitfinder.families.points import Batch, End, Event, FamilyPoint, FamilySettings, make_point
+from orbitfinder.families.scale import span
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.families.strips import avoided
 from orbitfinder.families.system import Aim, Curve, Place, Solution, advanced, bend, correct, distance, head_of, tangent
@@ -65,19 +66,20 @@ def stride(walk: Walk, stand: Stand) -> tuple[Stand, Batch]:
         except (ConvergenceError, IntegrationError) as error:
             length *= 0.5
             least = shortest_step(walk.curve, stand.found, walk.settings, stand.shortest_period)
+            least *= _span(walk.curve, stand.found)
             if length < least:
                 raise ConvergenceError(f"step below {least:g}: {error}") from error
 
 
 def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
     began = time.perf_counter()
-    curve, place = walk.curve, stand.found.place
+    curve, place, unit = walk.curve, stand.found.place, _span(walk.curve, stand.found)
     head = head_of(stand.whole, place)
     guess = advanced(place, stand.whole, length, stand.curvature)
     normal = curve.weights * head
     aim = Aim(float(normal @ place.head) + length, normal)
     slope = stand.found.jacobian if stand.drift is None else stand.found.jacobian + length * stand.drift
-    raw = correct(curve, guess, aim, place, reach=0.5 * length + 1e-9, slope=slope, fit=regraded)
+    raw = correct(curve, guess, aim, place, reach=0.5 * length + 1e-9 * unit, slope=slope, fit=regraded)
     whole = tangent(curve, raw, head)
     turn = _angle(curve, head, head_of(whole, raw.place))
     if turn > walk.settings.sharpest_turn:
@@ -87,12 +89,13 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
         whole = tangent(curve, found, head_of(whole, raw.place))
     last = make_probe(curve, length, raw, tangent(curve, raw, head) if found is not raw else whole,
                       stand.point.indices + stand.trend)  # fmt: skip
-    if length > walk.settings.narrowest and avoided(stand.probe, last):
+    if length > walk.settings.narrowest * unit and avoided(stand.probe, last):
         raise ConvergenceError("two families may avoid each other within one step")
+    missed = distance(curve, guess.head, raw.place.head)
     where: dict[str, Any] = {
         "index": stand.point.index + 1,
         "arclength": stand.point.arclength + walk.direction * length,
-        "step": _next_step(walk.settings, length, distance(curve, guess.head, raw.place.head), turn),
+        "step": unit * _next_step(walk.settings, length / unit, missed / unit, turn),
         "indices": last.indices,
     }
     point, found = _checked_point(walk, found, whole, where, last.about if found is raw else None)
@@ -121,12 +124,20 @@ def _checked_point(
     raise AssertionError("unreachable")
 
 
+def _span(curve: Curve, found: Solution) -> float:
+    """What lengths along the family are relative to here."""
+    return span(curve.propagator.model.angles, curve.weights, found.march.states)
+
+
 def _angle(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:
     return float(np.arccos(np.clip(np.sum(curve.weights * one * other), -1.0, 1.0)))
 
 
 def _next_step(settings: FamilySettings, length: float, missed: float, turn: float) -> float:
-    """Longer after a good prediction (its error goes with the third power), shorter after a bad one or a sharp turn."""
+    """Longer after a good prediction (its error goes with the third power), shorter after a bad one or a sharp turn.
+
+    All lengths relative to the motion.
+    """
     ease = float(np.clip((PREDICTION / max(missed, 1e-12)) ** (1 / 3), 0.5, 1.5))
     bendable = 0.4 * settings.sharpest_turn / max(turn, 1e-9)
     return float(min(settings.longest_step, length * min(ease, max(0.5, bendable))))
@@ -155,12 +166,14 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
     if found is not None and found.kind == "equilibrium":
         return Batch(walk.direction, (), (), found)
     for event in named:
-        joined = merged(curve, _place_of(curve, event)) if (event.kind, event.detail) == ("fold", "energy") else None
+        turned = (event.kind, event.detail) == ("fold", "energy")
+        at = abs(event.arclength - where)
+        joined = merged(curve, _place_of(curve, event), interval, at) if turned else None
         if joined is not None:
             reach = abs(event.arclength - where)
             kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
-            clear = [one for one in named if abs(one.arclength - where) < reach - ECHO]
+            clear = [one for one in named if abs(one.arclength - where) < reach - ECHO * interval.unit]
             return Batch(walk.direction, _ordered(kept), (*clear, event), joined)
     found = found or returned(curve, stand.found, after.found, stand.heads, after.point.arclength)
     points = [point for group in extras for point in group]
@@ -174,7 +187,7 @@ def _events(interval: Interval, settings: FamilySettings) -> list[tuple[float, E
     try:
         return find_events(interval, settings, 0.0)
     except (ConvergenceError, IntegrationError) as error:
-        if interval.length > SHORTEST_SEARCH:
+        if interval.share > SHORTEST_SEARCH:
             raise
         logging.getLogger(__name__).warning("an event could not be located: %s", error)
         return []

@@ -6,17 +6,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.points import End, FamilyPoint, FamilySettings
-from orbitfinder.families.propagate import invariants_at, rates
+from orbitfinder.families.probes import Interval
+from orbitfinder.families.propagate import invariants_at, rate_at, rates
+from orbitfinder.families.scale import extents, span
 from orbitfinder.families.start import full_samples
 from orbitfinder.families.system import Aim, Curve, Place, Solution, at_place, blended, correct, distance
 from orbitfinder.periodic.symmetry import recognise
 
 SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
+NEAR = 0.1
+"""... of an equilibrium within this share of the motion's extents,"""
+MOST_NEWTON, DIFFERENCE = 12, 1e-5
+"""... which Newton's method finds with derivatives by differences of this share of them."""
+ABRUPT = 30.0
+"""A largest acceleration this many times the median one speaks of a singularity where a family cannot go on."""
 SLOW_SHARE = 0.4
 """... and an orbit that spends this share of its period there is nearly homoclinic to it."""
 UNDERFLOW_GROWTH, UNDERFLOW_SHARE = 1.5, 0.25
@@ -29,6 +38,10 @@ MOST_COVERS = 6
 """A family may join another one of up to this many times shorter a period."""
 JOINED = 1e-3
 """How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
+EDGE = 1e-2
+"""Share of a step that a fold must be away from its ends to be looked at from both sides."""
+MIRRORED = 1e-4
+"""Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
 SAME = 1e-7
 """Orbits nearer than this in the family's metric are one orbit."""
 FEWEST_STEPS = 5
@@ -73,32 +86,79 @@ def end_after(
     share, state = slowness(curve, found)
     grown = found.place.period / shortest_period
     if failure:
-        if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE:
+        if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and near_saddle(curve, found, state):
             return _homoclinic(curve, found, state, grown, f"; then {failure}")
         free = dict(zip(curve.propagator.free, map(float, found.place.free), strict=True))
         dead = dead_point(curve.propagator.model.system, found.march.states, free)
         if dead:
             return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
-        return End("step underflow", failure)
+        return _singular(curve, found, failure) or End("step underflow", failure)
     if before is not None and collapsed(curve, before, found):
         where = np.array2string(centre(curve, before), precision=6)
         reason = f"the orbits shrink to the equilibrium at q = {where}, period {before.place.period:.9g} s"
         return End("equilibrium", reason)
-    if grown > settings.longest_period and share > SLOW_SHARE:
+    if share <= SLOW_SHARE:
+        return None
+    if grown > settings.longest_period and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, "")
-    if energies is not None and share > SLOW_SHARE and energies.settled and not curve.propagator.free:
+    if energies is not None and energies.settled and not curve.propagator.free and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f", multiplier {energies.largest:.2g}, beyond what can be told")
     return None
 
 
 def shortest_step(curve: Curve, found: Solution, settings: FamilySettings, shortest_period: float) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
-    near = found.place.period > UNDERFLOW_GROWTH * shortest_period and slowness(curve, found)[0] > SLOW_SHARE
-    return HOMOCLINIC_STEP if near else settings.shortest_step
+    if not found.place.period > UNDERFLOW_GROWTH * shortest_period:
+        return settings.shortest_step
+    share, state = slowness(curve, found)
+    return HOMOCLINIC_STEP if share > SLOW_SHARE and near_saddle(curve, found, state) else settings.shortest_step
+
+
+def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
+    """Whether a state is near an equilibrium with a growing direction, relative to the extents of its motion.
+
+    Without one, a slow and long orbit is no nearly homoclinic one.
+    """
+    p, place = curve.propagator, found.place
+    n, units = p.size // 2, extents(found.march.states)
+    x = np.concatenate([state[:n], np.zeros(n)])
+    for _ in range(MOST_NEWTON):
+        slopes = _linearised(curve, place, x, units)
+        step = np.linalg.lstsq(slopes[n:, :n], -rate_at(p, x, place.unfolding, place.free)[n:], rcond=1e-9)[0]
+        x[:n] += step
+        if not np.all(np.isfinite(x)) or np.any(np.abs(x - state) > NEAR * units):
+            return False
+        if np.all(np.abs(step) < 1e-6 * units[:n]):
+            growing = np.linalg.eigvals(_linearised(curve, place, x, units)).real.max()
+            return bool(growing * place.period > 1.0)
+    return False
+
+
+def _linearised(curve: Curve, place: Place, x: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """d(dx/dt)/dx (2n x 2n) by central differences."""
+    p = curve.propagator
+    steps = DIFFERENCE * np.diag(units)
+    pairs = [[rate_at(p, x + s * one, place.unfolding, place.free) for s in (1, -1)] for one in steps]
+    return np.stack([(a - b) / (2 * size) for (a, b), size in zip(pairs, np.diag(steps), strict=True)], axis=1)
+
+
+def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
+    """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
+    states, mesh, n = found.march.states, found.place.mesh, curve.propagator.size // 2
+    speed = np.linalg.norm(rates(curve.propagator, states, found.place.tail)[:, n:], axis=1)
+    usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
+    if not speed.max() > ABRUPT * usual:
+        return None
+    where = np.array2string(states[int(np.argmax(speed)), :n], precision=4, suppress_small=True)
+    return End(
+        "singularity",
+        f"the motion comes near a singularity at q = {where} (a collision, say), where its acceleration is "
+        f"{speed.max() / usual:.3g} times the median; {failure}",
+    )
 
 
 def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
-    energy = float(invariants_at(curve.propagator, found.place.nodes[0], found.place.free)[0][0])
+    energy = float(invariants_at(curve.propagator, found.place.nodes[0], found.place.free)[0][-1])
     n = state.size // 2
     where = np.array2string(state[:n], precision=4, suppress_small=True)
     return End(
@@ -155,6 +215,7 @@ def returned(
     a, step = before.place.head, found.place.head - before.place.head
     if len(heads) < FEWEST_STEPS:
         return None
+    unit = span(curve.propagator.model.angles, curve.weights, found.march.states)
     past = np.asarray(heads[: 1 - FEWEST_STEPS])
     ahead = np.diff(np.asarray(heads[: 2 - FEWEST_STEPS]), axis=0)
     normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
@@ -167,19 +228,39 @@ def returned(
             again = correct(curve, guess, Aim(float(normal @ past[k]), normal), before.place, slope=before.jacobian)
         except (ConvergenceError, IntegrationError):
             continue
-        if distance(curve, again.place.head, past[k]) < SAME:
+        if distance(curve, again.place.head, past[k]) < SAME * unit:
             where = "its start" if k == 0 else f"its step {k}"
             return End("returned", f"a closed family: back at {where} after an arclength of {abs(arclength):.6g}")
     return None
 
 
-def merged(curve: Curve, place: Place) -> End | None:
+def mirrored(interval: Interval, at: float) -> bool:
+    """Whether a family is its own mirror image about a fold in energy `at` so far into a step.
+
+    Then orbits of one energy on its two sides have one period, which at a plain fold differ to first order, and at one
+    close to a branch point that the family passes to third. Raises `ConvergenceError` at the edge of the step.
+    """
+
+    def read(distance: float) -> np.ndarray:
+        place = interval.probe(distance).found.place
+        return np.array([invariants_at(interval.curve.propagator, place.nodes[0], place.free)[0][-1], place.period])
+
+    turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
+    near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
+    if abs(near - at) < EDGE * interval.length:
+        raise ConvergenceError("the family turns at the edge of a step")
+    level = ends[near]
+    other = read(float(brentq(lambda distance: float(read(distance)[0] - level[0]), at, far, rtol=1e-12)))
+    return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
+
+
+def merged(curve: Curve, place: Place, interval: Interval, at: float) -> End | None:
     """At a fold in energy: whether the family joins there one of more symmetry or of a shorter period.
 
     A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
     """
     found = at_place(curve, place)
-    energy = float(invariants_at(curve.propagator, place.nodes[0], place.free)[0][0])
+    energy = float(invariants_at(curve.propagator, place.nodes[0], place.free)[0][-1])
     where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
     times, states = full_samples(curve, found)
     angles = np.asarray(curve.propagator.model.angles)
@@ -187,13 +268,14 @@ def merged(curve: Curve, place: Place) -> End | None:
     extent, count = float(np.ptp(states, axis=0).max()), len(states) - 1
     returns = [np.abs(_between(states, count / k) - states[0]).max() for k in range(2, MOST_COVERS + 1)]
     covers = [k for k, gap in enumerate(returns, 2) if gap < JOINED * extent]
+    what = ""
     if covers:
-        return End("merged", f"joins a family of period T/{max(covers)} {where}")
-    if name not in ("none", curve.propagator.symmetry.name):
-        return End("merged", f"joins a family of symmetry {name} {where}")
-    if "reflection" not in curve.propagator.symmetry.name and _unreflected(states, angles) < JOINED * extent:
-        return End("merged", f"joins a family that is its own mirror image {where}")
-    return None
+        what = f"of period T/{max(covers)}"
+    elif name not in ("none", curve.propagator.symmetry.name):
+        what = f"of symmetry {name}"
+    elif "reflection" not in curve.propagator.symmetry.name and _unreflected(states, angles) < JOINED * extent:
+        what = "that is its own mirror image"
+    return End("merged", f"joins a family {what} {where}") if what and mirrored(interval, at) else None
 
 
 def _unreflected(states: np.ndarray, angles: np.ndarray) -> float:

@@ -2,7 +2,8 @@
 
 Folds are sign changes of d(energy)/ds, d(period)/ds, d(parameter)/ds; bifurcations are passages of a
 stability index kappa = mu + 1/mu through 2 cos(2 pi k / q); collisions are sign changes of the
-discriminant (kappa_i - kappa_j)^2. Where the orbit is its own mirror image the indices are those of
+discriminant (kappa_i - kappa_j)^2; without an energy (`crossings`) they are passages of multipliers through
+the unit circle. Where the orbit is its own mirror image the indices are those of
 the half map, whose square is the monodromy: there a multiplier touches -1 without crossing it, and
 the half map's index passes 0. Located with Brent's method on the arclength, each trial a corrected orbit.
 Collisions come first: passages are counted between them, where indices keep their identity.
@@ -17,6 +18,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.collisions import collisions, look, meeting
+from orbitfinder.families.crossings import crossings
 from orbitfinder.families.passages import Measure, Test, located, passages
 from orbitfinder.families.points import Event, FamilySettings, parameter_value
 from orbitfinder.families.probes import Interval as Interval
@@ -27,6 +29,8 @@ from orbitfinder.families.probes import parameter_slopes as parameter_slopes
 from orbitfinder.families.strips import strips
 from orbitfinder.families.system import Curve, head_of
 
+CRITICAL = ("branch_point", "period_doubling", "torus")
+"""Kinds at which a multiplier leaves or enters the unit circle."""
 ROUNDS = 4
 """How often collisions are looked for again after orbits between them were seen."""
 
@@ -57,9 +61,13 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Probe, Test]]:
 
     Raises `ConvergenceError` when they cannot be told apart within so long a step.
     """
-    if interval.first.indices.shape != interval.last.indices.shape or not interval.first.indices.size:
+    if interval.first.indices.shape != interval.last.indices.shape:
         return []
     if max(blur(interval.first), blur(interval.last)) > BLURRED:
+        return []
+    if not interval.first.about.conservative:
+        return crossings(interval)
+    if not interval.first.indices.size:
         return []
     touched = [(interval.probe(place), test) for test, place in strips(interval)]
     look(interval)
@@ -77,15 +85,15 @@ def find_events(interval: Interval, settings: FamilySettings, arclength: float) 
     found = [(located(interval, test.measure, 0.0, interval.length), test) for test in folds(interval)]
     found += bifurcations(interval, settings.resonances)
     found.sort(key=lambda pair: pair[0].distance)
-    turns = [probe.distance for probe, test in found if test.kind == "fold" and test.detail == "energy"]
-    found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
+    turns = [probe.distance for probe, test in found if test.kind == "fold" and test.detail != "period"]
+    found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns, interval.unit))]
     events = [(p.distance, _event(interval.curve, p, test, settings, arclength)) for p, test in found]
     return sorted(events + _changes(interval, found, settings, arclength), key=lambda pair: pair[0])
 
 
-def _near(distance: float, places: list[float]) -> bool:
-    """Whether a branch point is only the multiplier +1 that every fold in energy has."""
-    return any(abs(distance - other) < 1e-5 for other in places)
+def _near(distance: float, places: list[float], unit: float) -> bool:
+    """Whether a branch point is only the multiplier +1 that every fold has."""
+    return any(abs(distance - other) < 1e-5 * unit for other in places)
 
 
 def _event(curve: Curve, probe: Probe, test: Test, settings: FamilySettings, arclength: float) -> Event:
@@ -113,14 +121,14 @@ def _changes(
     interval: Interval, found: list[tuple[Probe, Test]], settings: FamilySettings, arclength: float
 ) -> list[tuple[float, Event]]:
     """The located events at which the verdict changes, read halfway to their neighbours."""
-    critical = [(p, t) for p, t in found if t.kind in ("branch_point", "period_doubling", "collision", "fold")]
+    critical = [(p, t) for p, t in found if t.kind in (*CRITICAL, "collision", "fold")]
     a, b = (p.about.floquet.stability == "unstable" for p in (interval.first, interval.last))
     if not critical or (a == b and len(critical) < 2):
         return []
     edges = [0.0, *(p.distance for p, _ in critical), interval.length]
     verdicts = [a]
     for before, after in pairwise(edges[1:-1]):
-        inner = interval.probe(0.5 * (before + after)) if after - before > 1e-7 else None
+        inner = interval.probe(0.5 * (before + after)) if after - before > 1e-7 * interval.unit else None
         verdicts.append(verdicts[-1] if inner is None else inner.about.floquet.stability == "unstable")
     verdicts.append(b)
     changes = []

@@ -55,7 +55,7 @@ def _solve_level(walk: Walk, stand: Stand, guess: Place, value: float, reach: fl
     name, model = walk.settings.parameter, walk.curve.propagator.model
     unit = np.eye(curve.weights.size)
     if name == "energy":
-        aim = Aim(value, invariant=0)
+        aim = Aim(value, invariant=-1)
     elif name == "period":
         aim = Aim(value, unit[size])
     elif name in curve.propagator.free:

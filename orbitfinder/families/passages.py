@@ -88,7 +88,8 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Pr
     if ends[0] * ends[1] >= 0:  # within round-off of one end
         return interval.probe((low, high)[int(abs(ends[1]) < abs(ends[0]))])
     # round-off may keep the last bracket wider than asked for
-    return interval.probe(float(brentq(value, low, high, xtol=LOCATION, rtol=1e-14, maxiter=60, disp=False)))
+    tight = {"xtol": LOCATION * interval.unit, "rtol": 1e-14, "maxiter": 60, "disp": False}
+    return interval.probe(float(brentq(value, low, high, **tight)))
 
 
 @dataclass(frozen=True)
@@ -203,6 +204,6 @@ def _each(interval: Interval, part: Stretch, level: float, positions: np.ndarray
         probe = located(interval, course, part.low, part.high)
         if abs(course(probe)) <= TOLD_APART:
             found.append(probe)
-        elif interval.length > UNTOLD:
+        elif interval.share > UNTOLD:
             raise ConvergenceError(f"two stability indices near {level:.4g} cannot be told apart within one step")
     return found

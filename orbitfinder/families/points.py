@@ -12,11 +12,12 @@ from orbitfinder import display
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.closure import ClosureCheck
 from orbitfinder.families.propagate import invariants_at
+from orbitfinder.families.scale import extents
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.families.system import Curve, Place, Solution
 
 CLOSURE = 1e-11
-"""Largest independent closure of an accepted point, times max(1, largest multiplier)."""
+"""Largest independent closure of an accepted point, relative to the motion, times max(1, largest multiplier)."""
 
 
 PIECEWISE = 1e3
@@ -25,7 +26,7 @@ PIECEWISE = 1e3
 
 @dataclass(frozen=True)
 class FamilySettings:
-    """How a family is followed. Lengths are arclengths in the family's metric (rad for angles)."""
+    """How a family is followed. Lengths are arclengths in rad, without angles in extents of the motion."""
 
     parameter: str = "energy"
     """energy | period | a state component | a physical parameter (then `hold` is kept)"""
@@ -54,13 +55,14 @@ class FamilySettings:
 class FamilyPoint:
     """One periodic orbit of a family, complete: what an Orbit says, and where it is on the family.
 
-    `closure` is by the independent integrator, `scale` = max(1, largest multiplier) what its allowed
-    value 1e-11 is multiplied by. Where that is more than 1e-8, one turn says little, and the orbit is
-    checked piece by piece as well: `defect` is the largest gap between where the same integrator
-    leaves one of the shooting nodes and the next node, of which 1e-11 times the growth over a piece is
-    allowed; elsewhere it is the closure itself. `indices` are the stability indices in the order that follows each
-    curve along the family, of the map whose power `root` is the monodromy. `tangent` is d(x(0), T,
-    free)/d(arclength); `nodes` and `mesh` rebuild the shooting unknowns. `role`: step | at | end.
+    `closure` is by the independent integrator and relative to the extent of the motion, `scale` =
+    max(1, largest multiplier) what its allowed value 1e-11 is multiplied by. Where that is more than
+    1e-8, one turn says little, and the orbit is checked piece by piece as well: `defect` is the largest
+    gap, as relative, between where the same integrator leaves one of the shooting nodes and the next
+    node, of which 1e-11 times the growth over a piece is allowed; elsewhere it is the closure itself.
+    `indices` are the stability indices in the order that follows each curve along the family, of the
+    map whose power `root` is the monodromy. `tangent` is d(x(0), T, free)/d(arclength); `nodes` and
+    `mesh` rebuild the shooting unknowns. `role`: step | at | end.
     """
 
     index: int
@@ -88,13 +90,15 @@ class FamilyPoint:
     role: str = "step"
     wall_time: float = 0.0
     defect: float = 0.0
+    certified: bool = False
+    """whether it has every check of a certificate and not only those of its closure"""
 
 
 @dataclass(frozen=True)
 class Event:
     """Something that happens between two points, located on the family.
 
-    `kind`: fold | branch_point | period_doubling | resonance | collision | stability_change. `detail`
+    `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change. `detail`
     says what exactly (of what the fold is, q of the resonance, what changed); `multiplier` is the
     critical multiplier of the root map, `order` the number of periods after which the branch closes.
     """
@@ -114,6 +118,7 @@ class Event:
     tangent: np.ndarray = field(default_factory=lambda: np.zeros(0))
     symmetry: str = "none"
     free: Mapping[str, float] = field(default_factory=dict)
+    certified: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,6 +159,15 @@ class Family:
         """One number of every point as an array, in order along the family."""
         return np.asarray([getattr(point, name) for point in self.points])
 
+    @property
+    def counts(self) -> str:
+        """How many orbits are closed and how many of them certified, in words."""
+        sure = [sum(one.certified for one in some) for some in (self.points, self.events)]
+        return (
+            f"{len(self.points)} closed orbits, {sure[0]} of them certified; "
+            f"{len(self.events)} events, {sure[1]} of them at certified orbits"
+        )
+
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
         return display.html(self)
@@ -170,7 +184,7 @@ def parameter_value(curve: Curve, place: Place, name: str) -> float:
     if name == "period":
         return place.period
     if name == "energy":
-        return float(invariants_at(p, place.nodes[0], place.free)[0][0])
+        return float(invariants_at(p, place.nodes[0], place.free)[0][-1])
     return float(place.nodes[0][p.model.state_index(name)])
 
 
@@ -187,7 +201,9 @@ def make_point(
     largest = float(np.abs(about.floquet.multipliers).max(initial=1.0))
     allowed = CLOSURE * max(1.0, largest)
     free = dict(zip(p.free, map(float, place.free), strict=True))
-    closure = 0.0 if check is None else check(place.nodes[0], place.period, winding(curve), allowed, free)
+    closure = 0.0 if check is None else check(
+        place.nodes[0], place.period, winding(curve), allowed, free, extents(found.march.states)
+    )
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} with largest multiplier {largest:.3g}")
     defect = closure
@@ -224,16 +240,17 @@ def make_point(
 def piecewise_defect(
     curve: Curve, found: Solution, check: Check, free: Mapping[str, float]
 ) -> tuple[float, float]:
-    """The largest gap between the pieces of an orbit (rad, rad/s), the boundary's included, and the largest growth.
+    """The largest gap between the pieces of an orbit, the boundary's included, and the largest growth.
 
-    The growth of a piece is the 2-norm of its state-transition matrix.
+    Both relative to the motion; the growth of a piece is the 2-norm of its state-transition matrix.
     """
-    place, size = found.place, curve.propagator.size
+    place, size, units = found.place, curve.propagator.size, extents(found.march.states)
+    across = np.maximum(np.abs(curve.first) * units, np.abs(curve.last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
     ends = check.ends(place.nodes, durations, free)
     boundary = curve.first @ place.nodes[0] + curve.last @ ends[-1] - curve.constant
-    gaps = np.concatenate([(ends[:-1] - place.nodes[1:]).ravel(), boundary])
-    growth = max(np.linalg.norm(matrix[:, :size], 2) for matrix in found.march.sensitivities)
+    gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
+    growth = max(np.linalg.norm(matrix[:, :size] * units / units[:, None], 2) for matrix in found.march.sensitivities)
     return float(np.abs(gaps).max()), max(1.0, float(growth))
 
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import invariants_at
+from orbitfinder.families.scale import span
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.system import Aim, Curve, Place, Solution, advanced, bend, correct, head_of, tangent
 
@@ -40,11 +42,18 @@ class Interval:
     curvature: np.ndarray
     twist: np.ndarray
     seen: dict[float, Probe] = field(default_factory=dict, compare=False, repr=False)
+    unit: float = 1.0
+    """what arclengths are relative to (see `scale.span`)"""
 
     @property
     def length(self) -> float:
         """Arclength (measured along the first tangent)."""
         return self.last.distance
+
+    @property
+    def share(self) -> float:
+        """The length relative to the motion."""
+        return self.length / self.unit
 
     def probe(self, distance: float) -> Probe:
         """The orbit at a distance (along the first tangent) into the interval, corrected once."""
@@ -63,10 +72,13 @@ class Interval:
         first, curve = self.first, self.curve
         normal = curve.weights * head_of(first.whole, first.found.place)
         aim = Aim(float(normal @ first.found.place.head) + distance, normal)
-        reach = max(0.5 * self.length, 1e-6)
+        reach = max(0.5 * self.length, 1e-6 * self.unit)
         found = correct(curve, self.guess(distance), aim, first.found.place, reach, self.slope(distance))
         whole = tangent(curve, found, head_of(first.whole, first.found.place))
-        return make_probe(curve, distance, found, whole, self.indices(distance))
+        probe = make_probe(curve, distance, found, whole, self.indices(distance))
+        if probe.indices.shape != first.indices.shape:
+            raise ConvergenceError("the orbit is a relative equilibrium, whose flow is one of its symmetries")
+        return probe
 
     def guess(self, distance: float) -> Place:
         """The cubic through both ends with both tangents."""
@@ -88,7 +100,7 @@ def parameter_slopes(curve: Curve, place: Place, head: np.ndarray) -> dict[str, 
     """d/ds of energy, period and every freed parameter along a direction over the head."""
     p, size = curve.propagator, curve.propagator.size
     _, slope, free = invariants_at(p, place.nodes[0], place.free)
-    energy = float(slope[0] @ head[:size] + free[0] @ head[size + 1 :])
+    energy = float(slope[-1] @ head[:size] + free[-1] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.free)}
     return slopes | {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
@@ -112,7 +124,8 @@ def make_interval(curve: Curve, first: Probe, last: Probe) -> Interval:
     along = float((curve.weights * head_of(first.whole, first.found.place)) @ head_of(last.whole, last.found.place))
     if last.whole.shape == first.whole.shape and along > 0.5:
         twist = (last.whole / along - first.whole - 2 * length * curvature) / length**2
-    return Interval(curve, first, last, curvature, twist)
+    unit = span(curve.propagator.model.angles, curve.weights, first.found.march.states)
+    return Interval(curve, first, last, curvature, twist, unit=unit)
 
 
 def is_real(value: complex) -> bool:

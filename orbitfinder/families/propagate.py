@@ -26,8 +26,6 @@ from orbitfinder.runge_kutta import step_of, variational_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
-FORMULATIONS = {**SYMMETRIES, "reversal": Symmetry("reversal", 0.5, False, True, False, True)}
-"""The symmetries of a Problem, and odd motions, q(-t) = -q(t): reversal combined with reflection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +34,7 @@ class Propagator:
 
     `field(t, x, s, free)` is dx/dt; `step(z, p)` one Runge-Kutta step of z = (t, x, vec Y, S) with
     p = (h, s, free) and `move` one of (t, x) alone; `trial_all` and `trial` the error estimates of
-    such steps. `quantities(x, free)` gives (invariants, d/dx, d/dfree), `momenta(x, free)` the
+    such steps. `quantities(x, free)` gives (invariants and energy, d/dx, d/dfree), `momenta(x, free)` the
     Jacobian of (q, momentum) in (q, v).
     """
 
@@ -66,7 +64,7 @@ class Propagator:
 
 def build_propagator(model: Model, symmetry: str = "none", free: tuple[str, ...] = ()) -> Propagator:
     """Everything that depends on the equations alone; built once per family."""
-    boundary = FORMULATIONS[symmetry]
+    boundary = SYMMETRIES[symmetry]
     unfolded = unfolded_invariants(model, boundary)
     field = vector_field(model, free, unfolded)
     action = _action_rate(model, field, free)
@@ -99,7 +97,7 @@ def _quantities(model: Model, free: tuple[str, ...]) -> tuple[ca.Function, ca.Fu
     q, v, chosen = ca.MX.sym("q", n), ca.MX.sym("v", n), ca.MX.sym("free", len(free))
     parameters = model.parameters(free, chosen)
     values = [one.value(q, v, parameters) for one in model.invariants]
-    values = values or [model.kinetic(q, v, parameters) + model.potential(q, parameters)]
+    values.append(model.kinetic(q, v, parameters) + model.potential(q, parameters))
     stacked, parts = ca.vertcat(*values), [q, v, chosen]
     slopes = ca.Function("slopes", parts, [stacked, ca.horzcat(ca.jacobian(stacked, q), ca.jacobian(stacked, v)),
                                            ca.jacobian(stacked, chosen)])  # fmt: skip
@@ -130,7 +128,7 @@ def rate_at(propagator: Propagator, x: np.ndarray, unfolding: np.ndarray, free: 
 def invariants_at(
     propagator: Propagator, x: np.ndarray, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The invariants (k) at one state, their derivatives by the state (k x 2n) and by freed parameters (k x f)."""
+    """Invariants, last the energy (k + 1), at one state, their derivatives by the state and by freed parameters."""
     values, slopes, by_free = called(propagator.quantities, x, free)
     return values.ravel(), slopes, by_free
 

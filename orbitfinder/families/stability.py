@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.propagate import invariants_at, momentum_slopes, rate_at
 from orbitfinder.families.system import Curve, Solution
 from orbitfinder.periodic.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
@@ -36,6 +37,7 @@ class Spectrum:
     krein: tuple[int, ...]
     reduced: np.ndarray
     basis: np.ndarray
+    conservative: bool = True
 
 
 def spectrum(curve: Curve, found: Solution) -> Spectrum:
@@ -57,7 +59,7 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
         upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
         on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
         turns = np.where(on_circle, _krein(form, reduced, upper), 0)
-    return Spectrum(floquet, root, indices, turns, krein, reduced, basis)
+    return Spectrum(floquet, root, indices, turns, krein, reduced, basis, conservative)
 
 
 def _resolved(floquet: Floquet) -> Floquet:
@@ -116,12 +118,14 @@ def _symplectic_unit(n: int) -> np.ndarray:
 
 
 def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients of the invariants and symmetry directions, the flow first, at x(0)."""
+    """Gradients of the invariants and symmetry directions, the flow first, at x(0). Raises `ConvergenceError`."""
     p, place = curve.propagator, found.place
     x, n = place.nodes[0], p.size // 2
     directions = [rate_at(p, x, place.unfolding, place.free)]
+    if not np.any(directions[0]):
+        raise ConvergenceError("the corrector found an equilibrium and no orbit")
     directions += [one(x[:n], x[n:], p.model.parameter_values).full().ravel() for one in p.generators]
-    gradients = invariants_at(p, x, place.free)[1] if p.model.invariants else np.zeros((0, p.size))
+    gradients = invariants_at(p, x, place.free)[1][:-1]
     return gradients, np.asarray(directions)
 
 

@@ -15,7 +15,6 @@ from orbitfinder.families.mesh import remeshed, settled
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.points import FamilySettings
 from orbitfinder.families.propagate import (
-    FORMULATIONS,
     Propagator,
     boundary_matrices,
     build_propagator,
@@ -23,6 +22,7 @@ from orbitfinder.families.propagate import (
     march,
     rates,
 )
+from orbitfinder.families.scale import length
 from orbitfinder.families.system import (
     Aim,
     Curve,
@@ -35,7 +35,7 @@ from orbitfinder.families.system import (
 )
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.conditions import Pin
+from orbitfinder.periodic.conditions import SYMMETRIES, Pin
 from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.solve import find_orbit
@@ -107,17 +107,19 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
 
 
 def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """(freed physical parameters, names of what is held) for a continuation parameter. Raises `InputError`."""
+    """(freed physical parameters, names of what is held) for a continuation parameter. Raises `InputError`.
+
+    Momenta are never held: an orbit closes for one value of each, at which nothing drifts.
+    """
     from orbitfinder.suggest import closest
 
     name = settings.parameter
-    others = tuple(one.name for one in model.invariants if one.generator is not None)
     if name in ("energy", "period", *model.state_names):
         if not model.conservative:
             raise InputError(
                 f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
             )
-        return (), others
+        return (), ()
     if model.forced:
         raise InputError("system: a forced system's families are not followed yet; its orbits stand alone")
     if name not in model.parameter_names:
@@ -127,7 +129,7 @@ def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[st
         return (name,), ()
     if settings.hold not in ("energy", "period"):
         raise InputError(f"hold: must be energy or period, got {settings.hold!r}")
-    return (name,), (settings.hold, *others)
+    return (name,), (settings.hold,)
 
 
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
@@ -161,12 +163,12 @@ def curve_at(
     """
     model, n, name = propagator.model, propagator.size // 2, propagator.symmetry.name
     constant = np.zeros(2 * n)
+    steps = np.linspace(0, propagator.symmetry.fraction, len(place.nodes) * 40 + 1)
+    path = march(propagator, place.nodes, steps, place.tail)
     if name == "none":
         constant[:n] = 2 * np.pi * (0 if turns is None else turns)
     elif name != "brake":
-        steps = np.linspace(0, propagator.symmetry.fraction, len(place.nodes) * 40 + 1)
-        end = march(propagator, place.nodes, steps, place.tail).ends[-1, :n]
-        first = place.nodes[0, :n]
+        end, first = path.ends[-1, :n], place.nodes[0, :n]
         if name == "reflection":
             constant[:n] = 2 * _half_turns(model, 0.5 * (first + end))
         else:
@@ -175,21 +177,14 @@ def curve_at(
     values = invariants_at(propagator, place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     fixed = tuple((names.index(one), float(values[names.index(one)])) for one in held if one in names)
-    fixed = _independent(propagator, fixed)
-    curve = make_curve(propagator, constant, place.head, fixed)
+    curve = make_curve(propagator, constant, place.head, fixed, length(model.angles, path.states))
     return replace(curve, period=place.period) if "period" in held else curve
-
-
-def _independent(propagator: Propagator, held: tuple[tuple[int, float], ...]) -> tuple[tuple[int, float], ...]:
-    """What is held without the momenta that a symmetry already makes zero."""
-    free = propagator.symmetry.name == "none"
-    return tuple(one for one in held if free or propagator.model.invariants[one[0]].generator is None)
 
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
     known = read_as(CurveEntry, entry, "curve", "continue the family again")
-    if known.symmetry not in FORMULATIONS:
+    if known.symmetry not in SYMMETRIES:
         raise InputError(f"curve: unknown symmetry {known.symmetry!r}; continue the family again")
     unknown_parameters(model, settings)
     for name in known.free:
@@ -233,7 +228,7 @@ def _first_aim(curve: Curve, place: Place, problem: Problem, free: tuple[str, ..
     if one is not None and one.name in problem.model.state_names:
         return Aim(one.value, unit[problem.model.state_index(one.name)])
     names = [invariant.name for invariant in problem.model.invariants]
-    k = names.index(one.name) if one is not None and one.name in names else 0
+    k = names.index(one.name) if one is not None and one.name in names else -1
     value = float(invariants_at(p, place.nodes[0], place.free)[0][k]) if one is None else one.value
     return Aim(value, invariant=k)
 
@@ -261,9 +256,11 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     """
     if curve.propagator.symmetry.name == "brake+reflection":
         return "brake+reflection"
-    times, states = full_samples(curve, found)
+    times, states = full_samples(curve, found, 4 * SAMPLES)  # of several turns, if it branched off a resonance
     model = curve.propagator.model
     name = recognise(times, states, np.asarray(model.angles))
+    if not model.conservative:  # symmetries that reverse time need no dissipation
+        return "reflection" if "reflection" in name and _has(model, states[0], "reflection") else "none"
     weaker = ("brake", "reversal", "reflection") if name == "brake+reflection" else ()
     return next((one for one in (name, *weaker) if _has(model, states[0], one)), "none")
 
@@ -298,13 +295,17 @@ def _numbers(curve: Curve) -> np.ndarray:
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
     p, place = curve.propagator, found.place
-    n, parts = p.size // 2, len(place.nodes)
-    edges = place.mesh[:: (place.mesh.size - 1) // parts]
-    each = -(-count // parts)
+    each, edges = -(-count // len(place.nodes)), place.edges
     mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
-    states = march(p, place.nodes, mesh, place.tail).states
+    mesh, states = unfolded(curve, mesh, march(p, place.nodes, mesh, place.tail).states)
+    times = np.linspace(0.0, place.period, count + 1)
+    return times, CubicHermiteSpline(mesh * place.period, states, rates(p, states, place.tail))(times)
+
+
+def unfolded(curve: Curve, mesh: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times (in periods) and states of the whole period from those of a formulation's horizon."""
+    n, name = curve.propagator.size // 2, curve.propagator.symmetry.name
     signs = np.concatenate([np.ones(n), -np.ones(n)])
-    name = p.symmetry.name
     if "brake" in name or name == "reversal":
         about = np.concatenate([2 * curve.constant[n:], np.zeros(n)])
         mirrored = states[-2::-1] * signs if name == "brake" else about - states[-2::-1] * signs
@@ -312,8 +313,7 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     if "reflection" in name:
         half = curve.constant if name == "reflection" else np.concatenate([2 * curve.constant[n:], np.zeros(n)])
         mesh, states = np.concatenate([mesh, mesh[-1] + mesh[1:]]), np.vstack([states, half - states[1:]])
-    times = np.linspace(0.0, place.period, count + 1)
-    return times, CubicHermiteSpline(mesh * place.period, states, rates(p, states, place.tail))(times)
+    return mesh, states
 
 
 def section_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: str) -> np.ndarray:
@@ -345,12 +345,11 @@ def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple
         parts = max(1, round(len(place.nodes) * propagator.symmetry.fraction))
         chosen = begin_at + (np.arange(parts) * propagator.symmetry.fraction * (len(states) - 1) / parts).astype(int)
         fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))
-    kept = _independent(propagator, old.held)
-    curve = replace(curve_at(propagator, fresh), held=kept, weights=old.weights, period=old.period)
+    curve = replace(curve_at(propagator, fresh), held=old.held, weights=old.weights, period=old.period)
     steps = max(8, int(FIRST_STEPS * propagator.symmetry.fraction / len(fresh.nodes)))
     fresh = replace(fresh, mesh=np.linspace(0.0, propagator.symmetry.fraction, len(fresh.nodes) * steps + 1))
     unit = np.eye(old.weights.size)
     aim = Aim(float(place.free[0]), unit[-1]) if free else Aim(
-        float(invariants_at(old.propagator, place.nodes[0], place.free)[0][0]), invariant=0
+        float(invariants_at(old.propagator, place.nodes[0], place.free)[0][-1]), invariant=-1
     )  # fmt: skip
     return corrected(curve, fresh, aim)

@@ -26,7 +26,7 @@ from orbitfinder.families.propagate import (
 )
 
 NEWTON_READY = 1e-11
-"""Residual from which one more Newton step, not evaluated again, reaches round-off."""
+"""Residual, in units of the metric, from which one more Newton step, not evaluated again, reaches round-off."""
 APPROACHED = 3e-7
 """Residual at which the approach with an old Jacobian hands over to Newton's method."""
 FITTING = 1e-4
@@ -42,8 +42,8 @@ MOST_NEWTON = 12
 class Curve:
     """One family's equations: `first` x(0) + `last` x(end) = `constant`, held invariants, metric.
 
-    `weights` measures a head (x(0), T, free): angles count as they are, rates by the time scale of
-    the starting orbit, period and parameters relative to their starting values.
+    `weights` measures a head (x(0), T, free): angles count as they are, lengths without angles relative
+    to the starting orbit, rates by its time scale, period and parameters relative to their starting values.
     """
 
     propagator: Propagator
@@ -84,11 +84,11 @@ class Place:
 
 @dataclass(frozen=True)
 class Aim:
-    """The last row: `normal`.head = `value`, or the invariant number `invariant` = `value`."""
+    """The last row: `normal`.head = `value`, or the invariant number `invariant` (-1: the energy) = `value`."""
 
     value: float
     normal: np.ndarray | None = None
-    invariant: int | None = None
+    invariant: int = -1
 
 
 @dataclass(frozen=True)
@@ -103,14 +103,18 @@ class Solution:
 
 
 def make_curve(
-    propagator: Propagator, constant: np.ndarray, head: np.ndarray, held: tuple[tuple[int, float], ...] = ()
+    propagator: Propagator, constant: np.ndarray, head: np.ndarray, held: tuple[tuple[int, float], ...] = (),
+    unit: float = 1.0,
 ) -> Curve:
-    """The curve through (or near) a head; its metric is fixed there once for the whole family."""
+    """The curve through (or near) a head; its metric is fixed there once for the whole family.
+
+    `unit` is what coordinates are measured in (see `scale.length`).
+    """
     n, size = propagator.size // 2, propagator.size
     period, free = head[size], head[size + 1 :]
     clock = (period / (2 * np.pi)) ** 2
     relative = 1.0 / np.maximum(np.abs(free), 1e-3) ** 2
-    weights = np.concatenate([np.ones(n), np.full(n, clock), [1.0 / period**2], relative])
+    weights = np.concatenate([np.ones(n) / unit**2, np.full(n, clock) / unit**2, [1.0 / period**2], relative])
     return Curve(propagator, *boundary_matrices(propagator), constant, held, weights)
 
 
@@ -180,11 +184,23 @@ def _spread(head: np.ndarray, place: Place) -> np.ndarray:
     return row
 
 
+def _row_units(curve: Curve, place: Place, phases: np.ndarray, aim: Aim) -> np.ndarray:
+    """What each row is measured in, the aim's last, when every unknown is measured as the family's metric does."""
+    size, head = curve.propagator.size, 1.0 / np.sqrt(curve.weights)
+    unit = head[:size]
+    boundary = np.maximum(np.abs(curve.first) * unit, np.abs(curve.last) * unit).max(axis=1)
+    slopes = np.linalg.norm(invariants_at(curve.propagator, place.nodes[0], place.free)[1] * unit, axis=1)
+    units = [np.tile(unit, len(place.nodes) - 1), boundary, np.linalg.norm(phases * unit, axis=1)]
+    units += [slopes[[k for k, _ in curve.held]], np.full(int(curve.period is not None), head[size])]
+    last = slopes[aim.invariant] if aim.normal is None else np.linalg.norm(aim.normal * head)
+    return np.maximum(np.concatenate([*units, [last]]), 1e-300)
+
+
 def _aim(curve: Curve, place: Place, aim: Aim) -> tuple[float, np.ndarray]:
     if aim.normal is not None:
         return float(aim.normal @ place.head - aim.value), _spread(aim.normal, place)
     value, slope, free = invariants_at(curve.propagator, place.nodes[0], place.free)
-    k = aim.invariant or 0
+    k = aim.invariant
     return float(value[k] - aim.value), _spread(np.concatenate([slope[k], [0.0], free[k]]), place)
 
 
@@ -213,7 +229,7 @@ def _approached(
     cut, size = guess.nodes.size, curve.propagator.size
     matrix[cut : cut + len(phases), :size] = phases
     matrix[-1] = _aim(curve, guess, aim)[1]
-    kept = guess
+    kept, units = guess, _row_units(curve, guess, phases, aim)
     try:
         method = Broyden(Factors(matrix))
     except np.linalg.LinAlgError:
@@ -221,7 +237,7 @@ def _approached(
     for _ in range(MOST_NEWTON):
         ends = glide(curve.propagator, place.nodes, place.mesh, place.tail)
         rows = np.append(_rows(curve, place, ends, phases, reference), _aim(curve, place, aim)[0])
-        largest = float(np.abs(rows).max())
+        largest = float(np.abs(rows / units).max())
         if not largest < 0.5 * best:
             break
         kept, best = place, largest
@@ -244,7 +260,7 @@ def correct(
     """
     reference = reference or guess
     phases = phase_rows(curve, reference)
-    place, previous = guess, np.inf
+    place, previous, units = guess, np.inf, _row_units(curve, guess, phases, aim)
     if slope is not None:
         place = _approached(curve, guess, aim, phases, reference, slope)
     for iteration in range(MOST_NEWTON):
@@ -252,7 +268,7 @@ def correct(
         missed, last = _aim(curve, place, aim)
         rows = np.append(_rows(curve, place, path.ends, phases, reference), missed)
         jacobian = _jacobian(curve, place, path, phases)
-        largest = float(np.abs(rows).max())
+        largest = float(np.abs(rows / units).max())
         ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > 0.1 * previous)
         if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
@@ -270,6 +286,16 @@ def correct(
             fit = None
         place, previous = moved, largest
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
+
+
+def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
+    place, size = found.place, curve.propagator.size
+    head = 1.0 / np.sqrt(curve.weights)
+    nodes, damping = np.tile(head[:size], len(place.nodes)), np.full(place.unfolding.size, 1.0 / place.period)
+    columns = np.concatenate([nodes, [head[size]], damping, head[size + 1 :]])
+    rows = _row_units(curve, place, phase_rows(curve, place), Aim(0.0))[:-1]
+    return found.jacobian * columns / rows[:, None], columns
 
 
 def distance(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from orbitfinder.families.events import Probe, make_probe, parameter_slopes
 from orbitfinder.families.points import Check, FamilyPoint, FamilySettings, make_point, place_of
+from orbitfinder.families.scale import span
 from orbitfinder.families.start import Start
 from orbitfinder.families.system import Curve, Solution, at_place, bend, tangent
 
@@ -51,7 +52,8 @@ def first_point(start: Start, settings: FamilySettings, check: Check | None) -> 
     head = start.direction
     if parameter_slopes(start.curve, start.found.place, head)[settings.parameter] < 0:
         head = -head
-    where: dict[str, Any] = {"index": 0, "arclength": 0.0, "step": settings.first_step}
+    unit = span(start.curve.propagator.model.angles, start.curve.weights, start.found.march.states)
+    where: dict[str, Any] = {"index": 0, "arclength": 0.0, "step": settings.first_step * unit}
     return make_point(start.curve, start.found, head, settings.parameter, check, **where)[0]
 
 

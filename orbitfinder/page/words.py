@@ -14,6 +14,7 @@ EVENTS = {
     "fold": "fold",
     "branch_point": "branch point",
     "period_doubling": "period doubling",
+    "torus": "torus",
     "resonance": "resonance",
     "collision": "collision",
     "stability_change": "stability change",

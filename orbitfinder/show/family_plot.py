@@ -21,6 +21,7 @@ MARKERS = {
     "fold": ("v", "fold"),
     "branch_point": ("o", "branch point"),
     "period_doubling": ("s", "period doubling"),
+    "torus": ("P", "torus"),
     "resonance": (".", "resonance"),
     "collision": ("x", "collision"),
     "stability_change": ("D", "stability change"),

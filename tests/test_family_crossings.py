@@ -1,0 +1,182 @@
+"""Events of families that dissipate: multipliers through the unit circle, planted, in closed form, and real."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
+
+from orbitfinder.families.command import continue_command
+from orbitfinder.families.events import bifurcations
+from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.probes import Interval, Probe
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.periodic.floquet import analyse
+from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.periodic.solve import find_orbit
+
+NONE = np.zeros(0)
+FORWARD = FamilySettings(directions="forward")
+
+
+@dataclass(frozen=True)
+class Planted(Interval):
+    """An interval of a family of maps M(s)."""
+
+    family: object = None
+
+    def probed(self, distance):
+        return read(self.family, distance, self.first.about.root)
+
+
+def read(family, s, root):
+    """What is read at one map."""
+    matrix = family(s)
+    about = SimpleNamespace(root=root, reduced=matrix, floquet=analyse(matrix, False), conservative=False)
+    return Probe(s, None, None, about, NONE, NONE, {})
+
+
+def named(family, length=1.0, root=1):
+    """(kind, place) of everything found on one step, in order."""
+    first, last = read(family, 0.0, root), read(family, length, root)
+    found = bifurcations(Planted(None, first, last, NONE, NONE, family=family), 6)
+    return sorted(((t.kind, p.distance) for p, t in found), key=lambda one: one[1])
+
+
+def pair(radius, angle):
+    """A map that turns and stretches: multipliers radius exp(+-i angle)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return radius * np.array([[c, -s], [s, c]])
+
+
+PLANTED = {
+    "doubling": (lambda s: np.diag([-0.7 - s, 0.2]), [("period_doubling", 0.3)]),
+    "branch point": (lambda s: np.diag([0.1, 0.8 + s]), [("branch_point", 0.2)]),
+    "torus": (lambda s: pair(0.5 + s, 1.0), [("torus", 0.5)]),
+    "neutral saddle": (lambda s: np.diag([0.5, 1.5 + s]), []),
+    "doubling beside a torus": (
+        lambda s: block_diag([[-0.9 - 0.5 * s]], pair(0.4 + s, 2.0)), [("period_doubling", 0.2), ("torus", 0.6)]
+    ),
+    "one out and another in": (
+        lambda s: np.diag([-0.6 - s, 1.7 - s]), [("period_doubling", 0.4), ("branch_point", 0.7)]
+    ),
+    "out and back": (
+        lambda s: np.diag([-1.01 + 0.25 * (s - 0.5) ** 2, 0.1]), [("period_doubling", 0.3), ("period_doubling", 0.7)]
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_planted_passages(name):
+    """Every passage by its kind and place; a neutral saddle is none."""
+    family, wanted = PLANTED[name]
+    found = named(family)
+    assert [kind for kind, _ in found] == [kind for kind, _ in wanted]
+    assert [place for _, place in found] == pytest.approx([place for _, place in wanted], abs=1e-9)
+
+
+def by_brute_force(family, count=4001):
+    """The same from the eigenvalues at many places: whose modulus passes 1, and what it is there."""
+    places = np.linspace(0.0, 1.0, count)
+    values = [sorted(np.linalg.eigvals(family(s)), key=abs) for s in places]
+    found = []
+    for s, before, after in zip(places, values[:-1], values[1:], strict=False):
+        moved = [k for k in range(len(before)) if (abs(before[k]) - 1) * (abs(after[k]) - 1) < 0]
+        kinds = {"torus" if abs(after[k].imag) > 1e-9 else ("branch_point", "period_doubling")[int(after[k].real < 0)]
+                 for k in moved}  # fmt: skip
+        found += [(kind, s + 0.5 / count) for kind in sorted(kinds)]
+    return found
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_families_against_brute_force(seed):
+    """Random curves of maps, four multipliers each, walked in eight steps."""
+    rng = np.random.default_rng(seed)
+    a, b, c = (rng.normal(0, 0.7, (4, 4)) for _ in range(3))
+
+    def family(s):
+        return a + s * b + s * s * c
+
+    found = []
+    for low in np.arange(8) / 8:
+        found += [(kind, low + place) for kind, place in named(lambda s, low=low: family(low + s), 0.125)]
+    wanted = by_brute_force(family)
+    assert [kind for kind, _ in found] == [kind for kind, _ in wanted]
+    assert [place for _, place in found] == pytest.approx([place for _, place in wanted], abs=1e-3)
+
+
+def test_half_map_loses_its_reflection():
+    """-1 of a half map is a branch point: its square is +1."""
+    assert named(PLANTED["doubling"][0], root=2) == [("branch_point", pytest.approx(0.3, abs=1e-9))]
+
+
+def embedded(f, q, parameter, name, value, rate=1.0):
+    """u' = f(u) as q'' = J(q) q' - k (q' - f(q)): its orbits, and n multipliers exp(-k T) besides."""
+    v = ca.SX.sym("v", q.numel())
+    forces = ca.jacobian(f, q) @ v - rate * (v - f)
+    return lagrange(ca.sumsqr(v) / 2, ca.SX(0), Symbols(q, v, parameter, (name,), (value,)), forces=forces)
+
+
+def followed(model, name, until, guess, period, tmp_path):
+    """The family through the orbit of a guess, its first event of each kind."""
+    orbit = find_orbit(Problem(model, Guess(guess, period), name="start"))
+    return continue_command(orbit, name, until, out=tmp_path, settings=FORWARD, model=model)
+
+
+def test_torus_in_closed_form(tmp_path):
+    """Langford's system: the circle r = const, z = b loses its stability to a torus where a = b^2 + e r^2.
+
+    Source: W. F. Langford, Numerical studies of torus bifurcations, ISNM 70 (1984) 285-295.
+    """
+    b, c, d, e = 0.7, 0.6, 3.5, 0.25
+    q, a = ca.SX.sym("q", 3), ca.SX.sym("a")
+    square = q[0] ** 2 + q[1] ** 2
+    f = ca.vertcat((q[2] - b) * q[0] - d * q[1], d * q[0] + (q[2] - b) * q[1],
+                   c + a * q[2] - q[2] ** 3 / 3 - square * (1 + e * q[2]))  # fmt: skip
+    critical = (b * b + e * (c - b**3 / 3) / (1 + e * b)) / (1 - e * b / (1 + e * b))
+    model, r = embedded(f, q, a, "a", 0.5), np.sqrt((c + 0.5 * b - b**3 / 3) / (1 + e * b))
+    family = followed(model, "a", 0.95, [r, 0.0, b, 0.0, d * r, 0.0], 2 * np.pi / d, tmp_path)
+    assert [event.kind for event in family.events] == ["torus", "stability_change"]
+    assert family.events[0].parameter == pytest.approx(critical, abs=1e-9)
+    assert abs(family.events[0].multiplier) == pytest.approx(1.0, abs=1e-9) and family.events[0].multiplier.imag > 0.1
+
+
+def test_doubling_of_a_driven_pendulum(tmp_path):
+    """Driven by a limit cycle, which makes it autonomous; the doubling is at A = 1.06637286245520 (140 bits)."""
+    q, v, strength = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("A")
+    w, w0 = 2 * np.pi, 3 * np.pi
+    cycle = -(w**2) * q[1] - w * (q[1] ** 2 + (v[1] / w) ** 2 - 1) * v[1]
+    forces = ca.vertcat(-w0 / 2 * v[0] - w0**2 * ca.sin(q[0]) + strength * w0**2 * q[1], cycle)
+    symbols = Symbols(q, v, strength, ("A",), (1.06,))
+    model = lagrange(ca.sumsqr(v) / 2, ca.SX(0), symbols, forces=forces, names=["phi", "y"], angles=[True, False])
+    guess = [-0.2465622651385916, 1.0, 18.525754583919333, 0.0]
+    family = followed(model, "A", 1.07, guess, 1.0, tmp_path)
+    assert [event.kind for event in family.events] == ["period_doubling", "stability_change"]
+    assert family.events[0].parameter == pytest.approx(1.0663728624552, abs=1e-9)
+    assert family.events[1].detail == "becomes unstable" and family.points[-1].stability == "unstable"
+
+
+@pytest.mark.slow
+def test_doubling_of_roesslers_cycle(tmp_path):
+    """Roessler's cycle in c: stable before its doubling, and the multiplier there is -1 by SciPy's integrator."""
+    q, c = ca.SX.sym("q", 3), ca.SX.sym("c")
+    f = ca.vertcat(-q[1] - q[2], q[0] + 0.2 * q[1], 0.2 + q[2] * (q[0] - c))
+    numbers = ca.Function("f", [q, c], [f])
+    field = lambda t, x: numbers(x, 2.5).full().ravel()  # noqa: E731
+    start = solve_ivp(field, (0, 300), [1, 1, 0.0], rtol=1e-9, atol=1e-9).y[:, -1]
+    model = embedded(f, q, c, "c", 2.5)
+    family = followed(model, "c", 3.0, [*start, *field(0, start)], 5.75, tmp_path)
+    assert [event.kind for event in family.events] == ["period_doubling", "stability_change"]
+    doubled = family.events[0]
+    assert doubled.parameter == pytest.approx(2.83244503, abs=1e-8)
+
+    def varied(t, x):
+        slope = np.array([[0, -1, -1], [1, 0.2, 0], [x[2], 0, x[0] - doubled.parameter]])
+        return np.concatenate([numbers(x[:3], doubled.parameter).full().ravel(), (slope @ x[3:].reshape(3, 3)).ravel()])
+
+    start = np.concatenate([doubled.state[:3], np.eye(3).ravel()])
+    end = solve_ivp(varied, (0, doubled.period), start, method="DOP853", rtol=1e-12, atol=1e-12).y[3:, -1]
+    assert np.abs(np.linalg.eigvals(end.reshape(3, 3)) + 1).min() < 1e-7
