@@ -92,7 +92,7 @@ def test_family_without_its_nodes_cannot_be_switched(second_mode, tmp_path):
     with pytest.raises(InputError, match=r"family\.npz"):
         branches(bare, 2)
     document = json.loads(bare.read_text(encoding="utf-8"))
-    del document["curve"], document["record"]
+    del document["curve"], document["record"], document["dense"]
     bare.write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(InputError, match="curve: missing"):
         branches(bare, 2)
