@@ -23,6 +23,7 @@ import numpy as np
 from orbitfinder.arguments import check_fields
 from orbitfinder.compiled import interpreted_seconds, mode, with_derivatives
 from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.limit import alarm
 from orbitfinder.mechanics.model import Invariant, Model, check_state
 from orbitfinder.quiet import captured
 from orbitfinder.runge_kutta import variational_field
@@ -277,7 +278,7 @@ def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float,
     state = check_state(flow.model, state)
     free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
     error: Exception | None = None
-    with captured() as output:
+    with captured() as output, alarm():
         try:
             result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
         except RuntimeError as failure:
@@ -303,7 +304,7 @@ def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: fl
     chosen = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
     packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), ca.vec(chosen))
     error: Exception | None = None
-    with captured() as output:
+    with captured() as output, alarm():
         try:
             solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
             states = solver(x0=state, p=packed)["xf"].full().T

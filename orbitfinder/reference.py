@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder import limit
 from orbitfinder.buffered import Buffered
 from orbitfinder.errors import IntegrationError
 
@@ -115,6 +116,7 @@ class _Steps:
     def rate(self, t: float, y: np.ndarray) -> np.ndarray:
         """The field, NaN where it raises."""
         try:
+            limit.check()
             return self.function(t, y)
         except BaseException as error:
             self.errors.append(error)

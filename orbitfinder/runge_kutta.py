@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853
 
+from orbitfinder import limit
 from orbitfinder.compiled import compiled, interpreted_seconds
 from orbitfinder.errors import IntegrationError
 
@@ -52,6 +53,7 @@ def march(
 
     Raises `IntegrationError` when a state is not finite.
     """
+    limit.check()
     count = steps
     while count % 2 == 0 and count > LONGEST:  # so that every doubling is marched by the same function
         count //= 2
