@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from orbitfinder.flow import end_state as end_state
     from orbitfinder.flow import sample as sample
     from orbitfinder.flow import transition as transition
+    from orbitfinder.limit import limited as limited
     from orbitfinder.mechanics.assembly import assemble as assemble
     from orbitfinder.mechanics.assembly import linkage_rates as linkage_rates
     from orbitfinder.mechanics.chain import chain as chain
@@ -95,6 +96,7 @@ _HOMES = {
     "Filter": "atlas.store",
     "systems": "",
     "IntegratorSettings": "flow",
+    "limited": "limit",
     "build_flow": "flow",
     "end_state": "flow",
     "sample": "flow",

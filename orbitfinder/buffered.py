@@ -8,6 +8,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from orbitfinder import limit
 from orbitfinder.errors import IntegrationError
 
 
@@ -26,6 +27,7 @@ class Buffered:
 
     def __call__(self, *arguments: np.ndarray | float) -> list[np.ndarray]:
         """Outputs as new arrays; what is smaller than an input is broadcast. Raises `IntegrationError`."""
+        limit.check()
         for place, given in zip(self.inputs, arguments, strict=True):
             if place.size:
                 place[...] = given

@@ -24,18 +24,27 @@ from orbitfinder import (
     proving,
     searching,
 )
-from orbitfinder.clioptions import FILES, JSON_KEY, compile_option, json_option, print_json, trust_option
+from orbitfinder.clioptions import FILES, JSON_KEY, compile_option, json_option, limit_option, print_json, trust_option
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.version import __version__
 
 if TYPE_CHECKING:
     from orbitfinder.periodic.orbit import Certificate
 
+LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0}
+"""s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46.
+The others go on for as long as they are let."""
 NOT_CERTIFIED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 
 class Commands(click.Group):
-    """A group whose commands end with a sentence and an exit code, never with a traceback."""
+    """A group whose commands take --limit and end with a sentence and an exit code, never with a traceback."""
+
+    def add_command(self, cmd: click.Command, name: str | None = None) -> None:
+        """A command with the option --limit; what it starts with is how long it may take, see `LIMITS`."""
+        if not isinstance(cmd, click.Group):
+            cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), "each search" if cmd.name == "run" else ""))
+        super().add_command(cmd, name)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """The command that is meant; a file in its place is answered with the command that takes it."""
@@ -108,7 +117,9 @@ def cli() -> None:
 @compile_option
 @trust_option()
 @json_option
-def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, trust: bool, as_json: bool) -> None:
+def run(
+    files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: float | None, trust: bool, as_json: bool
+) -> None:
     """Find and certify the orbit of each problem FILE.
 
     Writes DIR/<name>/orbit.json, orbit.npz and figures. A result that fails its certificate is
@@ -122,7 +133,7 @@ def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, trust: boo
     from orbitfinder.console import display
     from orbitfinder.runner import prepare, run_jobs
 
-    todo = prepare(files, out, figures, trust)
+    todo = prepare(files, out, figures, trust, limit)
     outcomes = []
     with display() as shown:
         for outcome in run_jobs(todo, jobs, shown):

@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from orbitfinder.jsontext import finite
+from orbitfinder.limit import limited
 
 FILES = click.Path(path_type=Path)
 
@@ -78,6 +79,21 @@ def _remember_compile(context: click.Context, _: click.Parameter, value: str | N
         found, reason = available()
         if not found:
             click.echo(f"--compile on: {reason}; running interpreted", err=True)
+
+
+def limit_option(default: float | None = None, each: str = "") -> click.Option:
+    """The option --limit: of the whole command, or (named by `each`) of each of its parts, which then gets `limit`."""
+
+    def hold(context: click.Context, _: click.Parameter, value: float | None) -> float | None:
+        if not each:
+            context.with_resource(limited(value))
+        return value
+
+    what = f"Stop {each or 'the command'} after this time; what is finished by then is kept."
+    return click.Option(
+        ["--limit"], type=click.FloatRange(0.0, min_open=True), default=default, show_default=default is not None,
+        metavar="SECONDS", callback=hold, expose_value=bool(each), help=what,
+    )  # fmt: skip
 
 
 compile_option: Decorator = click.option(

@@ -11,6 +11,7 @@ import numpy as np
 from orbitfinder.arguments import check_fields
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.flow import check_tolerances, integration_error
+from orbitfinder.limit import alarm
 from orbitfinder.mechanics.constrained import CONSISTENCY_TOLERANCE, RANK_TOLERANCE, ConstrainedModel
 from orbitfinder.quiet import captured
 
@@ -93,7 +94,7 @@ def simulate_dae(
         raise InputError(f"duration, count: need duration > 0 and count >= 2, got {duration!r} and {count!r}")
     times = np.linspace(0.0, duration, count)
     error: Exception | None = None
-    with captured() as output:
+    with captured() as output, alarm():
         try:
             z0 = algebraic(model, start[None, :], np.zeros(1))[0]
             n = model.coordinates

@@ -46,3 +46,7 @@ class ConvergenceError(OrbitfinderError):
 
 class Hint(UserWarning):
     """Something that is allowed and yet looks like a slip."""
+
+
+class LimitError(OrbitfinderError):
+    """A time limit was reached; the message says which and how far the work had come."""

@@ -23,6 +23,7 @@ import numpy as np
 from orbitfinder.arguments import check_fields
 from orbitfinder.compiled import interpreted_seconds, mode, with_derivatives
 from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.limit import alarm
 from orbitfinder.mechanics.model import Invariant, Model, check_state
 from orbitfinder.quiet import captured
 from orbitfinder.runge_kutta import variational_field
@@ -30,7 +31,7 @@ from orbitfinder.runge_kutta import variational_field
 EVALUATIONS = 20_000
 """About how often one search for an orbit evaluates the variational equations."""
 SMALL = 16
-"""State size up to which eight flows are remembered, at 5 to 25 MB; beyond it one (10 links 42 MB, 20 links 290)"""
+"""State size up to which four flows are remembered, at 2 to 25 MB; beyond it one (10 links 42 MB, 20 links 290)"""
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ def _built(
     return found
 
 
-_small, _large = lru_cache(maxsize=8)(_built), lru_cache(maxsize=1)(_built)
+_small, _large = lru_cache(maxsize=4)(_built), lru_cache(maxsize=1)(_built)
 
 
 def vector_field(model: Model, free: Sequence[str], unfolded: Sequence[Invariant]) -> ca.Function:
@@ -277,7 +278,7 @@ def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float,
     state = check_state(flow.model, state)
     free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
     error: Exception | None = None
-    with captured() as output:
+    with captured() as output, alarm():
         try:
             result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
         except RuntimeError as failure:
@@ -303,7 +304,7 @@ def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: fl
     chosen = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
     packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), ca.vec(chosen))
     error: Exception | None = None
-    with captured() as output:
+    with captured() as output, alarm():
         try:
             solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
             states = solver(x0=state, p=packed)["xf"].full().T

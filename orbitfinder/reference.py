@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder import limit
 from orbitfinder.buffered import Buffered
 from orbitfinder.errors import IntegrationError
 
@@ -115,6 +116,7 @@ class _Steps:
     def rate(self, t: float, y: np.ndarray) -> np.ndarray:
         """The field, NaN where it raises."""
         try:
+            limit.check()
             return self.function(t, y)
         except BaseException as error:
             self.errors.append(error)
@@ -150,8 +152,11 @@ def integrate(
     if not np.all(np.abs(field(float(times[0]), start)) < 1e100):  # also where the state is NaN
         raise IntegrationError("the equations of motion overflow there", time=float(times[0]), state=start)
     steps = _Steps(field)
-    end = _stepped(steps, start, times, settings, longest_step)
-    inner = _between(steps, times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
+    try:
+        end = _stepped(steps, start, times, settings, longest_step)
+        inner = _between(steps, times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
+    finally:
+        vars(steps).clear()  # SciPy 1.17 never lets go of what it has called: the field, 0.1 MB and more of steps
     states = np.vstack([start, inner, end])
     if not np.all(np.isfinite(states)):
         raise IntegrationError("the state is not finite", time=float(times[-1]), state=start)
@@ -181,10 +186,11 @@ def _stepped(
             end = solver.integrate(times[-1])
         except ValueError as error:  # an interrupt between two callbacks
             raise _root(error) from None
+    failed, code = not solver.successful(), solver.get_return_code()
+    vars(solver._integrator).clear()  # kept by SciPy 1.17 too, with its work space
     if steps.errors:
         raise _root(steps.errors[0])
-    if not solver.successful():
-        code = solver.get_return_code()
+    if failed:
         raise IntegrationError(FAILURES.get(code, f"DOP853 returned {code}"), time=float(solver.t), state=start)
     return np.asarray(end)
 

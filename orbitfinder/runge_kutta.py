@@ -14,17 +14,18 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853
 
+from orbitfinder import limit
 from orbitfinder.compiled import compiled, interpreted_seconds
 from orbitfinder.errors import IntegrationError
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=16)
 def marcher(field: ca.Function, steps: int) -> ca.Function:
     """`march((t, x), (h, s, free))` -> (t, x) after 1..steps steps, of a field f(t, x, s, free)."""
     return one_step(field, ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym).mapaccum("march", steps)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def one_step(field: ca.Function, symbol: Any, error: bool = False) -> ca.Function:
     """One step of z = (t, x) with p = (h, s, free), or the estimate of its error in x (SciPy's norm, per component)."""
     size, rest = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
@@ -52,6 +53,7 @@ def march(
 
     Raises `IntegrationError` when a state is not finite.
     """
+    limit.check()
     count = steps
     while count % 2 == 0 and count > LONGEST:  # so that every doubling is marched by the same function
         count //= 2
@@ -100,7 +102,7 @@ def refined_march(
     return fine
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def variational_field(field: ca.Function, quadrature: ca.Function | None = None, products: bool = False) -> ca.Function:
     """f and its variations as one field of y = (x, vec[Phi | dx/ds | dx/dfree], S), columns of length 2n.
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from orbitfinder import processes, streams
 from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.limit import limited
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -39,6 +40,7 @@ class Job:
     out: Path
     figures: bool
     trust: bool
+    limit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,9 @@ class Outcome:
         return asdict(self) | {"failures": list(self.failures), "written": list(self.written)}
 
 
-def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool) -> list[Job]:
+def prepare(
+    files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None
+) -> list[Job]:
     """Jobs for problem files, everything that can be checked before computing checked."""
     from orbitfinder.problemfile import load_problem
 
@@ -79,7 +83,7 @@ def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool) -> lis
         name = load_problem(file, trust).name
         if name in jobs:
             raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
-        jobs[name] = Job(file, name, out, figures, trust)
+        jobs[name] = Job(file, name, out, figures, trust, limit)
     check_writable(out)
     for name in jobs:
         if (out / name).exists():
@@ -106,11 +110,12 @@ def run_job(job: Job, shown: Display | None = None) -> Outcome:
     from orbitfinder.problemfile import load_problem_file
 
     began = time.perf_counter()
-    loaded = load_problem_file(job.file, job.trust)
-    problem = loaded.wanted
     report = None if shown is None else (lambda progress: shown.event(job.name, progress))
     try:
-        orbit = solve(problem, loaded.starts, loaded.seed, report)
+        with limited(job.limit):
+            loaded = load_problem_file(job.file, job.trust)
+            problem = loaded.wanted
+            orbit = solve(problem, loaded.starts, loaded.seed, report)
     except InputError:
         raise
     except OrbitfinderError as error:

@@ -29,6 +29,7 @@ SPEAK_EVERY = 5.0
 """Seconds between two lines of progress where there is no terminal."""
 REFRESH_EVERY = 0.25
 REASONS_SHOWN = 8
+MISSING = "search: missing; add a [search] table with period = [shortest, longest]"
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
@@ -75,8 +76,10 @@ def search(file: Path, book: Path, scheduler: str | None, trust: bool, as_json: 
     from orbitfinder.atlas.api import DEFAULT_BUDGET
     from orbitfinder.atlas.api import search as run
     from orbitfinder.atlas.search import Limits
-    from orbitfinder.problemfile import load_problem_file
+    from orbitfinder.problemfile import load_problem_file, read_toml
 
+    if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
+        raise InputError(f"{file}: {MISSING}")
     loaded = load_problem_file(file, trust)
     energies, periods = wanted(loaded)
     starts, budget = options["starts"], options["budget"]
@@ -98,7 +101,7 @@ def wanted(loaded: ProblemFile) -> tuple[list[float], tuple[float, float]]:
     """Energies (J) and range of periods (s) that a problem file asks for."""
     table = loaded.document.get("search", {})
     if loaded.search is None:
-        raise InputError(f"{loaded.path}: search: missing; add a [search] table with period = [shortest, longest]")
+        raise InputError(f"{loaded.path}: {MISSING}")
     energy = table.get("energy", (loaded.document.get("find", {}).get("pin") or {}).get("energy"))
     if energy is None:
         raise InputError(f"{loaded.path}: search.energy: missing; give the energy in J, or find.pin.energy")

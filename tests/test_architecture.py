@@ -11,8 +11,8 @@ LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 
 # low to high; modules of one floor may import each other
 FLOORS = (
-    ("version", "errors", "quiet", "suggest", "interrupt", "display", "onethread", "jsontext", "processes", "locks",
-     "streams", "arguments", "reading"),
+    ("version", "errors", "quiet", "suggest", "interrupt", "limit", "display", "onethread", "jsontext", "processes",
+     "locks", "streams", "arguments", "reading"),
     ("mechanics", "systems"),
     ("flow", "dae_flow", "reference", "buffered", "runge_kutta", "compiled", "taylor", "defects"),
     ("periodic",),

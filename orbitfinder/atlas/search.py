@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from orbitfinder import limit
 from orbitfinder.atlas.continuing import CONTINUATION
 from orbitfinder.atlas.mirrors import named
 from orbitfinder.atlas.refine import Attempt
@@ -118,6 +119,7 @@ class Search:
         for row in self._atlas.rows():
             workers.learn((row.energy, row.period, abs(row.action)))
         while self._hand_out(workers) or self._under_way:
+            limit.check()
             for order, attempt in workers.results(PATIENCE):
                 self._under_way -= 1
                 self._answers[order.number] = attempt
@@ -174,6 +176,7 @@ class Search:
         tally.orbits += outcome == "new"
         if outcome == "failed":
             tally.failures[attempt.reason] += 1
+        limit.note(f"{tally.done} starts of this run are in the atlas; the same search goes on from there")
         if self._progress:
             self._progress(tally)
 

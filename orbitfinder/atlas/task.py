@@ -12,12 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder import limit
 from orbitfinder.atlas.continuing import CONTINUATION, continued
 from orbitfinder.atlas.refine import Attempt, Numbers, attempt
 from orbitfinder.atlas.signature import AGREEMENT
 from orbitfinder.atlas.starts import Bench, Target, bench, strategy_of
+from orbitfinder.errors import LimitError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.onethread import one_thread
+
+LONGEST_START = 120.0
+"""s after which one start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
 
 
 @dataclass(frozen=True)
@@ -85,11 +90,13 @@ def perform(one: Bench, seed: int, order: Order, known: Known) -> Attempt:
     began = time.process_time()
     asked = None if order.certain else known
     try:
-        if order.source is not None:
-            found = continued(one, seed, order.number, order.source, asked)
-        else:
-            found = attempt(one, seed, order.number, asked)
-    except (RuntimeError, ValueError, ArithmeticError) as error:
+        with limit.limited(LONGEST_START):
+            if order.source is not None:
+                found = continued(one, seed, order.number, order.source, asked)
+            else:
+                found = attempt(one, seed, order.number, asked)
+    except (RuntimeError, ValueError, ArithmeticError, LimitError) as error:
+        limit.check()  # that of the whole search ends the search
         name = CONTINUATION if order.source is not None else strategy_of(one, order.number)
         found = Attempt(order.number, name, reason=f"error: {type(error).__name__}")
     if found.orbit is not None:  # dense samples stay here: the nodes rebuild them

@@ -30,7 +30,8 @@ LONGEST_AUTO = 30.0
 """s of compiling beyond which "auto" leaves a function interpreted, whatever the work"""
 LARGEST = 16 * 1024 * 1024
 """Bytes of C beyond which nothing is compiled: gcc needs about 1 KB of memory per byte"""
-REMEMBERED = 256
+REMEMBERED = 64
+"""Functions, the latest used, with what became of them: 0.1 MB each of a triple pendulum"""
 AGREEMENT = 1e-6
 """Relative difference from the interpreter, at one point, beyond which a new library is thrown away"""
 
@@ -112,6 +113,7 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
     remembered = (function.__hash__(), mode(), *surroundings, paying or effort)
     if remembered in _known:
+        _known[remembered] = _known.pop(remembered)  # the latest used is the last to go
         return _known[remembered][1]
     try:
         with captured():
@@ -119,8 +121,7 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     except (Unavailable, CompilerError, OSError, RuntimeError) as error:
         _count(left=1, reason=f"{function.name()}: {error}")
         result = function
-    if len(_known) >= REMEMBERED:
-        _known.pop(next(iter(_known)))
+    _make_room(_known)
     _known[remembered] = (function, result)  # holding the function keeps its hash from being reused
     return result
 
@@ -157,8 +158,15 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
                 if not held:
                     raise Unavailable("another process is compiling the same")
                 found = _made(cache.publish(make_library(compiler, code, place), place, key), function)
+    _make_room(_libraries)
     _libraries[key] = found
     return found
+
+
+def _make_room(remembered: dict[Any, Any]) -> None:
+    """Forget the oldest entry where there are as many as are kept."""
+    if len(remembered) >= REMEMBERED:
+        remembered.pop(next(iter(remembered)))
 
 
 def _code(function: ca.Function) -> str:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder import locks
+from orbitfinder import limit, locks
 from orbitfinder.arguments import checked
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, LimitError
 from orbitfinder.families.certified import batch_certified, certified
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.continuation import follow
@@ -200,14 +200,19 @@ def _finish(
             continue
         if any(one.end is not None and one.end.kind == "returned" for one in batches):
             break  # a closed family has one direction
-        for batch in follow(Walk(curve, settings, sign, origin, check, stop, exact), done):
-            batch = batch_certified(curve, batch) if settings.certify else batch
-            append(folder, batch)
-            batches.append(batch)
-            if progress:
-                progress(batch)
-            if len(batches) % SAVE_EVERY == 0:
-                save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+        try:
+            for batch in follow(Walk(curve, settings, sign, origin, check, stop, exact), done):
+                batch = batch_certified(curve, batch) if settings.certify else batch
+                append(folder, batch)
+                batches.append(batch)
+                limit.note(f"{len(batches)} steps are kept in {folder}; the same command goes on from there")
+                if progress:
+                    progress(batch)
+                if len(batches) % SAVE_EVERY == 0:
+                    save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+        except LimitError:
+            save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+            raise
     family = assemble(Journal(journal.header, tuple(batches)))
     if settings.certify:
         first, *rest = family.points

@@ -6,6 +6,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.flow import integration_error
+from orbitfinder.limit import alarm
 from orbitfinder.mechanics.model import energy
 from orbitfinder.periodic.shooting import Shooting
 from orbitfinder.quiet import captured
@@ -151,7 +152,7 @@ def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     duration = period * problem.boundary.fraction / layout.segments
     ends = []
     for k, node in enumerate(nodes):
-        with captured() as output:
+        with captured() as output, alarm():
             try:
                 ends.append(shooting.flow.end(k * duration, node, duration, unfolding, free).full().ravel())
             except RuntimeError as error:

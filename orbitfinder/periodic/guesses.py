@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from orbitfinder import limit
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.periodic.problem import Guess
@@ -23,15 +24,18 @@ def normal_modes(
     from scipy.linalg import eigh
 
     n = model.degrees_of_freedom
-    q, v = ca.MX.sym("q", n), ca.MX.sym("v", n)
-    values = ca.DM(model.parameter_values)
-    stiffness, slope = ca.hessian(model.potential(q, values), q)
-    mass, _ = ca.hessian(model.kinetic(q, v, values), v)
-    at_rest = ca.Function("at_rest", [q], [ca.densify(ca.substitute(mass, v, ca.DM.zeros(n))), stiffness, slope])
+    q, v, values = ca.MX.sym("q", n), ca.MX.sym("v", n), ca.DM(model.parameter_values)
+    slope, momentum = ca.gradient(model.potential(q, values), q), ca.gradient(model.kinetic(q, v, values), v)
     place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
     if place.shape != (n,):
         raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")
-    m, k, force = (part.full() for part in at_rest(place))
+    # column by column: CasADi's Hessians of 2000 links take minutes. Momenta are linear in the rates
+    column = ca.Function("at_rest", [q, v], [momentum, ca.jtimes(slope, q, v), slope])
+    columns = []
+    for unit in np.eye(n):
+        limit.check()
+        columns.append([part.full().ravel() for part in column(place, unit)])
+    m, k, force = (np.stack(parts, axis=1) for parts in zip(*columns, strict=True))
     if not all(np.all(np.isfinite(part)) for part in (m, k, force)):
         raise InputError(
             f"guess.mode: the energies have no second derivatives at {place.tolist()}, or not in double precision; "

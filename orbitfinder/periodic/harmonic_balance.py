@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, LinAlgWarning, solve
 
+from orbitfinder import limit
+
 Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """(q, v) -> a (n), da/dq, da/dv (n x n each)"""
 PinRow = Callable[[np.ndarray, float], tuple[float, np.ndarray, float]]
@@ -84,6 +86,7 @@ def correct(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[
     """Newton's method from a prediction: the solution and its iterations, or None where it does not converge."""
     found = series
     for iteration in range(1, MOST_ITERATIONS + 1):
+        limit.check()
         matrix, rows = _system(found, accelerations, pin)
         if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
             return None

@@ -11,6 +11,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.flow import Flow, integration_error
+from orbitfinder.limit import alarm
 from orbitfinder.periodic.shooting import Shooting
 from orbitfinder.quiet import captured
 from orbitfinder.runge_kutta import MOST_DOUBLINGS, agree, march, refined_march
@@ -100,7 +101,7 @@ def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
 def jacobian_at(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     """dg/dw by the variational equations; CVODES' failure becomes an `IntegrationError`."""
     failure: RuntimeError | None = None
-    with captured() as output:
+    with captured() as output, alarm():
         try:
             return np.asarray(shooting.jacobian(w).full())
         except RuntimeError as error:

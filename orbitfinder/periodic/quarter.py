@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853
 
+from orbitfinder import limit
 from orbitfinder.errors import IntegrationError
 from orbitfinder.flow import vector_field
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
@@ -63,6 +64,7 @@ class Quarter:
         for _ in range(count):
             x: object = states[-1]
             for _ in range(inner):
+                limit.check()
                 x = self.march(x, h)
             states.append(x.full().ravel())  # type: ignore[attr-defined]
         found = np.asarray(states)

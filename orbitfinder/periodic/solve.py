@@ -13,6 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder import interrupt
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.flow import Flow, build_flow, end_state, transition
+from orbitfinder.limit import limited
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.onethread import one_thread
@@ -49,12 +50,17 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
     minimal period. Symmetric modes of chains of 11 links and more are found by `long_chain` instead.
     Raises `CountError` before solving an over- or under-determined problem,
     `ConvergenceError` with a sentence to act on, `IntegrationError` when a segment cannot be
-    integrated from the guess. The result may still fail its certificate: look at
+    integrated from the guess, `LimitError` after `settings.limit` s. The result may still fail its certificate: look at
     `orbit.certificate.passed`.
     """
+    settings = settings or SolveSettings()
+    with limited(settings.limit):
+        return _found(problem, settings, progress)
+
+
+def _found(problem: Problem, settings: SolveSettings, progress: Callback | None) -> Orbit:
     from orbitfinder.periodic.long_chain import find_long_chain, suits
 
-    settings = settings or SolveSettings()
     began = time.perf_counter()
     problem.check_count()
     if settings.with_certificate:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder import limit
 from orbitfinder.proof.balls import Vector, arb, arb_mat, column, exact, floats, identity, midpoints, radii
 from orbitfinder.proof.enclosure import Settings, Step, find_step, transition_over, valued
 from orbitfinder.proof.field import Field
@@ -136,6 +137,7 @@ def integrate(
     """The Cloud one segment (unit time, tau seconds) later, and the steps on the way."""
     here, begin, steps = start, 0.0, []
     while begin < 1.0:
+        limit.check()
         here, step, trial = advance(field, here, begin, trial, settings)
         steps.append(step)
         begin += step.h

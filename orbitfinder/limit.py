@@ -1,0 +1,97 @@
+"""A time limit for whatever runs inside a block: one deadline, which integrators and solvers look at.
+
+    with limited(60.0):
+        find_orbit(problem)          # `LimitError` after a minute
+
+Python code that repeats something calls `check()`. CasADi's long calls are made inside `alarm()`: CVODES and IPOPT
+poll for signals, so an alarm at the deadline ends them. Elsewhere than in the main thread, and on Windows, they are
+waited for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass
+
+from orbitfinder.errors import InputError, LimitError
+
+AGAIN = 0.25
+"""Seconds between two alarms once the deadline is past: CasADi takes the first for a failed evaluation and tries on."""
+
+
+@dataclass
+class Deadline:
+    """When to stop (on the monotonic clock), how many seconds that were, and what the work has come to."""
+
+    end: float
+    seconds: float
+    note: str = ""
+
+
+_deadline: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
+
+
+@contextlib.contextmanager
+def limited(seconds: float | None) -> Iterator[None]:
+    """`LimitError` once the block has taken `seconds`; None is no limit, of nested ones the earliest holds."""
+    if seconds is not None and not (seconds > 0 and not math.isnan(seconds)):
+        raise InputError(f"limit: must be a positive number of seconds, got {seconds}")
+    outer, end = _deadline.get(), math.inf if seconds is None else time.monotonic() + seconds
+    if seconds is None or not math.isfinite(end) or (outer is not None and outer.end <= end):
+        yield
+        return
+    token = _deadline.set(Deadline(end, seconds))
+    try:
+        yield
+    finally:
+        _deadline.reset(token)
+
+
+def left() -> float:
+    """Seconds to the deadline; infinite where there is none, negative after it."""
+    deadline = _deadline.get()
+    return math.inf if deadline is None else deadline.end - time.monotonic()
+
+
+def note(text: str) -> None:
+    """What to say of the work if it is stopped from now on."""
+    deadline = _deadline.get()
+    if deadline is not None:
+        deadline.note = text
+
+
+def check() -> None:
+    """`LimitError` when the deadline is past."""
+    deadline = _deadline.get()
+    if deadline is not None and time.monotonic() > deadline.end:
+        more = f": {deadline.note}" if deadline.note else ""
+        raise LimitError(f"stopped after {deadline.seconds:g} s (limit){more}")
+
+
+@contextlib.contextmanager
+def alarm() -> Iterator[None]:
+    """A block of one long call of CasADi, which the deadline ends; `LimitError` whatever CasADi makes of that."""
+    check()
+    ringing = math.isfinite(left()) and _can_ring()
+    before = signal.signal(signal.SIGALRM, lambda *_: check()) if ringing else None
+    try:
+        if ringing:
+            signal.setitimer(signal.ITIMER_REAL, max(left(), 1e-3), AGAIN)
+        yield
+    finally:
+        if ringing:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)
+        check()
+
+
+def _can_ring() -> bool:
+    """Only in the main thread, where there are alarms, and where nobody else has set one."""
+    here = threading.current_thread() is threading.main_thread()
+    return here and hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0

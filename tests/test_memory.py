@@ -1,0 +1,92 @@
+"""Many orbits in one process: what one of them needed is given back before the next."""
+
+import gc
+import subprocess
+import sys
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbitfinder.reference import integrate
+
+GROWTH = """
+import gc, sys
+from dataclasses import replace
+from pathlib import Path
+
+import orbitfinder as of
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.problemfile import load_problem_file
+from orbitfinder.systems import spring_pendulum
+
+file, how, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
+known = replace(load_problem_file(Path(file)).problem, expected={})
+name = known.model.parameter_names[0]
+value = known.model.parameter_values[0]
+
+
+def model(k):
+    changed = value * (1 + 1e-6 * k)
+    if how == "same":
+        return known.model
+    return with_parameters(known.model, {name: changed}) if how == "values" else spring_pendulum(length=changed)
+
+
+def resident():
+    gc.collect()
+    return int(next(line for line in open("/proc/self/status") if line.startswith("VmRSS")).split()[1]) / 1024
+
+
+for k in range(count + 1):
+    assert of.find_orbit(replace(known, model=model(k))).certificate.passed, k
+    if k == 0:
+        before = resident()
+print(resident() - before)
+"""
+SPRING, TRIPLE = (
+    Path(__file__).parents[1] / "problems" / "gallery" / f"{name}.toml"
+    for name in ("spring-pendulum-swing", "triple-pendulum-middle-mode")
+)
+linux = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads /proc")
+
+
+def growth(file: Path, how: str, count: int) -> float:
+    """MB by which a process grows while it finds and certifies `count` orbits after the first."""
+    done = subprocess.run(
+        [sys.executable, "-c", GROWTH, str(file), how, str(count)], capture_output=True, text=True, check=True
+    )
+    return float(done.stdout)
+
+
+@pytest.mark.parametrize("samples", [2, 40], ids=["end", "samples"])
+def test_an_integration_lets_go_of_its_field(samples):
+    """SciPy 1.17 keeps a reference to every function that DOP853 has called, for ever."""
+
+    class Field:
+        def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
+            return np.array([y[1], -y[0]])
+
+    field = Field()
+    seen = weakref.ref(field)
+    integrate(field, np.array([1.0, 0.0]), np.linspace(0.0, 1.0, samples))
+    del field
+    gc.collect()
+    assert seen() is None
+
+
+@linux
+def test_forty_orbits_need_no_more_memory_than_one():
+    """They leaked 11 MB. What is left is 3 MB of allocator and imports at their first use."""
+    assert growth(SPRING, "same", 40) < 6.0
+
+
+@linux
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "how"), [(SPRING, "same"), (SPRING, "values"), (SPRING, "builder"), (TRIPLE, "values")]
+)
+def test_a_thousand_orbits_need_twenty_megabytes(file, how):
+    """Of one problem, and of a thousand that differ: the caches are full after some seventy."""
+    assert growth(file, how, 1000) < 20.0
