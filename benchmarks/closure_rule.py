@@ -172,7 +172,7 @@ def main() -> None:
         INTRODUCTION, f"## {len(true)} true orbits, {sum(one.accepted for one in found)} accepted "
         f"({sum(one.accepted_before for one in found)} by mu)\n",
         f"gap / eps A is {min(ratios):.2g} to {max(ratios):.2g}, gap / eps mu {min(by_mu):.2g} to {max(by_mu):.2g} "
-        "(A up to 1e10). Refused are swings that start at the bottom and pass within 1e-5 rad of upright: no double "
+        "(A up to 1e10). Refused are swings that pass so near to upright that no double "
         "holds them.\n", HEAD, *map(row, true, found),
         f"\n## {len(judged)} false ones, {len(passed)} accepted "
         f"({sum(one.accepted_before for _, one in judged)} by mu)\n",

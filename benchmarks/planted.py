@@ -194,7 +194,9 @@ def page(cases: int, table: Counter[tuple[str, bool, bool]], odd: list[str]) -> 
         yes, no = (sum(n for key, n in table.items() if key[1:] == (right, passed)) for passed in (True, False))
         lines.append(f"| **{heading}** | {yes + no} | {yes} | {no} |")
     head = "| orbit | plant | gap | A | distance to a true orbit | failed checks |"
-    lines += ["", "Not judged as planted:", "", head, "|---|---|---|---|---|---|", *odd]
+    lines += ["", "Not judged as planted:", "", head, "|---|---|---|---|---|---|", *odd] if odd else [
+        "", "Every one was judged as planted."
+    ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
