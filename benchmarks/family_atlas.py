@@ -150,7 +150,7 @@ def page() -> str:
 HEAD = """# Families of periodic orbits
 
 Every point of these curves is a periodic orbit that closes, by an independent integrator on Hamilton's equations, to
-1e-11 times its largest Floquet multiplier; beyond a multiplier of 1000 each shooting node also leads to the next one
+1e-11 of its extents times its largest Floquet multiplier; beyond a multiplier of 1000 each shooting node also leads to the next one
 within 1e-11 times the growth in between (`defect`), without which such a closure would say little. Multipliers near
 the saddles exceed what double precision can hold beside the small ones; no bifurcations are read there. Solid lines
 are stable, dashed ones unstable. Energies are absolute, potential zero at the fixed joint: the triple pendulum hangs at

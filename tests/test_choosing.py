@@ -144,8 +144,8 @@ FIND = '[system]\nkind = "chain"\nlinks = 2\n[guess]\nmode = 2\namplitude = 0.5\
     ("text", "message"),
     [
         ('objective = "min_instabilty"', "find.objective"),
-        ("bounds = { energy = [2.0, 1.0] }", "bounds.energy must be [smallest, largest]"),
-        ("bounds = { energy = [2.0] }", "bounds.energy must be"),
+        ("bounds = { energy = [2.0, 1.0] }", "bounds.energy: must be [smallest, largest]"),
+        ("bounds = { energy = [2.0] }", "bounds.energy: must be"),
         ("bounds = { lenght2 = [0.5, 2.0] }", "find.bounds: unknown quantity 'lenght2'"),
         ("bounds = { length2 = [0.5, 2.0] }", "find.bounds: length2 is not free"),
         ("starts = 0", "find.starts"),

@@ -266,7 +266,7 @@ BAD = {
     "brake-rate": ({"objective": "min_peak_rate", "symmetry": "brake"}, "freedom to choose t = 0.*'brake' does not"),
     "bounds-unknown": ({"bounds": {"enrgy": (0, 1)}}, "bounds: unknown quantity 'enrgy', did you mean 'energy'"),
     "bounds-order": ({"bounds": {"energy": (1, 0)}}, "bounds: energy must be .smallest, largest."),
-    "bounds-three": ({"bounds": {"energy": (1, 2, 3)}}, "bounds: energy must be"),
+    "bounds-three": ({"bounds": {"energy": (1, 2, 3)}}, r"bounds: expected names with two numbers, \[smallest"),
     "bounds-period": ({"bounds": {"period": (-1.0, 2.0)}}, "bounds: period must be positive"),
     "bounds-fixed": ({"bounds": {"length2": (0.5, 2.0)}}, "length2 is not free to change; add it to free"),
     "bounds-pinned": ({"bounds": {"energy": (-19, -3)}, "pin": of.pin(energy=-18)}, "energy is pinned already"),

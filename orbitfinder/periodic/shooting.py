@@ -144,7 +144,8 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
 def units_of(problem: Problem) -> tuple[float, ...]:
     """What the state (2n) of a Problem is measured in: powers of 256 near its guess's lengths and time; () when all 1.
 
-    Lengths are max(|q|, |v| tau, |a| tau^2), tau = T / 2 pi, the largest over all angles and over all others.
+    Lengths are max(|q|, |v| tau), tau = T / 2 pi, the largest over all angles and over all others, or |a| tau^2 where
+    that is 0.
     """
     model, clock = problem.model, problem.guess.period / (2 * np.pi)
     if model.native is not None:  # integrated by IDAS, in its own coordinates
@@ -153,10 +154,10 @@ def units_of(problem: Problem) -> tuple[float, ...]:
     states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
     acceleration = model.acceleration(0.0, state[:n], state[n:], model.parameter_values).full().ravel()
     places, rates = np.split(np.abs(states).max(axis=0), 2)
-    lengths = np.max(np.nan_to_num([places, rates * clock, np.abs(acceleration) * clock**2]), axis=0)
+    lengths, pushed = np.maximum(places, rates * clock), np.abs(np.nan_to_num(acceleration)) * clock**2
     angular = np.asarray(model.angles or (False,) * n)
     for group in (angular, ~angular):
-        lengths[group] = _rounded(lengths[group].max(initial=0.0))
+        lengths[group] = _rounded(lengths[group].max(initial=0.0) or pushed[group].max(initial=0.0))
     units = np.concatenate([lengths, lengths / _rounded(clock)])
     return () if np.all(units == 1.0) else tuple(float(one) for one in units)
 
