@@ -86,9 +86,9 @@ in minimal coordinates; the family folds at -8 J and comes back unstable."""),
           """The slow mode at one energy while the length of a bar varies, the loop closed anew at every length."""),
     Entry("henon-heiles-straight", "problems/families/henon-heiles-straight.toml --points 100", """The straight line of
 Hénon-Heiles up to the saddle at E = 1/6, with its cascade of stability changes."""),
-    Entry("henon-heiles-curved", "problems/families/henon-heiles-curved.toml --points 60", """A curved brake orbit of
+    Entry("henon-heiles-curved", "problems/families/henon-heiles-curved.toml --points 60 --until 300", """A curved brake orbit of
 Hénon-Heiles; beyond E = 1/6 it goes on among escaping motions."""),
-    Entry("henon-heiles-loop", "problems/families/henon-heiles-loop.toml --points 60", "A loop of Hénon-Heiles."),
+    Entry("henon-heiles-loop", "problems/families/henon-heiles-loop.toml --points 60 --until 30", "A loop of Hénon-Heiles."),
 )  # fmt: skip
 
 
@@ -150,8 +150,9 @@ def page() -> str:
 HEAD = """# Families of periodic orbits
 
 Every point of these curves is a periodic orbit that closes, by an independent integrator on Hamilton's equations, to
-1e-11 of its extents times its largest Floquet multiplier; beyond a multiplier of 1000 each shooting node also leads to the next one
-within 1e-11 times the growth in between (`defect`), without which such a closure would say little. Multipliers near
+1e-11 of its extents times what errors grow by on the way; where they grow more than 1000 times each shooting node
+also leads to the next one within 1e-11 times the growth in between (`defect`), without which such a closure would say
+little. The ends, and the orbits of the report, have the full certificate. Multipliers near
 the saddles exceed what double precision can hold beside the small ones; no bifurcations are read there. Solid lines
 are stable, dashed ones unstable. Energies are absolute, potential zero at the fixed joint: the triple pendulum hangs at
 -44.1 J, the quadruple one at -78.4 J. Written by `python benchmarks/family_atlas.py`; `families/` in the commands

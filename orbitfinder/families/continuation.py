@@ -57,6 +57,10 @@ def follow(walk: Walk, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
             return
 
 
+LEAST_STRETCHED = 1e-4
+"""A step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end."""
+
+
 def stride(walk: Walk, stand: Stand) -> tuple[Stand, Batch]:
     """The next point, by as short a step as it takes. Raises the last error when the step underflows."""
     length = stand.point.step
@@ -84,6 +88,9 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
     turn = _angle(curve, head, head_of(whole, raw.place))
     if turn > walk.settings.sharpest_turn:
         raise ConvergenceError(f"the family turns by {turn:.2g} rad within one step")
+    stretch = abs(raw.place.period / place.period - 1.0)
+    if stretch > walk.settings.longest_stretch and length > LEAST_STRETCHED * unit:
+        raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
     found = settled(curve, raw, curve.weights * head_of(whole, raw.place))
     if found is not raw:
         whole = tangent(curve, found, head_of(whole, raw.place))
@@ -95,7 +102,7 @@ def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
     where: dict[str, Any] = {
         "index": stand.point.index + 1,
         "arclength": stand.point.arclength + walk.direction * length,
-        "step": unit * _next_step(walk.settings, length / unit, missed / unit, turn),
+        "step": unit * _next_step(walk.settings, length / unit, missed / unit, (turn, stretch)),
         "indices": last.indices,
     }
     point, found = _checked_point(walk, found, whole, where, last.about if found is raw else None)
@@ -133,13 +140,14 @@ def _angle(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:
     return float(np.arccos(np.clip(np.sum(curve.weights * one * other), -1.0, 1.0)))
 
 
-def _next_step(settings: FamilySettings, length: float, missed: float, turn: float) -> float:
-    """Longer after a good prediction (its error goes with the third power), shorter after a bad one or a sharp turn.
+def _next_step(settings: FamilySettings, length: float, missed: float, changes: tuple[float, float]) -> float:
+    """Longer after a good prediction (its error goes with the third power), shorter after a bad one or large changes.
 
-    All lengths relative to the motion.
+    `changes` are the turn (rad) and the relative change of the period; all lengths are relative to the motion.
     """
     ease = float(np.clip((PREDICTION / max(missed, 1e-12)) ** (1 / 3), 0.5, 1.5))
-    bendable = 0.4 * settings.sharpest_turn / max(turn, 1e-9)
+    limits = (0.4 * settings.sharpest_turn, 0.6 * settings.longest_stretch)
+    bendable = min(limit / max(change, 1e-9) for limit, change in zip(limits, changes, strict=True))
     return float(min(settings.longest_step, length * min(ease, max(0.5, bendable))))
 
 

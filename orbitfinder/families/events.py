@@ -28,6 +28,7 @@ from orbitfinder.families.probes import make_probe as make_probe
 from orbitfinder.families.probes import parameter_slopes as parameter_slopes
 from orbitfinder.families.strips import strips
 from orbitfinder.families.system import Curve, head_of
+from orbitfinder.periodic.floquet import ERROR_FLOOR
 
 CRITICAL = ("branch_point", "period_doubling", "torus")
 """Kinds at which a multiplier leaves or enters the unit circle."""
@@ -87,8 +88,19 @@ def find_events(interval: Interval, settings: FamilySettings, arclength: float) 
     found.sort(key=lambda pair: pair[0].distance)
     turns = [probe.distance for probe, test in found if test.kind == "fold" and test.detail != "period"]
     found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns, interval.unit))]
+    found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
     events = [(p.distance, _event(interval.curve, p, test, settings, arclength)) for p, test in found]
     return sorted(events + _changes(interval, found, settings, arclength), key=lambda pair: pair[0])
+
+
+def _told(interval: Interval) -> bool:
+    """Whether branch points are more than an index that stays at +-2 to within what the monodromy is known to."""
+    ends = (interval.first, interval.last)
+    if not interval.first.about.conservative or not interval.first.indices.size:
+        return True
+    margins = [np.abs(np.asarray(probe.indices).real) - 2.0 for probe in ends]
+    first, last = (np.sort(np.where(np.abs(one) > ERROR_FLOOR, np.sign(one), 0.0)) for one in margins)
+    return not (np.any(first == 0.0) and np.array_equal(first, last))
 
 
 def _near(distance: float, places: list[float], unit: float) -> bool:

@@ -15,13 +15,12 @@ from orbitfinder.families.propagate import invariants_at
 from orbitfinder.families.scale import extents
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.families.system import Curve, Place, Solution
+from orbitfinder.periodic.closure import carried
 
 CLOSURE = 1e-11
-"""Largest independent closure of an accepted point, relative to the motion, times max(1, largest multiplier)."""
-
-
+"""Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
 PIECEWISE = 1e3
-"""Largest multiplier beyond which an orbit is checked piece by piece as well."""
+"""Growth of errors beyond which an orbit is checked piece by piece as well."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,8 @@ class FamilySettings:
     shortest_step: float = 1e-7
     sharpest_turn: float = 0.3
     """rad between successive tangents; a sharper turn repeats the step at half its length"""
+    longest_stretch: float = 0.06
+    """relative change of the period within one step: near a saddle events come with every so many seconds"""
     narrowest: float = 0.02
     """avoided crossings of two families are followed by steps no shorter than this, and else stepped over and named"""
     longest_period: float = 12.0
@@ -55,8 +56,9 @@ class FamilySettings:
 class FamilyPoint:
     """One periodic orbit of a family, complete: what an Orbit says, and where it is on the family.
 
-    `closure` is by the independent integrator and relative to the extent of the motion, `scale` =
-    max(1, largest multiplier) what its allowed value 1e-11 is multiplied by. Where that is more than
+    `closure` is by the independent integrator and relative to the extent of the motion, `scale`
+    what its allowed value 1e-11 is multiplied by: the largest multiplier, or what errors grow by until the
+    end of the part that is integrated. Where that is more than
     1e-8, one turn says little, and the orbit is checked piece by piece as well: `defect` is the largest
     gap, as relative, between where the same integrator leaves one of the shooting nodes and the next
     node, of which 1e-11 times the growth over a piece is allowed; elsewhere it is the closure itself.
@@ -198,16 +200,18 @@ def make_point(
     """
     p, place = curve.propagator, found.place
     about = about or spectrum(curve, found)
-    largest = float(np.abs(about.floquet.multipliers).max(initial=1.0))
-    allowed = CLOSURE * max(1.0, largest)
+    units = extents(found.march.states)
+    parts = [matrix[:, : p.size] * units / units[:, None] for matrix in found.march.sensitivities]
+    grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
+    allowed = CLOSURE * grown
     free = dict(zip(p.free, map(float, place.free), strict=True))
     closure = 0.0 if check is None else check(
-        place.nodes[0], place.period, winding(curve), allowed, free, extents(found.march.states)
+        place.nodes[0], place.period, winding(curve), allowed, free, units
     )
     if not closure <= allowed:
-        raise ConvergenceError(f"the orbit closes only to {closure:.2g} with largest multiplier {largest:.3g}")
+        raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
     defect = closure
-    if check is not None and largest > PIECEWISE:
+    if check is not None and grown > PIECEWISE:
         defect, growth = piecewise_defect(curve, found, check, free)
         if not defect <= CLOSURE * growth:
             raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
@@ -220,7 +224,7 @@ def make_point(
         action=found.march.action / p.symmetry.fraction,
         closure=closure,
         defect=defect,
-        scale=max(1.0, largest),
+        scale=grown,
         floquet_multipliers=about.floquet.multipliers,
         pair_defect=about.floquet.pair_defect,
         stability=about.floquet.stability,

@@ -60,13 +60,18 @@ def closes(
     All in extents of the motion; `sizes` (m) are those of the state's components, `rate` is None where the
     period is prescribed.
     """
-    monodromy, largest = np.eye(gap.size), float(sizes.max())
+    monodromy, largest = carried(transitions, sizes)
+    round_off = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE)
+    return Closure(float(np.abs(gap).max()), largest, _distance(gap, monodromy, rate, round_off))
+
+
+def carried(transitions: Sequence[np.ndarray], sizes: np.ndarray) -> tuple[np.ndarray, float]:
+    """Phi(T, 0) and A, the largest norm with which an error made where a piece begins comes to the end."""
+    monodromy, largest = np.eye(sizes.size), float(sizes.max())
     for piece in reversed(transitions):
         monodromy = monodromy @ piece
         largest = max(largest, float(np.linalg.norm(monodromy * sizes, 2)))
-    largest = largest if np.isfinite(largest) else np.inf
-    round_off = ROUND_OFF * EPSILON * min(largest, LARGEST_SCALE)
-    return Closure(float(np.abs(gap).max()), largest, _distance(gap, monodromy, rate, round_off))
+    return monodromy, largest if np.isfinite(largest) else np.inf
 
 
 def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, round_off: float) -> float:
