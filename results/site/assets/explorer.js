@@ -12,7 +12,7 @@
 
   var NAMES = { energy: "energy, J", frequency: "frequency, 1/s", period: "period, s", action: "action, J s",
     largest: "largest multiplier", value: safe(it.parameter) };
-  var SYMBOLS = { fold: "triangle-down", branch_point: "circle-open", period_doubling: "square", resonance: "circle",
+  var SYMBOLS = { fold: "triangle-down", branch_point: "circle-open", period_doubling: "square", torus: "cross", resonance: "circle",
     collision: "x", stability_change: "diamond" };
 
   function axes() { return { x: part("across").value, y: part("up").value }; }
