@@ -31,7 +31,7 @@ from orbitfinder.runge_kutta import variational_field
 EVALUATIONS = 20_000
 """About how often one search for an orbit evaluates the variational equations."""
 SMALL = 16
-"""State size up to which four flows are remembered, at 2 to 25 MB; beyond it one (10 links 42 MB, 20 links 290)"""
+"""State size up to which two flows are remembered, at 2 to 25 MB; beyond it one (10 links 42 MB, 20 links 290)"""
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _built(
     return found
 
 
-_small, _large = lru_cache(maxsize=4)(_built), lru_cache(maxsize=1)(_built)
+_small, _large = lru_cache(maxsize=2)(_built), lru_cache(maxsize=1)(_built)
 
 
 def vector_field(model: Model, free: Sequence[str], unfolded: Sequence[Invariant]) -> ca.Function:

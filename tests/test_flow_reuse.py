@@ -76,13 +76,13 @@ def test_models_are_told_apart():
 def test_few_are_remembered_and_larger_ones_fewer():
     for _ in range(12):
         build_flow(of.chain(1))
-    assert flow._small.cache_info().currsize == 4
+    assert flow._small.cache_info().currsize == 2
     for links in (9, 10):
         build_flow(of.chain(links))
     assert flow._large.cache_info().currsize == 1
     del links
     gc.collect()
-    assert flow._small.cache_info().currsize == 4
+    assert flow._small.cache_info().currsize == 2
 
 
 def test_kinds_of_flow_are_told_apart():

@@ -85,8 +85,12 @@ def test_forty_orbits_need_no_more_memory_than_one():
 @linux
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("file", "how"), [(SPRING, "same"), (SPRING, "values"), (SPRING, "builder"), (TRIPLE, "values")]
+    ("file", "how", "most"),
+    [(SPRING, "same", 20.0), (SPRING, "values", 20.0), (SPRING, "builder", 20.0), (TRIPLE, "values", 30.0)],
 )
-def test_a_thousand_orbits_need_twenty_megabytes(file, how):
-    """Of one problem, and of a thousand that differ: the caches are full after some seventy."""
-    assert growth(file, how, 1000) < 20.0
+def test_a_thousand_orbits_need_twenty_megabytes(file, how, most):
+    """Of one problem (9 MB), and of a thousand that differ (9 to 11): the caches are full after some seventy.
+
+    Triple pendulums: 9 MB in use, the same after 100 as after 800, and as much again in holes of the heap.
+    """
+    assert growth(file, how, 1000) < most

@@ -30,7 +30,7 @@ LONGEST_AUTO = 30.0
 """s of compiling beyond which "auto" leaves a function interpreted, whatever the work"""
 LARGEST = 16 * 1024 * 1024
 """Bytes of C beyond which nothing is compiled: gcc needs about 1 KB of memory per byte"""
-REMEMBERED = 64
+REMEMBERED = 32
 """Functions, the latest used, with what became of them: 0.1 MB each of a triple pendulum"""
 AGREEMENT = 1e-6
 """Relative difference from the interpreter, at one point, beyond which a new library is thrown away"""

@@ -13,7 +13,7 @@ from orbitfinder.flow import vector_field as equations_of_motion
 from orbitfinder.mechanics.canonical import Canonical, canonical
 from orbitfinder.mechanics.model import Model
 
-KEPT = 16
+KEPT = 8
 """Sets of equations that are remembered."""
 
 _known: dict[tuple[Any, ...], tuple[Model, Any]] = {}
