@@ -86,9 +86,10 @@ in minimal coordinates; the family folds at -8 J and comes back unstable."""),
           """The slow mode at one energy while the length of a bar varies, the loop closed anew at every length."""),
     Entry("henon-heiles-straight", "problems/families/henon-heiles-straight.toml --points 100", """The straight line of
 Hénon-Heiles up to the saddle at E = 1/6, with its cascade of stability changes."""),
-    Entry("henon-heiles-curved", "problems/families/henon-heiles-curved.toml --points 60 --until 300", """A curved brake orbit of
-Hénon-Heiles; beyond E = 1/6 it goes on among escaping motions."""),
-    Entry("henon-heiles-loop", "problems/families/henon-heiles-loop.toml --points 60 --until 30", "A loop of Hénon-Heiles."),
+    Entry("henon-heiles-curved", "problems/families/henon-heiles-curved.toml --points 60 --until 300", """A curved brake
+orbit of Hénon-Heiles; beyond E = 1/6 it goes on among escaping motions."""),
+    Entry("henon-heiles-loop", "problems/families/henon-heiles-loop.toml --points 60 --until 30",
+          "A loop of Hénon-Heiles."),
 )  # fmt: skip
 
 

@@ -394,3 +394,16 @@ def test_family_figures(tmp_path):
     family = continue_command(mode_problem(chain(2), 2), points=15, out=tmp_path, settings=settings)
     paths = save_family_figures(family, tmp_path)
     assert len(paths) == 3 and all(path.stat().st_size > 10_000 for path in paths)
+
+
+def test_variations_that_overflow_are_a_shorter_step_and_no_traceback(monkeypatch):
+    """A corrector whose Jacobian is not finite says so, and a nearer point is tried (seen on a five-bar)."""
+    from orbitfinder.families import system
+
+    start = begin(mode_problem(chain(2), 1, 0.5), FamilySettings(), symmetry="brake+reflection")
+    place, head = start.found.place, np.ones(start.found.place.head.size)
+    assert system.correct(start.curve, place, system.Aim(float(head @ place.head), head)).residual < 1e-8
+    whole = system._jacobian
+    monkeypatch.setattr(system, "_jacobian", lambda *given: np.full_like(whole(*given), np.nan))
+    with pytest.raises(ConvergenceError, match="variations of the corrector's orbit overflow"):
+        system.correct(start.curve, place, system.Aim(float(head @ place.head), head))

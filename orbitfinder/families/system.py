@@ -272,6 +272,8 @@ def correct(
         ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > 0.1 * previous)
         if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
+        if not np.all(np.isfinite(jacobian)):
+            raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")
         try:
             step = -Factors(np.vstack([jacobian, last])).solve(rows)
         except np.linalg.LinAlgError:

@@ -116,7 +116,7 @@ def family_main(family: Mapping[str, Any], items: Sequence[Mapping[str, Any]], b
     summary = (
         f"{plural(len(points), 'orbit')} of the {mechanism(family['system'])}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "
-        f"Parameter: {family['parameter']}. All as `orbitfinder continue` recorded it; not checked here."
+        f"Parameter: {family['parameter']}. All as orbitfinder continue recorded it; not checked here."
     )
     columns = ["energy", "period"] if family["parameter"] in UNITS else ["value", "energy", "period"]
     words = {"value": str(family["parameter"]), "energy": "energy, J", "period": "period, s"}
