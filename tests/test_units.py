@@ -17,6 +17,7 @@ UNITS = {
     "milliseconds": (1.0, 1e3),
     "a resonator of 2 um and 1 MHz": (2e-6, 1.6e-7),
     "microns and weeks": (1e6, 1e-6),
+    "an amplitude of a nanometre": (1e-9, 1.0),
 }
 """Lengths and times of the same motion, in units of which the first is told in."""
 PERIOD = 4.7680220291024620

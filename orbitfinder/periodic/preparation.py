@@ -10,10 +10,11 @@ import numpy as np
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.flow import Flow, end_state
 from orbitfinder.flow import vector_field as equations_of_motion
+from orbitfinder.periodic.evidence import integrate_in
 from orbitfinder.periodic.polish import segment, tail_of
 from orbitfinder.periodic.problem import Guess, Problem
 from orbitfinder.periodic.shooting import boundary_shift, far_end, half_turns, units_of
-from orbitfinder.reference import SECOND, integrate, vector_field
+from orbitfinder.reference import SECOND, vector_field
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
@@ -38,10 +39,10 @@ def check_invariants(problem: Problem) -> None:
     n, values = model.degrees_of_freedom, model.parameter_values
     t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * n)
     field = vector_field(ca.Function("plain", [t, x], [equations_of_motion(model, (), ())(t, x, [], [])]))
-    pushed = 0.01 * np.asarray(units_of(problem) or np.ones(2 * n))
-    start = np.asarray(problem.guess.state, float) + pushed * np.random.default_rng(0).normal(size=2 * n)
+    units = np.asarray(units_of(problem) or np.ones(2 * n))
+    start = np.asarray(problem.guess.state, float) + 0.01 * units * np.random.default_rng(0).normal(size=2 * n)
     try:
-        states = integrate(field, start, np.linspace(0.0, problem.guess.period, 9), SECOND)
+        states = integrate_in(units, field, start, np.linspace(0.0, problem.guess.period, 9), SECOND)
     except IntegrationError:
         return  # the search itself will say where the motion cannot be integrated
     for one in model.invariants:
