@@ -71,6 +71,17 @@ def session(leader):
     return found
 
 
+def at_work(leader, seconds=1.5):
+    """Processes of a session, the leader apart, that have worked for so long: spawned, imported, on their first job."""
+    found = []
+    for process in session(leader):
+        with contextlib.suppress(OSError):
+            words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+            if process != leader and (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK") > seconds:
+                found.append(process)
+    return found
+
+
 proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 
 
@@ -114,6 +125,7 @@ def test_workers_do_not_outlive_their_parent(tmp_path, number, command):
     running = started(*words)
     assert until(lambda: len(session(running.pid)) >= 4)  # two workers, the tracker
     until((tmp_path / ("o/p1" if command == "run" else "z.sqlite")).exists, 20)
+    assert until(lambda: len(at_work(running.pid)) >= 2, 60)  # a half-spawned Python has a traceback of its own
     os.kill(running.pid, number)
     _, err = running.communicate(timeout=30)
     assert until(lambda: not session(running.pid), 10), session(running.pid)
