@@ -138,8 +138,9 @@ root, what = Path(sys.argv[1]), sys.argv[2]
 orbit = of.load_orbit(root / "results/orbits/triple-1/orbit.json")
 problem = of.Problem(of.chain(3), of.Guess(orbit.state, orbit.period), of.pin(energy=orbit.energy))
 if what == "refine":
-    refiner = of.Refiner(problem); refiner.refine(orbit.state, orbit.period)
-    work, times = lambda: refiner.refine(orbit.state * (1 + 1e-6), orbit.period), 200
+    refiner, off = of.Refiner(problem), of.Guess(orbit.state * (1 + 1e-6), orbit.period)
+    refiner.refine(off)
+    work, times = lambda: refiner.refine(off), 200
 else:
     of.find_orbit(problem); work, times = lambda: of.find_orbit(problem), 5
 best = []
