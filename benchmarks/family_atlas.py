@@ -81,14 +81,14 @@ small motion on it."""),
 upright saddle, 156.8 J above hanging."""),
     Entry("five-bar-slow", "problems/families/five-bar-slow.toml --points 60", """A five-bar under gravity, slow mode,
 in minimal coordinates; the family folds at -8 J and comes back unstable."""),
-    Entry("five-bar-fast", "problems/families/five-bar-fast.toml --points 60", "The same five-bar, fast mode."),
+    Entry("five-bar-fast", "problems/families/five-bar-fast.toml --points 90", "The same five-bar, fast mode."),
     Entry("five-bar-length", "problems/families/five-bar-length.toml --parameter length3 --until 2.2",
           """The slow mode at one energy while the length of a bar varies, the loop closed anew at every length."""),
     Entry("henon-heiles-straight", "problems/families/henon-heiles-straight.toml --points 100", """The straight line of
 Hénon-Heiles up to the saddle at E = 1/6, with its cascade of stability changes."""),
-    Entry("henon-heiles-curved", "problems/families/henon-heiles-curved.toml --points 60 --until 300", """A curved brake
+    Entry("henon-heiles-curved", "problems/families/henon-heiles-curved.toml --points 25", """A curved brake
 orbit of Hénon-Heiles; beyond E = 1/6 it goes on among escaping motions."""),
-    Entry("henon-heiles-loop", "problems/families/henon-heiles-loop.toml --points 60 --until 30",
+    Entry("henon-heiles-loop", "problems/families/henon-heiles-loop.toml --points 25",
           "A loop of Hénon-Heiles."),
 )  # fmt: skip
 

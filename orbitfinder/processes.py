@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -64,12 +65,14 @@ def hired(work: Callable[..., None], *arguments: Any) -> Hand:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_begin, args=(theirs, work, *arguments), daemon=True)
-    try:
-        with interrupt.held_back(), children_see(dict.fromkeys((*NAMES, SAFE_PATH), "1")):
-            process.start()
-    except KeyboardInterrupt:
-        process.kill()
-        raise
+    with children_see(dict.fromkeys((*NAMES, SAFE_PATH), "1")):
+        resource_tracker.ensure_running()  # its start lets Ctrl-C through again, so it comes before that is held back
+        try:
+            with interrupt.held_back():
+                process.start()
+        except KeyboardInterrupt:
+            process.kill()
+            raise
     theirs.close()
     return Hand(process, ours)
 

@@ -227,7 +227,7 @@ def test_threads_keep_the_terminal(capfd):
     def find(k):
         for j in range(4):
             found.append(of.find_orbit(problem).period)
-            print(f"thread {k} orbit {j}")
+            sys.stdout.write(f"thread {k} orbit {j}\n")  # print would write the end of the line apart
 
     threads = [threading.Thread(target=find, args=(k,)) for k in range(4)]
     for thread in threads:
