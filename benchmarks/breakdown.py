@@ -20,10 +20,12 @@ from machine import load, processor, versions
 from peers.task import ROOT, tasks
 
 import orbitfinder as of
-from orbitfinder.compiled import compiled, compiling, with_derivatives
-from orbitfinder.flow import IntegratorSettings, build_flow
-from orbitfinder.periodic import objectives, solve, warm
-from orbitfinder.runge_kutta import block, variational_field
+from orbitfinder.integrate.compiled import compiled, compiling, with_derivatives
+from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
+from orbitfinder.integrate.rk8 import block, variational_field
+from orbitfinder.orbits import find as solve
+from orbitfinder.orbits import objectives
+from orbitfinder.orbits import refine as warm
 
 STAGES = {
     "nodes of the guess": (solve, "initial_nodes"),

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 import orbitfinder as of
+from benchmarks.validation.literature import ARENSTORF, arenstorf_orbit
 from orbitfinder.errors import IntegrationError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.certify import LARGEST_SCALE, Tolerances, gather
-from orbitfinder.periodic.closure import EPSILON
-from orbitfinder.validation.literature import ARENSTORF, arenstorf_orbit
+from orbitfinder.orbits.certify import LARGEST_SCALE, Tolerances, gather
+from orbitfinder.orbits.closure import EPSILON
 
 ROOT = Path(__file__).parents[1]
 RULE = Tolerances()
@@ -153,7 +153,7 @@ INTRODUCTION = f"""# The closure rule: true orbits against false ones
 
 Written by `python benchmarks/closure_rule.py`. Gaps and distances are in extents of the motion. A certificate
 asks for gap <= {RULE.closure:g} A, A at most {LARGEST_SCALE:g}, and for a true orbit within {RULE.distance:g}
-(`orbitfinder/periodic/closure.py`). "By mu" is the rule of version 0.1.0, where the largest multiplier stood for A.
+(`orbitfinder/orbits/closure.py`). "By mu" is the rule of version 0.1.0, where the largest multiplier stood for A.
 A distance of 0 says that the gap is within round-off.
 """
 

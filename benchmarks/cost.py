@@ -23,7 +23,7 @@ import numpy as np
 from machine import load, processor, versions
 
 import orbitfinder as of
-from orbitfinder.compiled import compiled, compiling
+from orbitfinder.integrate.compiled import compiled, compiling
 
 ROOT = Path(__file__).parents[1]
 SIZES = (3, 10, 20, 50, 100, 200, 500, 1000)

@@ -28,13 +28,13 @@ import casadi as ca
 import numpy as np
 from peers.auto_family import AUTO, Clock, Run, auto_runs
 
-from orbitfinder.compiled import compiling
 from orbitfinder.families.closure import closure_check
-from orbitfinder.families.continuation import follow
+from orbitfinder.families.follow import follow
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.points import FamilyPoint, FamilySettings
+from orbitfinder.families.point import FamilyPoint, FamilySettings
+from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin
-from orbitfinder.families.walk import Walk, first_point
+from orbitfinder.integrate.compiled import compiling
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model
 

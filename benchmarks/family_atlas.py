@@ -19,8 +19,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from orbitfinder.families.points import Family
-from orbitfinder.families.store import load_family
+from orbitfinder.families.journal import load_family
+from orbitfinder.families.point import Family
 from orbitfinder.show.family_plot import frequency_energy
 from orbitfinder.show.style import save_png
 

@@ -21,16 +21,16 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.branching import SWITCHABLE
-from orbitfinder.families.command import continue_command
-from orbitfinder.families.points import Family, FamilyPoint, FamilySettings
-from orbitfinder.families.store import load_family
+from orbitfinder.families.branches import SWITCHABLE
+from orbitfinder.families.folder import continue_command
+from orbitfinder.families.journal import load_family
+from orbitfinder.families.point import Family, FamilyPoint, FamilySettings
 from orbitfinder.families.switching import branches, described
+from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.certify import gather
-from orbitfinder.periodic.problem import Problem
-from orbitfinder.problemfile import load_problem
+from orbitfinder.orbits.certify import gather
+from orbitfinder.problemfile.read import load_problem
 
 ROOT = Path(__file__).parents[1]
 REAL = 1e-6

@@ -54,10 +54,10 @@ def spent() -> float:
 def one_size(links: int, amplitude: float) -> dict[str, Any]:
     """Find, measure and certify one chain; seconds and MB of each stage, and the orbit's numbers."""
     import orbitfinder as of
-    from orbitfinder.onethread import one_thread
-    from orbitfinder.periodic import long_chain
-    from orbitfinder.periodic.guesses import normal_mode
-    from orbitfinder.periodic.harmonic_balance import FEWEST
+    from orbitfinder._runtime.threads import one_thread
+    from orbitfinder.guesses.balance import FEWEST
+    from orbitfinder.guesses.modes import normal_mode
+    from orbitfinder.orbits import long_chain
 
     row: dict[str, Any] = {"links": links, "start_mb": peak()}
     wall, clock = time.perf_counter(), [spent()]
@@ -101,9 +101,9 @@ def ordinary(links: int, amplitude: float) -> dict[str, Any]:
     """The same problem by multiple shooting, started from the linear mode, without a certificate."""
     import orbitfinder as of
     from orbitfinder.errors import OrbitfinderError
-    from orbitfinder.periodic import long_chain
-    from orbitfinder.periodic.guesses import normal_mode
-    from orbitfinder.periodic.nlp import SolveSettings
+    from orbitfinder.guesses.modes import normal_mode
+    from orbitfinder.loops.ipopt import SolveSettings
+    from orbitfinder.orbits import long_chain
 
     long_chain.suits = lambda problem: False
     began = time.process_time()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from orbitfinder.compiled import available
+from orbitfinder.integrate.compiled import available
 
 
 def processor() -> str:

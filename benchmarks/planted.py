@@ -16,10 +16,10 @@ import numpy as np
 from closure_rule import Case, shipped, unstable, upright
 
 import orbitfinder as of
+from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.certify import certify, gather
-from orbitfinder.periodic.evidence import Evidence
-from orbitfinder.periodic.symmetry import recognise
+from orbitfinder.orbits.certify import certify, gather
+from orbitfinder.orbits.evidence import Evidence
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("five-bar-fast-mode", "six-bar-middle-mode", "four-bar-drag-link", "cart-chain-three", "fermi-pasta-ulam",

@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.periodic.orbit import orbit_from_document, write_atomically
 from orbitfinder.proof.formulation import PARTS
 from orbitfinder.proof.record import entry
 from orbitfinder.proof.theorem import prove
+from orbitfinder.records.orbit import orbit_from_document, write_atomically
 
 
 def cost(document: dict[str, Any]) -> float:

@@ -31,10 +31,10 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import least_squares
 
 import orbitfinder as of
+from orbitfinder._runtime.threads import children_on_one_thread
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.starts import Target, bench, make_start
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.onethread import children_on_one_thread
 
 ROOT = Path(__file__).parents[1]
 LINKS, ENERGY, PERIODS, SEED, PROCESSES = 3, -30.0, (0.5, 6.0), 0, 2

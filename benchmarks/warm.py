@@ -26,7 +26,7 @@ from peers.taylor import Taylor
 from refine import refine_by_hand
 
 import orbitfinder as of
-from orbitfinder.compiled import available, compiling
+from orbitfinder.integrate.compiled import available, compiling
 
 REPEATS = 7
 OURS, INTERPRETED = "orbitfinder", "orbitfinder, interpreted"
@@ -40,7 +40,7 @@ import os, sys, time
 sys.path.insert(0, sys.argv[1])
 from peers.task import tasks
 import orbitfinder as of
-from orbitfinder.compiled import compiling, statistics
+from orbitfinder.integrate.compiled import compiling, statistics
 one = next(task for task in tasks() if task.name == sys.argv[2])
 problem = one.problem
 with compiling("on"):

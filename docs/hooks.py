@@ -22,7 +22,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 def commands(_: str) -> str:
     """The help text of every command."""
-    from orbitfinder.cli import cli
+    from orbitfinder.cli.group import cli
 
     return "\n".join(described(cli))
 
@@ -34,7 +34,7 @@ def validation(_: str) -> str:
 
 def orbit(file: str) -> str:
     """An orbit of the repository as notebooks show it, moving."""
-    from orbitfinder.periodic.orbit import load_orbit
+    from orbitfinder.records.orbit import load_orbit
     from orbitfinder.show.html import orbit_html
 
     return orbit_html(load_orbit(ROOT / file))
@@ -42,7 +42,7 @@ def orbit(file: str) -> str:
 
 def family(file: str) -> str:
     """A family of the repository as notebooks show it."""
-    from orbitfinder.families.store import load_family
+    from orbitfinder.families.journal import load_family
     from orbitfinder.show.html import family_html
 
     return family_html(load_family(ROOT / file))

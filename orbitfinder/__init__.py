@@ -14,27 +14,42 @@ from importlib import import_module
 from inspect import isfunction
 from typing import TYPE_CHECKING, Any
 
-from orbitfinder import display as _display
-from orbitfinder.version import __version__ as __version__
+from orbitfinder._runtime import notebook as _display
+from orbitfinder._runtime.version import __version__ as __version__
 
 _display.drawn_by("orbitfinder.show.html")
 
 if TYPE_CHECKING:
     from orbitfinder import errors as errors
     from orbitfinder import systems as systems
+    from orbitfinder._runtime.limit import limited as limited
     from orbitfinder.atlas.api import search as search
+    from orbitfinder.atlas.choose import least_unstable as least_unstable
     from orbitfinder.atlas.store import Atlas as Atlas
     from orbitfinder.atlas.store import Filter as Filter
-    from orbitfinder.choosing import least_unstable as least_unstable
-    from orbitfinder.dae_flow import DaeSettings as DaeSettings
-    from orbitfinder.dae_flow import simulate_dae as simulate_dae
     from orbitfinder.exports.write import export_orbit as export_orbit
-    from orbitfinder.flow import IntegratorSettings as IntegratorSettings
-    from orbitfinder.flow import build_flow as build_flow
-    from orbitfinder.flow import end_state as end_state
-    from orbitfinder.flow import sample as sample
-    from orbitfinder.flow import transition as transition
-    from orbitfinder.limit import limited as limited
+    from orbitfinder.guesses.linkages import first_return as first_return
+    from orbitfinder.guesses.linkages import linkage_equilibrium as linkage_equilibrium
+    from orbitfinder.guesses.linkages import linkage_mode as linkage_mode
+    from orbitfinder.guesses.linkages import linkage_modes as linkage_modes
+    from orbitfinder.guesses.modes import normal_mode as normal_mode
+    from orbitfinder.guesses.modes import normal_modes as normal_modes
+    from orbitfinder.guesses.returns import close_returns as close_returns
+    from orbitfinder.guesses.returns import normal_mode_sum as normal_mode_sum
+    from orbitfinder.guesses.returns import recurrences as recurrences
+    from orbitfinder.integrate.cvodes import IntegratorSettings as IntegratorSettings
+    from orbitfinder.integrate.cvodes import build_flow as build_flow
+    from orbitfinder.integrate.cvodes import end_state as end_state
+    from orbitfinder.integrate.cvodes import sample as sample
+    from orbitfinder.integrate.cvodes import transition as transition
+    from orbitfinder.integrate.idas import DaeSettings as DaeSettings
+    from orbitfinder.integrate.idas import simulate_dae as simulate_dae
+    from orbitfinder.loops.conditions import nearest as nearest
+    from orbitfinder.loops.conditions import pin as pin
+    from orbitfinder.loops.freedom import Constraint as Constraint
+    from orbitfinder.loops.freedom import Variables as Variables
+    from orbitfinder.loops.problem import Guess as Guess
+    from orbitfinder.loops.problem import Problem as Problem
     from orbitfinder.mechanics.assembly import assemble as assemble
     from orbitfinder.mechanics.assembly import linkage_rates as linkage_rates
     from orbitfinder.mechanics.chain import chain as chain
@@ -55,34 +70,19 @@ if TYPE_CHECKING:
     from orbitfinder.mechanics.model import energy as energy
     from orbitfinder.mechanics.model import positions as positions
     from orbitfinder.mechanics.partition import minimal_linkage as minimal_linkage
-    from orbitfinder.periodic.certify import certify as certify
-    from orbitfinder.periodic.conditions import nearest as nearest
-    from orbitfinder.periodic.conditions import pin as pin
-    from orbitfinder.periodic.dae_orbit import certify_dae as certify_dae
-    from orbitfinder.periodic.dae_orbit import dae_problem as dae_problem
-    from orbitfinder.periodic.dae_orbit import find_dae_orbit as find_dae_orbit
-    from orbitfinder.periodic.freedom import Constraint as Constraint
-    from orbitfinder.periodic.freedom import Variables as Variables
-    from orbitfinder.periodic.guesses import normal_mode as normal_mode
-    from orbitfinder.periodic.guesses import normal_modes as normal_modes
-    from orbitfinder.periodic.linkage_guesses import first_return as first_return
-    from orbitfinder.periodic.linkage_guesses import linkage_equilibrium as linkage_equilibrium
-    from orbitfinder.periodic.linkage_guesses import linkage_mode as linkage_mode
-    from orbitfinder.periodic.linkage_guesses import linkage_modes as linkage_modes
-    from orbitfinder.periodic.orbit import Certificate as Certificate
-    from orbitfinder.periodic.orbit import Orbit as Orbit
-    from orbitfinder.periodic.orbit import load_orbit as load_orbit
-    from orbitfinder.periodic.orbit import save_orbit as save_orbit
-    from orbitfinder.periodic.problem import Guess as Guess
-    from orbitfinder.periodic.problem import Problem as Problem
-    from orbitfinder.periodic.recurrence import close_returns as close_returns
-    from orbitfinder.periodic.recurrence import normal_mode_sum as normal_mode_sum
-    from orbitfinder.periodic.recurrence import recurrences as recurrences
-    from orbitfinder.periodic.solve import SolveSettings as SolveSettings
-    from orbitfinder.periodic.solve import find_orbit as find_orbit
-    from orbitfinder.periodic.warm import Refined as Refined
-    from orbitfinder.periodic.warm import Refiner as Refiner
-    from orbitfinder.problemfile import load_problem as load_problem
+    from orbitfinder.orbits.certify import certify as certify
+    from orbitfinder.orbits.dae_orbit import certify_dae as certify_dae
+    from orbitfinder.orbits.dae_orbit import dae_problem as dae_problem
+    from orbitfinder.orbits.dae_orbit import find_dae_orbit as find_dae_orbit
+    from orbitfinder.orbits.find import SolveSettings as SolveSettings
+    from orbitfinder.orbits.find import find_orbit as find_orbit
+    from orbitfinder.orbits.refine import Refined as Refined
+    from orbitfinder.orbits.refine import Refiner as Refiner
+    from orbitfinder.problemfile.read import load_problem as load_problem
+    from orbitfinder.records.orbit import Certificate as Certificate
+    from orbitfinder.records.orbit import Orbit as Orbit
+    from orbitfinder.records.orbit import load_orbit as load_orbit
+    from orbitfinder.records.orbit import save_orbit as save_orbit
     from orbitfinder.show.animate import orbit_clip as orbit_clip
     from orbitfinder.show.animate import save_animation as save_animation
     from orbitfinder.show.animate import simulation_clip as simulation_clip
@@ -95,12 +95,12 @@ _HOMES = {
     "Atlas": "atlas.store",
     "Filter": "atlas.store",
     "systems": "",
-    "IntegratorSettings": "flow",
-    "limited": "limit",
-    "build_flow": "flow",
-    "end_state": "flow",
-    "sample": "flow",
-    "transition": "flow",
+    "IntegratorSettings": "integrate.cvodes",
+    "limited": "_runtime.limit",
+    "build_flow": "integrate.cvodes",
+    "end_state": "integrate.cvodes",
+    "sample": "integrate.cvodes",
+    "transition": "integrate.cvodes",
     "chain": "mechanics.chain",
     "Symbols": "mechanics.lagrange",
     "lagrange": "mechanics.lagrange",
@@ -109,20 +109,20 @@ _HOMES = {
     "energies": "mechanics.model",
     "energy": "mechanics.model",
     "positions": "mechanics.model",
-    "certify": "periodic.certify",
-    "nearest": "periodic.conditions",
-    "pin": "periodic.conditions",
-    "Certificate": "periodic.orbit",
-    "Orbit": "periodic.orbit",
-    "load_orbit": "periodic.orbit",
-    "save_orbit": "periodic.orbit",
-    "Guess": "periodic.problem",
-    "Problem": "periodic.problem",
-    "SolveSettings": "periodic.solve",
-    "find_orbit": "periodic.solve",
+    "certify": "orbits.certify",
+    "nearest": "loops.conditions",
+    "pin": "loops.conditions",
+    "Certificate": "records.orbit",
+    "Orbit": "records.orbit",
+    "load_orbit": "records.orbit",
+    "save_orbit": "records.orbit",
+    "Guess": "loops.problem",
+    "Problem": "loops.problem",
+    "SolveSettings": "orbits.find",
+    "find_orbit": "orbits.find",
     "export_orbit": "exports.write",
-    "DaeSettings": "dae_flow",
-    "simulate_dae": "dae_flow",
+    "DaeSettings": "integrate.idas",
+    "simulate_dae": "integrate.idas",
     "assemble": "mechanics.assembly",
     "linkage_rates": "mechanics.assembly",
     "Baumgarte": "mechanics.constrained",
@@ -139,24 +139,24 @@ _HOMES = {
     "simulation_clip": "show.animate",
     "save_figures": "show.plot",
     "minimal_linkage": "mechanics.partition",
-    "certify_dae": "periodic.dae_orbit",
-    "dae_problem": "periodic.dae_orbit",
-    "find_dae_orbit": "periodic.dae_orbit",
-    "first_return": "periodic.linkage_guesses",
-    "linkage_equilibrium": "periodic.linkage_guesses",
-    "linkage_mode": "periodic.linkage_guesses",
-    "linkage_modes": "periodic.linkage_guesses",
-    "Refined": "periodic.warm",
-    "Refiner": "periodic.warm",
-    "load_problem": "problemfile",
-    "normal_mode_sum": "periodic.recurrence",
-    "normal_modes": "periodic.guesses",
-    "normal_mode": "periodic.guesses",
-    "close_returns": "periodic.recurrence",
-    "recurrences": "periodic.recurrence",
-    "least_unstable": "choosing",
-    "Variables": "periodic.freedom",
-    "Constraint": "periodic.freedom",
+    "certify_dae": "orbits.dae_orbit",
+    "dae_problem": "orbits.dae_orbit",
+    "find_dae_orbit": "orbits.dae_orbit",
+    "first_return": "guesses.linkages",
+    "linkage_equilibrium": "guesses.linkages",
+    "linkage_mode": "guesses.linkages",
+    "linkage_modes": "guesses.linkages",
+    "Refined": "orbits.refine",
+    "Refiner": "orbits.refine",
+    "load_problem": "problemfile.read",
+    "normal_mode_sum": "guesses.returns",
+    "normal_modes": "guesses.modes",
+    "normal_mode": "guesses.modes",
+    "close_returns": "guesses.returns",
+    "recurrences": "guesses.returns",
+    "least_unstable": "atlas.choose",
+    "Variables": "loops.freedom",
+    "Constraint": "loops.freedom",
 }
 
 __all__ = ["__version__", *sorted(_HOMES)]
@@ -177,7 +177,7 @@ def _public(value: Any) -> Any:
     """A function with its arguments checked, under this package's name so that it can be pickled; a class as it is."""
     if not isfunction(value):
         return value
-    from orbitfinder.arguments import checked
+    from orbitfinder._runtime.arguments import checked
 
     front = checked(value)
     front.__module__ = __name__

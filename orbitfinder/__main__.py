@@ -9,7 +9,7 @@ import signal
 import sys
 import warnings
 
-from orbitfinder import interrupt, streams
+from orbitfinder._runtime import interrupt, streams
 
 INTERRUPTED = 130
 
@@ -21,7 +21,7 @@ def main() -> None:
     warnings.formatwarning = lambda message, category, *_, **__: f"{category.__name__}: {message}\n"
     try:
         with interrupt.watch():
-            from orbitfinder.cli import cli
+            from orbitfinder.cli.group import cli
 
             cli(prog_name="orbitfinder")
     except KeyboardInterrupt:

@@ -8,13 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.flow import Flow
+from orbitfinder.integrate.cvodes import Flow
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.orbit import Orbit
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.records.orbit import Orbit
 
 DATA = Path(__file__).parent / "data"
 """Copies of shared/reference/*.json, computed independently of this project (see their `meta`)."""
@@ -88,7 +88,7 @@ def pendulum_period(amplitude: float) -> float:
 
 def dop853(flow: Flow, state, times, s=(), free=()) -> np.ndarray:
     """States at increasing times by the independent integrator, on the flow's own field."""
-    from orbitfinder.reference import integrate, vector_field
+    from orbitfinder.integrate.dop853 import integrate, vector_field
 
     t, x = ca.MX.sym("t"), ca.MX.sym("x", len(state))
     field = ca.Function("field", [t, x], [flow.field(t, x, ca.DM(list(s)), ca.DM(list(free)))])

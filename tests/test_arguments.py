@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import orbitfinder as of
-from orbitfinder.arguments import fits
+from orbitfinder._runtime.arguments import fits
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import energy
 from orbitfinder.systems import van_der_pol

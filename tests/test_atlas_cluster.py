@@ -7,10 +7,10 @@ import pytest
 from test_atlas_search import ENERGY, PERIODS, content
 
 from orbitfinder.atlas import api, cluster
+from orbitfinder.atlas.job import Task
 from orbitfinder.atlas.search import Limits, Search
 from orbitfinder.atlas.starts import Target, bench
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.atlas.task import Task
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.mechanics.chain import chain
 
@@ -81,7 +81,7 @@ def test_a_cluster_without_workers(tmp_path):
 @pytest.mark.slow
 def test_a_worker_that_cannot_build_the_system(loopback):
     crew = cluster.Cluster(Task({"kind": "nonsense"}, ENERGY, PERIODS, 0), loopback)
-    from orbitfinder.atlas.task import Order
+    from orbitfinder.atlas.job import Order
 
     crew.submit(Order(0))
     with pytest.raises(OrbitfinderError, match=r"a worker of the cluster failed with InputError: .*nonsense"):

@@ -14,14 +14,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.atlas import api, quick, refine, valley, workers
+from orbitfinder.atlas import api, valley, workers
+from orbitfinder.atlas import attempt as refine
+from orbitfinder.atlas import solver as quick
 from orbitfinder.atlas.estimate import chao1, remarks, stratum, total
+from orbitfinder.atlas.job import Known, Order, Task, perform
 from orbitfinder.atlas.mirrors import mirrors, named
 from orbitfinder.atlas.report import discovery, summarise
 from orbitfinder.atlas.search import Limits, Search, register
 from orbitfinder.atlas.starts import Target, bench, make_start
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.atlas.task import Known, Order, Task, perform
 from orbitfinder.atlas.workers import DIED, Inline, Local
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
 from orbitfinder.mechanics.catalogue import build_model
@@ -29,7 +31,7 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import reduced
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.linkage import linkage
-from orbitfinder.periodic.certify import certify
+from orbitfinder.orbits.certify import certify
 
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "search" / "triple.toml"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.runner import verify_file
+from orbitfinder.cli.jobs import verify_file
 
 PLACE = Path(__file__).parents[1] / "results" / "atlas"
 FILES = sorted(PLACE.glob("*.sqlite"))

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orbitfinder.atlas.refine import attempt
+from orbitfinder.atlas.attempt import attempt
 from orbitfinder.atlas.signature import DISTANCE, LOOP_SAMPLES, distance, images, same_orbit, signature_of
 from orbitfinder.atlas.starts import Target, bench, make_start
-from orbitfinder.flow import build_flow, end_state
+from orbitfinder.integrate.cvodes import build_flow, end_state
 from orbitfinder.mechanics.chain import chain
 
 

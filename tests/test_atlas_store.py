@@ -16,8 +16,8 @@ from orbitfinder.atlas.signature import LOOP_SAMPLES, Signature, signature_of
 from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.orbit import orbit_to_document
+from orbitfinder.orbits.certify import certify
+from orbitfinder.records.orbit import orbit_to_document
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.guesses.balanced import balanced_guess, suits
+from orbitfinder.guesses.modes import normal_mode
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic import solve
-from orbitfinder.periodic.balanced_start import balanced_guess, suits
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.guesses import normal_mode
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import SolveSettings, find_orbit
+from orbitfinder.orbits import find as solve
+from orbitfinder.orbits.find import SolveSettings, find_orbit
 
 
 def mode(links: int, number: int, amplitude: float) -> Problem:

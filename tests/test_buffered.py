@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.buffered import Buffered
 from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.buffered import Buffered
 
 
 def example() -> ca.Function:

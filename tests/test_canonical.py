@@ -4,11 +4,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.mechanics.canonical import canonical
+from orbitfinder.integrate.dop853 import integrate, vector_field
 from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.hamilton import canonical
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energies
-from orbitfinder.reference import integrate, vector_field
 
 
 def unequal(links):

@@ -7,11 +7,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.flow import Flow
+from orbitfinder.integrate.cvodes import Flow
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.certify import Tolerances, certify, gather
-from orbitfinder.periodic.orbit import Orbit, load_orbit, save_orbit
+from orbitfinder.orbits.certify import Tolerances, certify, gather
+from orbitfinder.records.orbit import Orbit, load_orbit, save_orbit
 
 NAMES = ["triple-1", "triple-2", "quadruple-1", "quadruple-2"]
 
@@ -117,9 +117,9 @@ def test_an_equilibrium_fails_not_equilibrium(good, angles):
 
 def test_a_small_oscillation_is_no_equilibrium():
     """An honest motion of 1e-4 rad passes not_equilibrium."""
-    from orbitfinder.periodic.conditions import pin
-    from orbitfinder.periodic.problem import Guess, Problem
-    from orbitfinder.periodic.solve import find_orbit
+    from orbitfinder.loops.conditions import pin
+    from orbitfinder.loops.problem import Guess, Problem
+    from orbitfinder.orbits.find import find_orbit
 
     orbit = find_orbit(Problem(chain(1), Guess([1e-4, 0.0], 1.64), pin=pin(theta1=1e-4)))
     assert orbit.certificate.failures == ()
@@ -272,10 +272,10 @@ def test_tolerances_can_be_tightened(good):
 def test_a_custom_model_is_certified_with_the_model_in_hand():
     """A system no file describes is certified when its Model is given, and refused by name without."""
     from orbitfinder.errors import InputError
+    from orbitfinder.loops.conditions import pin
+    from orbitfinder.loops.problem import Guess, Problem
     from orbitfinder.mechanics.lagrange import Symbols, lagrange
-    from orbitfinder.periodic.conditions import pin
-    from orbitfinder.periodic.problem import Guess, Problem
-    from orbitfinder.periodic.solve import find_orbit
+    from orbitfinder.orbits.find import find_orbit
 
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
     model = lagrange(0.5 * v**2, 0.5 * q**2 + 0.25 * q**4, Symbols(q, v))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
-from orbitfinder.flow import build_flow, end_state
+from orbitfinder.integrate.cvodes import build_flow, end_state
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy, positions

@@ -8,12 +8,12 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder import choosing
-from orbitfinder.cli import cli
+from orbitfinder.atlas import choose as choosing
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
-from orbitfinder.periodic.instability import rank
-from orbitfinder.periodic.nlp import SolveSettings
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.loops.ipopt import SolveSettings
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.instability import rank
 
 DOUBLE = of.chain(2)
 GUESS = of.normal_mode(DOUBLE, 2, 0.9)

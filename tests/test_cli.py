@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from orbitfinder.cli import cli
-from orbitfinder.jsontext import finite
-from orbitfinder.periodic.orbit import load_orbit, save_orbit
-from orbitfinder.runner import check_writable, one_line
+from orbitfinder.cli.group import cli
+from orbitfinder.cli.jobs import check_writable, one_line
+from orbitfinder.records.jsontext import finite
+from orbitfinder.records.orbit import load_orbit, save_orbit
 
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "report" / "triple-1.toml"
@@ -262,7 +262,7 @@ def test_help_has_examples(command):
 def test_help_loads_nothing_heavy():
     """`orbitfinder --help` must not wait for CasADi, NumPy, SciPy, pydantic, rich or matplotlib."""
     code = (
-        "import sys\nfrom orbitfinder.cli import cli\n"
+        "import sys\nfrom orbitfinder.cli.group import cli\n"
         "cli(['--help'], standalone_mode=False)\n"
         "heavy = {'casadi', 'scipy', 'matplotlib', 'pydantic', 'rich'} & sys.modules.keys()\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)\n"

@@ -14,15 +14,30 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from orbitfinder import compiled as rooms
-from orbitfinder import locks
-from orbitfinder.clioptions import compile_option
-from orbitfinder.compiled import available, cache, compiled, compiling, mode, set_mode, statistics, with_derivatives
-from orbitfinder.compiled.compiler import CompilerError, expected_seconds, find_compiler, flags, make_library
+from orbitfinder._runtime import locks
+from orbitfinder.cli.options import compile_option
 from orbitfinder.errors import InputError
-from orbitfinder.flow import IntegratorSettings, build_flow
+from orbitfinder.integrate import compiled as rooms
+from orbitfinder.integrate.compiled import (
+    available,
+    cache,
+    compiled,
+    compiling,
+    mode,
+    set_mode,
+    statistics,
+    with_derivatives,
+)
+from orbitfinder.integrate.compiled.compiler import (
+    CompilerError,
+    expected_seconds,
+    find_compiler,
+    flags,
+    make_library,
+)
+from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
+from orbitfinder.integrate.rk8 import march, marcher
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.runge_kutta import march, marcher
 
 pytestmark = pytest.mark.skipif(not available()[0], reason="no C compiler: " + available()[1])
 
@@ -133,7 +148,7 @@ def test_second_run_compiles_nothing(monkeypatch):
 
 def test_second_process_compiles_nothing(fresh):
     code = (
-        "import casadi as ca; from orbitfinder.compiled import compiled, statistics; x = ca.SX.sym('x');"
+        "import casadi as ca; from orbitfinder.integrate.compiled import compiled, statistics; x = ca.SX.sym('x');"
         "f = compiled(ca.Function('f', [x], [ca.sin(x)])); print(f(0.5), statistics().made, statistics().loaded)"
     )
     said = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(2)]
@@ -144,7 +159,7 @@ def test_second_process_compiles_nothing(fresh):
 def test_two_processes_at_once_compile_once(fresh, tmp_path):
     """Eight processes start together: one makes the library, the others wait and load it."""
     code = (
-        "import casadi as ca, sys, time, os; from orbitfinder.compiled import compiled, statistics\n"
+        "import casadi as ca, sys, time, os; from orbitfinder.integrate.compiled import compiled, statistics\n"
         "x = ca.SX.sym('x', 40)\ny = x\n"
         "for k in range(60): y = ca.sin(y) + ca.vertcat(y[1:], y[0]) / (2 + k)\n"
         "f = ca.Function('f', [x], [y])\n"
@@ -228,7 +243,7 @@ def test_compiler_that_cannot_say_its_version(tmp_path, monkeypatch):
 def test_compiler_that_hangs(tmp_path, monkeypatch, fresh):
     """It is ended with its children after the time-out."""
     fake_compiler(tmp_path, monkeypatch, f"echo $$ > {tmp_path}/pid; sleep 60 & echo $! > {tmp_path}/child; wait")
-    monkeypatch.setattr("orbitfinder.compiled.compiler.TIMEOUT", 0.5)
+    monkeypatch.setattr("orbitfinder.integrate.compiled.compiler.TIMEOUT", 0.5)
     assert "took longer than 0.5 s" in stays_interpreted(example())
     for name in ("pid", "child"):
         process = Path(f"/proc/{(tmp_path / name).read_text().strip()}/stat")
@@ -505,6 +520,6 @@ def test_option(monkeypatch):
 
 @pytest.mark.parametrize("name", ["run", "continue", "reproduce"])
 def test_commands_have_the_option(name):
-    from orbitfinder.cli import cli
+    from orbitfinder.cli.group import cli
 
     assert "--compile" in CliRunner().invoke(cli, [name, "--help"]).output

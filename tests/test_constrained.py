@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from scipy.special import ellipk
 
-from orbitfinder.dae_flow import DaeSettings, algebraic, simulate_dae
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.flow import build_flow, sample
+from orbitfinder.integrate.cvodes import build_flow, sample
+from orbitfinder.integrate.idas import DaeSettings, algebraic, simulate_dae
 from orbitfinder.mechanics.catalogue import build_constrained
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import Baumgarte, constrained, reduced
-from orbitfinder.mechanics.elimination import factorised
+from orbitfinder.mechanics.factorise import factorised
 from orbitfinder.mechanics.lagrange import Symbols
 from orbitfinder.mechanics.maximal import chain_dae, maximal_states, minimal_states
 
@@ -153,7 +153,7 @@ def test_forces_may_depend_on_time():
 
 def test_hundred_links_for_ten_seconds():
     """From horizontal rest by CVODES the energy stays within 1e-9 of m g l n^2 / 2."""
-    from orbitfinder.flow import IntegratorSettings
+    from orbitfinder.integrate.cvodes import IntegratorSettings
     from orbitfinder.mechanics.model import energies
 
     model = chain(100)

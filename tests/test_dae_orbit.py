@@ -11,17 +11,17 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 import orbitfinder as of
-from orbitfinder.cli import cli as main
+from orbitfinder.cli.group import cli as main
 from orbitfinder.errors import InputError
-from orbitfinder.flow import transition
+from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, linkage_mode, linkage_modes
+from orbitfinder.integrate.cvodes import transition
+from orbitfinder.integrate.dop853 import integrate
+from orbitfinder.loops.conditions import unfolded_invariants
+from orbitfinder.loops.dae_segments import build_dae_flow, forward_sensitivities
 from orbitfinder.mechanics.constrained import reduced
 from orbitfinder.mechanics.model import energy
 from orbitfinder.mechanics.partition import minimal_linkage
-from orbitfinder.periodic.conditions import unfolded_invariants
-from orbitfinder.periodic.dae_orbit import certify_dae, dae_problem, find_dae_orbit
-from orbitfinder.periodic.dae_segments import build_dae_flow, forward_sensitivities
-from orbitfinder.periodic.linkage_guesses import first_return, linkage_equilibrium, linkage_mode, linkage_modes
-from orbitfinder.reference import integrate
+from orbitfinder.orbits.dae_orbit import certify_dae, dae_problem, find_dae_orbit
 
 FILES = Path(__file__).parents[1] / "problems" / "linkages"
 FOUR_BAR = {"length": [0.5, 1.2, 1.0], "ground": [0.2, 1.0]}  # a crank-rocker

@@ -14,8 +14,9 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder import completion, defects, doctor
-from orbitfinder.cli import cli
+from orbitfinder.cli import completion, doctor
+from orbitfinder.cli.group import cli
+from orbitfinder.integrate import casadi_bugs as defects
 
 
 def invoke(*arguments):
@@ -150,7 +151,7 @@ def test_bash_accepts_the_script_and_completes_commands():
     script = invoke("completion", "bash").stdout
     subprocess.run(["bash", "-n"], input=script, text=True, check=True)
     request = {"_ORBITFINDER_COMPLETE": "bash_complete", "COMP_WORDS": "orbitfinder ver", "COMP_CWORD": "1"}
-    code = "from orbitfinder.cli import cli; cli(prog_name='orbitfinder')"
+    code = "from orbitfinder.cli.group import cli; cli(prog_name='orbitfinder')"
     environment = os.environ | request
     answer = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert answer.stdout.split() == ["plain,verify"]

@@ -18,7 +18,8 @@ from click.testing import CliRunner
 from conftest import pendulum_period
 
 import orbitfinder as of
-from orbitfinder.cli import cli
+from benchmarks.validation.literature import EIGHT_PERIOD, three_bodies
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.exports import straightline
 from orbitfinder.exports.auto import ENERGY, PERIOD, auto_files
@@ -26,10 +27,9 @@ from orbitfinder.exports.julia import julia_file
 from orbitfinder.exports.source import dense_states, source_of
 from orbitfinder.exports.straightline import FORTRAN, PYTHON, C, fortran_number, straight_line
 from orbitfinder.exports.write import export_orbit
-from orbitfinder.flow import vector_field
+from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.trajectory import read_trajectory
-from orbitfinder.validation.literature import EIGHT_PERIOD, three_bodies
+from orbitfinder.problemfile.trajectory import read_trajectory
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "orbits"

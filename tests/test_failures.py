@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.failure import explain, worst_defects
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.shooting import transcribe
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.failure import explain, worst_defects
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.shooting import transcribe
-from orbitfinder.periodic.solve import SolveSettings, find_orbit
+from orbitfinder.orbits.find import SolveSettings, find_orbit
 from orbitfinder.systems import FUNCTIONS
 
 
@@ -68,7 +68,7 @@ def test_a_pin_far_from_the_guess_is_noticed():
 
 def test_an_unfolding_that_does_not_vanish_is_explained():
     """A loop that closes only with fictitious damping: the sentence says that no orbit is there."""
-    from orbitfinder.periodic.failure import advice
+    from orbitfinder.loops.failure import advice
 
     problem = Problem(chain(1), Guess([1.0, 0.0], 2.0), pin=pin(theta1=1.0))
     shooting = transcribe(problem, np.array([[1.0, 0.0], [-1.0, 0.0]]))

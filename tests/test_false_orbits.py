@@ -9,9 +9,9 @@ import pytest
 
 import orbitfinder as of
 from orbitfinder.errors import InputError
+from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.periodic.certify import certify, gather
-from orbitfinder.periodic.symmetry import recognise
+from orbitfinder.orbits.certify import certify, gather
 from orbitfinder.systems import pendulum_on_cart
 
 RESULTS = Path(__file__).parents[1] / "results"

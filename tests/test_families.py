@@ -16,21 +16,21 @@ from scipy.special import ellipk
 
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families import events
-from orbitfinder.families.branching import switch
+from orbitfinder.families.branches import switch
 from orbitfinder.families.closure import closure_check
-from orbitfinder.families.command import continue_command
-from orbitfinder.families.continuation import follow
+from orbitfinder.families.folder import continue_command
+from orbitfinder.families.follow import follow
+from orbitfinder.families.journal import load_family, read_journal
 from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
-from orbitfinder.families.points import FamilySettings, make_point, place_of
+from orbitfinder.families.point import FamilySettings, make_point, place_of
+from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.stability import matched
 from orbitfinder.families.start import begin, curve_of
-from orbitfinder.families.store import load_family, read_journal
-from orbitfinder.families.system import at_place
-from orbitfinder.families.walk import Walk, first_point
-from orbitfinder.flow import build_flow
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops.continued import at_place
+from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.periodic.measure import multipliers
-from orbitfinder.periodic.problem import Problem
+from orbitfinder.orbits.measure import multipliers
 
 DATA = Path(__file__).parent / "data"
 MODES = json.loads((DATA / "normal_modes.json").read_text(encoding="utf-8"))["orbits"]
@@ -259,10 +259,10 @@ def test_family_file_round_trip(tmp_path):
 SCRIPT = """
 import sys
 sys.path.insert(0, {root!r})
-from orbitfinder.families.command import continue_command
+from orbitfinder.families.folder import continue_command
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.points import FamilySettings, make_point, place_of
-from orbitfinder.flow import build_flow
+from orbitfinder.families.point import FamilySettings, make_point, place_of
+from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.mechanics.chain import chain
 settings = FamilySettings(directions="forward", longest_step={step})
 continue_command(mode_problem(chain(2), 1), points={points}, out={out!r}, settings=settings)
@@ -398,7 +398,7 @@ def test_family_figures(tmp_path):
 
 def test_variations_that_overflow_are_a_shorter_step_and_no_traceback(monkeypatch):
     """A corrector whose Jacobian is not finite says so, and a nearer point is tried (seen on a five-bar)."""
-    from orbitfinder.families import system
+    from orbitfinder.loops import continued as system
 
     start = begin(mode_problem(chain(2), 1, 0.5), FamilySettings(), symmetry="brake+reflection")
     place, head = start.found.place, np.ones(start.found.place.head.size)

@@ -9,14 +9,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
-from orbitfinder.families.command import continue_command
 from orbitfinder.families.events import bifurcations
-from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.probes import Interval, Probe
+from orbitfinder.families.folder import continue_command
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.samples import Interval, Probe
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.periodic.floquet import analyse
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.floquet import analyse
 
 NONE = np.zeros(0)
 FORWARD = FamilySettings(directions="forward")

@@ -10,17 +10,17 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.command import continue_command
 from orbitfinder.families.events import bifurcations
+from orbitfinder.families.folder import continue_command
 from orbitfinder.families.passages import exchanged, index_levels
-from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.probes import Interval, Probe
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.samples import Interval, Probe
 from orbitfinder.families.stability import _krein, matched, matching
 from orbitfinder.families.strips import flips
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.floquet import analyse
-from orbitfinder.periodic.problem import Guess, Problem
+from orbitfinder.orbits.floquet import analyse
 
 Family = Callable[[float], np.ndarray]
 UNITS = {n: np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]]) for n in (1, 2, 3)}
@@ -303,7 +303,7 @@ def test_real_family_with_resonance_and_collision_in_one_step(tmp_path):
 def test_multipliers_that_round_off_has_swallowed_are_their_partners_reciprocals():
     """Pairs of 1e14, 1e5 and e^(+-i), the small members noise: only pairs that are told apart count."""
     from orbitfinder.families.stability import _resolved
-    from orbitfinder.periodic.floquet import Floquet
+    from orbitfinder.orbits.floquet import Floquet
 
     noisy = np.array([1e14, -1e5, 0.02, 0.01j, -0.01j, 1e-3], complex)
     found = _resolved(Floquet(noisy, 1.0, noisy[:3], "unstable"))

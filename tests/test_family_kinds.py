@@ -9,26 +9,26 @@ from scipy.integrate import quad, solve_ivp
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.closure import closure_check
-from orbitfinder.families.command import continue_command
+from orbitfinder.families.folder import continue_command
 from orbitfinder.families.minimal import bar_states, dead_point, minimal_problem, native_state
-from orbitfinder.families.motion import motions
+from orbitfinder.families.motions import motions
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import begin
-from orbitfinder.flow import build_flow, end_state
+from orbitfinder.guesses.linkages import linkage_mode
+from orbitfinder.integrate.cvodes import build_flow, end_state
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.constrained import reduced
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.dae_orbit import find_dae_orbit
-from orbitfinder.periodic.linkage_guesses import linkage_mode
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
-from orbitfinder.problemfile import load_problem
+from orbitfinder.orbits.dae_orbit import find_dae_orbit
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.problemfile.read import load_problem
 from orbitfinder.systems import henon_heiles, pendulum_on_cart
 
 FAMILIES = Path(__file__).parents[1] / "problems" / "families"
@@ -320,7 +320,7 @@ def test_gallery_of_motions(tmp_path):
 def test_custom_model_is_continued_from_its_orbit(tmp_path):
     """An orbit of a Model that no file describes is continued with the model beside it."""
     from orbitfinder.mechanics.lagrange import Symbols, lagrange
-    from orbitfinder.periodic.solve import find_orbit
+    from orbitfinder.orbits.find import find_orbit
 
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
     model = lagrange(v**2 / 2, q**2 / 2 + q**4 / 4, Symbols(q, v), names=["x"])
@@ -336,7 +336,7 @@ def test_custom_model_is_continued_from_its_orbit(tmp_path):
 def test_motion_more_symmetric_than_its_system():
     """x swings evenly on a line, but what happens beside it is not even in x: a quarter period does not tell it."""
     from orbitfinder.mechanics.lagrange import Symbols, lagrange
-    from orbitfinder.periodic.solve import find_orbit
+    from orbitfinder.orbits.find import find_orbit
 
     q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
     potential = q[0] ** 2 / 2 + 0.15 * q[1] ** 2 + 0.4 * q[0] * q[1] ** 2

@@ -8,16 +8,16 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import brentq
 
-from orbitfinder.cli import cli
-from orbitfinder.families.command import continue_command
-from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.store import load_family
+from orbitfinder.cli.group import cli
+from orbitfinder.families.folder import continue_command
+from orbitfinder.families.journal import load_family
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.switching import branches
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.orbit import save_orbit
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.records.orbit import save_orbit
 
 SYSTEM = '''
 import casadi as ca

@@ -10,15 +10,15 @@ from conftest import PRINTED, TWIN_PERIOD, pendulum_period, printed_problem, ref
 from scipy.special import ellipk
 
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.flow import build_flow
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops.conditions import SYMMETRIES, nearest, pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.conditions import SYMMETRIES, nearest, pin
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import Progress, SolveSettings, find_orbit, initial_nodes
-from orbitfinder.problemfile import load_problem
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.find import Progress, SolveSettings, find_orbit, initial_nodes
+from orbitfinder.problemfile.read import load_problem
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 MODES = reference("normal_modes.json")

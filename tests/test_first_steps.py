@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from orbitfinder.cli import cli
+from orbitfinder.cli.group import cli
 
 ROOT = Path(__file__).parents[1]
 ORBIT = ROOT / "results" / "orbits" / "triple-1" / "orbit.json"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orbitfinder.periodic.floquet import analyse, reciprocal_pairs, reduce_monodromy
+from orbitfinder.orbits.floquet import analyse, reciprocal_pairs, reduce_monodromy
 
 E = np.exp
 

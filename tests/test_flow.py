@@ -8,7 +8,7 @@ import pytest
 from conftest import dop853
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.flow import (
+from orbitfinder.integrate.cvodes import (
     IntegratorSettings,
     build_flow,
     end_state,
@@ -17,12 +17,12 @@ from orbitfinder.flow import (
     transition,
     vector_field,
 )
+from orbitfinder.integrate.dop853 import integrate
+from orbitfinder.integrate.dop853 import vector_field as numeric_field
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, acceleration_function, lagrange, mass_matrix_and_bias
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import SolveSettings, find_orbit, initial_nodes
-from orbitfinder.reference import integrate
-from orbitfinder.reference import vector_field as numeric_field
+from orbitfinder.orbits.find import SolveSettings, find_orbit, initial_nodes
 
 OMEGA = 1.7
 

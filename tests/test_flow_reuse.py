@@ -9,13 +9,13 @@ import pytest
 from conftest import pendulum_period
 
 import orbitfinder as of
-from orbitfinder import flow
-from orbitfinder.compiled import compiling
-from orbitfinder.flow import IntegratorSettings, build_flow, end_state
+from orbitfinder.integrate import cvodes as flow
+from orbitfinder.integrate.compiled import compiling
+from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, end_state
+from orbitfinder.loops.dae_segments import DaeFlow, build_dae_flow
+from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.constrained import reduced
-from orbitfinder.periodic.dae_segments import DaeFlow, build_dae_flow
-from orbitfinder.periodic.nlp import SolveSettings
 
 BARE = SolveSettings(with_certificate=False)
 

@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder.cli import cli
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.problemfile import load_problem_file
-from orbitfinder.proposing import propose, toml
+from orbitfinder.problemfile.proposals import propose, toml
+from orbitfinder.problemfile.read import load_problem_file
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 DOUBLE = PROBLEMS / "examples" / "double-mode-2.toml"

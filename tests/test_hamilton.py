@@ -6,12 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.compiled import available, compiling
+from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.periodic import hamilton as module
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.hamilton import KEPT, accelerations, hamilton, prepare
+from orbitfinder.orbits import hamilton as module
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.hamilton import KEPT, accelerations, hamilton, prepare
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import orbitfinder as of
-from orbitfinder.periodic.nlp import SolveSettings
+from orbitfinder.loops.ipopt import SolveSettings
 
 QUOTED = (0.969309, 0.986709)
 BRACKETS = ((0.9685, 0.9700), (0.9860, 0.9875))

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.families import lanes
-from orbitfinder.flow import build_flow
+from orbitfinder.integrate import lanes
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.integrate.rk8 import step_of, variational_field
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.runge_kutta import step_of, variational_field
 
 
 @pytest.fixture(scope="module")

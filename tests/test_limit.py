@@ -12,15 +12,15 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder import limit
-from orbitfinder.atlas import task
-from orbitfinder.cli import cli
+from orbitfinder._runtime import limit
+from orbitfinder.atlas import job as task
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError, LimitError
-from orbitfinder.families.command import continue_command
-from orbitfinder.families.store import load_family, read_journal
-from orbitfinder.flow import IntegratorSettings, build_flow, end_state, sample
-from orbitfinder.periodic import nlp
-from orbitfinder.problemfile import load_problem
+from orbitfinder.families.folder import continue_command
+from orbitfinder.families.journal import load_family, read_journal
+from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, end_state, sample
+from orbitfinder.loops import ipopt as nlp
+from orbitfinder.problemfile.read import load_problem
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 ENDLESS = 1e7

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from orbitfinder.dae_flow import simulate_dae
 from orbitfinder.errors import InputError
+from orbitfinder.integrate.idas import simulate_dae
 from orbitfinder.mechanics.assembly import assemble, linkage_rates
 from orbitfinder.mechanics.catalogue import build_constrained, build_model, with_parameters
 from orbitfinder.mechanics.linkage import closure_jacobian, grashof, joint_forces, linkage, linkage_state

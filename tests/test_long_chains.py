@@ -11,22 +11,24 @@ import pytest
 from conftest import pendulum_period
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
-from orbitfinder.flow import build_flow, transition
+from orbitfinder.guesses import balance as harmonic_balance
+from orbitfinder.guesses.balance import Series
+from orbitfinder.guesses.modes import normal_mode
+from orbitfinder.integrate import chain as quarter
+from orbitfinder.integrate.chain import MOST_DOUBLINGS, Quarter
+from orbitfinder.integrate.cvodes import build_flow, transition
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.ipopt import SolveSettings
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.chain_lagrange import chain_lagrange
 from orbitfinder.mechanics.model import energies
-from orbitfinder.periodic import certify as certifying
-from orbitfinder.periodic import chain_evidence, harmonic_balance, quarter
-from orbitfinder.periodic.certify import certify, gather
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.evidence import is_long
-from orbitfinder.periodic.guesses import normal_mode
-from orbitfinder.periodic.harmonic_balance import Series
-from orbitfinder.periodic.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
-from orbitfinder.periodic.nlp import SolveSettings
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.quarter import MOST_DOUBLINGS, Quarter
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits import certify as certifying
+from orbitfinder.orbits import chain_evidence
+from orbitfinder.orbits.certify import certify, gather
+from orbitfinder.orbits.evidence import is_long
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
 from orbitfinder.systems import henon_heiles
 
 PROBLEMS = Path(__file__).parents[1] / "problems" / "chains"
@@ -346,7 +348,7 @@ def test_problem_file_of_a_long_chain(links, tmp_path):
     """`orbitfinder run` on the shipped file, all 2n - 2 multipliers; `verify` on what it wrote."""
     from click.testing import CliRunner
 
-    from orbitfinder.cli import cli
+    from orbitfinder.cli.group import cli
 
     done = CliRunner().invoke(cli, ["run", str(PROBLEMS / f"chain-{links}.toml"), "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output

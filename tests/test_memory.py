@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbitfinder.reference import integrate
+from orbitfinder.integrate.dop853 import integrate
 
 GROWTH = """
 import gc, sys
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import orbitfinder as of
 from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.problemfile import load_problem_file
+from orbitfinder.problemfile.read import load_problem_file
 from orbitfinder.systems import spring_pendulum
 
 file, how, count = sys.argv[1], sys.argv[2], int(sys.argv[3])

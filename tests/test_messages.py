@@ -6,8 +6,8 @@ import os
 import pytest
 from click.testing import CliRunner
 
-from orbitfinder.cli import cli
-from orbitfinder.periodic.orbit import orbit_to_document
+from orbitfinder.cli.group import cli
+from orbitfinder.records.orbit import orbit_to_document
 
 SYSTEM = '[system]\nkind = "chain"\nlinks = 2\n'
 GUESS = "[guess]\nstate = [0.1, 0.2, 0.0, 0.0]\nperiod = 2.4\n"

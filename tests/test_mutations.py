@@ -25,20 +25,20 @@ from click.testing import CliRunner
 
 from orbitfinder.atlas.report import discovery, summarise
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.cli import cli
+from orbitfinder.cli.group import cli
+from orbitfinder.cli.jobs import check_consistent
 from orbitfinder.errors import OrbitfinderError
-from orbitfinder.families.command import continue_command
+from orbitfinder.families.folder import continue_command
+from orbitfinder.families.journal import JOURNAL, SEAL, _seal, assemble, load_family, read_journal, save_family
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
-from orbitfinder.families.store import JOURNAL, SEAL, _seal, assemble, load_family, read_journal, save_family
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.page.gather import gather
-from orbitfinder.periodic.orbit import digest, load_orbit
-from orbitfinder.problemfile import load_problem_file
-from orbitfinder.reading import content_digest
-from orbitfinder.runner import check_consistent
+from orbitfinder.problemfile.read import load_problem_file
+from orbitfinder.records.orbit import digest, load_orbit
+from orbitfinder.records.reading import content_digest
+from orbitfinder.site.gather import gather
 
 ROOT = Path(__file__).parents[1]
 FAMILIES = ("henon-heiles-loop", "five-bar-length")

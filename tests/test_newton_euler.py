@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.flow import build_flow, sample
+from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.chain import chain, chain_symbols, chain_system, formulations, recursive_acceleration
 from orbitfinder.mechanics.maximal import chain_dae, maximal_states
 from orbitfinder.mechanics.model import energies
@@ -101,7 +101,7 @@ def test_more_links_than_the_graph_factorises(method):
 @pytest.mark.parametrize("method", METHODS)
 def test_triple_pendulum_from_horizontal_rest_conserves_energy(method):
     """10 s at 1e-14: every method within 1e-9 J of the start."""
-    from orbitfinder.flow import IntegratorSettings
+    from orbitfinder.integrate.cvodes import IntegratorSettings
 
     model = chain(3, formulation=method)
     flow = build_flow(model, settings=IntegratorSettings(1e-14, 1e-14))

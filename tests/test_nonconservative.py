@@ -6,14 +6,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from orbitfinder.errors import CountError, InputError
-from orbitfinder.flow import build_flow
-from orbitfinder.mechanics.canonical import canonical
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.mechanics.hamilton import canonical
 from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, lagrange
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.find import find_orbit
 from orbitfinder.systems import FUNCTIONS
 
 VAN_DER_POL = 6.6632868593231301896996820305
@@ -187,7 +187,7 @@ def test_the_jacobi_integral_is_conserved_where_the_kinetic_energy_has_linear_te
 
 def test_the_arenstorf_orbit_closes_in_the_rotating_frame():
     """E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.0: it returns."""
-    from orbitfinder.reference import integrate, vector_field
+    from orbitfinder.integrate.dop853 import integrate, vector_field
 
     flow = build_flow(FUNCTIONS["restricted_three_body"](0.012277471))
     t, x = ca.MX.sym("t"), ca.MX.sym("x", 4)

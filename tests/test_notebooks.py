@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import orbitfinder as of
-from orbitfinder import display
+from orbitfinder._runtime import notebook as display
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.families.command import continue_command
+from orbitfinder.families.folder import continue_command
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.points import FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.show import svg
 from orbitfinder.show.html import html
 

@@ -9,14 +9,14 @@ import pytest
 
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, CountError, InputError
-from orbitfinder.flow import build_flow
-from orbitfinder.periodic.conditions import SYMMETRIES, unfolded_invariants
-from orbitfinder.periodic.freedom import Constraint
-from orbitfinder.periodic.instability import instability, measured, rank
-from orbitfinder.periodic.nlp import SolveSettings, hessian
-from orbitfinder.periodic.second_variation import transition_function
-from orbitfinder.periodic.shooting import transcribe
-from orbitfinder.periodic.solve import find_orbit, initial_nodes
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.integrate.second import transition_function
+from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
+from orbitfinder.loops.freedom import Constraint
+from orbitfinder.loops.ipopt import SolveSettings, hessian
+from orbitfinder.loops.shooting import transcribe
+from orbitfinder.orbits.find import find_orbit, initial_nodes
+from orbitfinder.orbits.instability import instability, measured, rank
 
 FAST = SolveSettings(with_certificate=False)
 DOUBLE = of.chain(2)

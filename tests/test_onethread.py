@@ -12,9 +12,9 @@ from conftest import pendulum_period
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import orbitfinder as of
-from orbitfinder.onethread import NAMES, children_on_one_thread, one_thread
-from orbitfinder.periodic import certify as certifying
-from orbitfinder.periodic import solve
+from orbitfinder._runtime.threads import NAMES, children_on_one_thread, one_thread
+from orbitfinder.orbits import certify as certifying
+from orbitfinder.orbits import find as solve
 
 
 def threads() -> set[int]:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.orbit import (
+from orbitfinder.orbits.certify import certify
+from orbitfinder.records.orbit import (
     Certificate,
     Check,
     Orbit,

@@ -13,29 +13,29 @@ import pytest
 from click.testing import CliRunner
 from conftest import pendulum_period
 
-from orbitfinder import locks
+from orbitfinder._runtime import locks
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.cli import cli
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families.command import continue_command
+from orbitfinder.families.folder import continue_command
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.points import FamilySettings
-from orbitfinder.flow import vector_field
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.integrate.cvodes import vector_field
+from orbitfinder.integrate.rk8 import march
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
-from orbitfinder.page import writing
-from orbitfinder.page.explorers import span, spread
-from orbitfinder.page.gather import evenly, gather
-from orbitfinder.page.motion import SHARES, Films, completed, histories, packed, path_completed, resampled
-from orbitfinder.page.recipe import problem_name, problem_text, toml
-from orbitfinder.page.site import Settings, build_site
-from orbitfinder.page.text import Html, fill, number, script_data, size, slug_maker
-from orbitfinder.page.words import coordinate, mechanism, plural
-from orbitfinder.page.writing import MARK, check_target, mark, write_site
-from orbitfinder.periodic.orbit import load_orbit, orbit_to_document
-from orbitfinder.problemfile import load_problem
-from orbitfinder.runge_kutta import march
+from orbitfinder.problemfile.read import load_problem
+from orbitfinder.records.orbit import load_orbit, orbit_to_document
+from orbitfinder.site import writing
+from orbitfinder.site.build import Settings, build_site
+from orbitfinder.site.explorers import span, spread
+from orbitfinder.site.gather import evenly, gather
+from orbitfinder.site.motion import SHARES, Films, completed, histories, packed, path_completed, resampled
+from orbitfinder.site.recipe import problem_name, problem_text, toml
+from orbitfinder.site.text import Html, fill, number, script_data, size, slug_maker
+from orbitfinder.site.words import coordinate, mechanism, plural
+from orbitfinder.site.writing import MARK, check_target, mark, write_site
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = ROOT / "results" / "orbits"
@@ -653,7 +653,7 @@ def test_resampling_follows_the_rates():
 
 
 def test_vendored_library_carries_its_licence():
-    assets = ROOT / "orbitfinder" / "page" / "assets"
+    assets = ROOT / "orbitfinder" / "site" / "assets"
     assert "MIT" in (assets / "plotly-LICENSE.txt").read_text()
     assert (
         (assets / "plotly-basic.min.js").read_text(encoding="utf-8").startswith("/**\n* plotly.js (basic - minified)")

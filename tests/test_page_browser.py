@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from test_page import NASTY, SHIPPED, material, site  # noqa: F401  (fixtures)
 
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.orbit import load_orbit
+from orbitfinder.orbits.certify import certify
+from orbitfinder.records.orbit import load_orbit
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed; pip install '.[browser]'")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

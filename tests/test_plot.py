@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
+from orbitfinder.guesses.modes import normal_mode
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.guesses import normal_mode
-from orbitfinder.periodic.problem import Problem
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits.find import find_orbit
 from orbitfinder.show import plot
 from orbitfinder.show.style import COLOURS, line_style
 

@@ -4,16 +4,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.flow import build_flow
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.integrate.dop853 import TIGHTEST, integrate, vector_field
+from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
+from orbitfinder.loops import newton as polish
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.newton import end_of, graded_end, segment, tail_of
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.periodic import polish
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.measure import action, dense, loop_action
-from orbitfinder.periodic.polish import end_of, graded_end, segment, tail_of
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
-from orbitfinder.reference import TIGHTEST, integrate, vector_field
-from orbitfinder.runge_kutta import MOST_DOUBLINGS
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.measure import action, dense, loop_action
 from orbitfinder.systems import FUNCTIONS
 
 ARENSTORF = (("-2.00158510637908252240537862224", "17.0652165601579625588917206249"),

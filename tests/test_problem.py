@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import CountError, InputError
+from orbitfinder.loops.conditions import SYMMETRIES, lowest_energy, nearest, pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.periodic import objectives
-from orbitfinder.periodic.conditions import SYMMETRIES, lowest_energy, nearest, pin
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits import objectives
+from orbitfinder.orbits.find import find_orbit
 
 
 def problem(links=2, gravity=9.8, **changes) -> Problem:
@@ -40,7 +40,7 @@ def test_one_pin_makes_every_symmetry_square(symmetry, segments, links):
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
 def test_the_count_is_the_size_of_the_program(symmetry):
     """What count() says is what transcribe() builds: rows of g and length of w."""
-    from orbitfinder.periodic.shooting import transcribe
+    from orbitfinder.loops.shooting import transcribe
 
     one = problem(symmetry=symmetry, pin=pin(energy=1.0), free=("length2",))
     shooting = transcribe(one, np.tile(one.guess.state, (3, 1)))

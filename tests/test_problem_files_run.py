@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from orbitfinder.choosing import solve
-from orbitfinder.problemfile import load_problem, load_problem_file
+from orbitfinder.atlas.choose import solve
+from orbitfinder.problemfile.read import load_problem, load_problem_file
 
 FOLDER = Path(__file__).parents[1] / "problems"
 FILES = sorted(path for room in ("report", "examples", "gallery") for path in (FOLDER / room).glob("*.toml"))

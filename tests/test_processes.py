@@ -14,8 +14,8 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder import locks
-from orbitfinder.cli import cli
+from orbitfinder._runtime import locks
+from orbitfinder.cli.group import cli
 
 ROOT = Path(__file__).parents[1]
 COMMAND = [sys.executable, "-m", "orbitfinder"]
@@ -310,7 +310,7 @@ def test_a_proof_is_not_begun_that_cannot_be_recorded(tmp_path, monkeypatch, pen
     def refused(**_):
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr("orbitfinder.runner.tempfile.TemporaryFile", refused)
+    monkeypatch.setattr("orbitfinder.cli.jobs.tempfile.TemporaryFile", refused)
     monkeypatch.setattr("orbitfinder.proof.theorem.prove", None)
     done = CliRunner().invoke(cli, ["prove", str(file)])
     assert done.exit_code == 2 and "--record: cannot write in" in done.stderr

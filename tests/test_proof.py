@@ -11,15 +11,15 @@ from click.testing import CliRunner
 
 pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
 
-from orbitfinder.cli import cli
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.periodic.orbit import digest, load_orbit, save_orbit
-from orbitfinder.periodic.solve import find_orbit
-from orbitfinder.problemfile import load_problem
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.problemfile.read import load_problem
 from orbitfinder.proof.balls import arb, arb_mat, flint, precision
 from orbitfinder.proof.refine import refine, settings_for
 from orbitfinder.proof.stability import stability
 from orbitfinder.proof.theorem import Options, prove
+from orbitfinder.records.orbit import digest, load_orbit, save_orbit
 
 ROOT = Path(__file__).parents[1]
 REPORT = ("triple-1", "triple-2", "quadruple-1", "quadruple-2")

@@ -8,6 +8,7 @@ from scipy.special import ellipj, ellipk
 pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
 
 from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.integrate.dop853 import TIGHTEST, integrate, vector_field
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.proof import enclosure, lohner
@@ -19,7 +20,6 @@ from orbitfinder.proof.lohner import cloud
 from orbitfinder.proof.program import Ring, program
 from orbitfinder.proof.series import coefficients, outputs, recurrence, whole_series
 from orbitfinder.proof.taylormodel import remainders
-from orbitfinder.reference import TIGHTEST, integrate, vector_field
 
 FAST = Settings(order=14, bits=96, tolerance=1e-14)
 FLOATS = Ring(

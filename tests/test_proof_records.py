@@ -8,8 +8,8 @@ import pytest
 pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
 
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.periodic.orbit import digest, load_orbit
 from orbitfinder.proof.record import read_entry, replay
+from orbitfinder.records.orbit import digest, load_orbit
 
 RESULTS = Path(__file__).parents[1] / "results"
 RECORDS = sorted((RESULTS / "proofs").glob("*.json"))

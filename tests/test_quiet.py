@@ -7,7 +7,7 @@ import sys
 import casadi as ca
 import pytest
 
-from orbitfinder.quiet import captured
+from orbitfinder._runtime.quiet import captured
 
 
 def test_python_and_descriptor_level_output_are_both_captured(capfd):

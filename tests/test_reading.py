@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from orbitfinder.cli import cli
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families.command import continue_command
+from orbitfinder.families.folder import continue_command
+from orbitfinder.families.journal import JOURNAL, SEAL, load_family, read_journal
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.store import JOURNAL, SEAL, load_family, read_journal
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.periodic.orbit import load_orbit, save_orbit
-from orbitfinder.reading import inflated, json_document
+from orbitfinder.records.orbit import load_orbit, save_orbit
+from orbitfinder.records.reading import inflated, json_document
 
 ROOT = Path(__file__).parents[1]
 FORWARD = FamilySettings(directions="forward")

@@ -43,7 +43,7 @@ def test_benchmark_rows_are_the_measured_ones():
 
 def test_quoted_commands_exist():
     """Each `orbitfinder COMMAND` in a shell block has a help page."""
-    from orbitfinder.cli import cli
+    from orbitfinder.cli.group import cli
 
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     words = [shlex.split(line, comments=True) for line in lines if line.startswith("orbitfinder ")]

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
+from orbitfinder.guesses.modes import normal_modes
+from orbitfinder.guesses.returns import close_returns, normal_mode_sum, recurrences
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.guesses import normal_modes
-from orbitfinder.periodic.problem import Problem
-from orbitfinder.periodic.recurrence import close_returns, normal_mode_sum, recurrences
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits.find import find_orbit
 from orbitfinder.systems import FUNCTIONS
 
 CHAOTIC = [0.0, -0.15, 0.4728636, 0.0]
@@ -88,7 +88,7 @@ def test_unusable_input_is_refused(call, message):
 
 def test_problem_files_know_both_forms(tmp_path):
     """`duration` beside `state`, and lists for `mode` and `amplitude`."""
-    from orbitfinder.problemfile import load_problem
+    from orbitfinder.problemfile.read import load_problem
 
     head = '[system]\nkind = "chain"\nlinks = 2\n[guess]\n'
     file = tmp_path / "problem.toml"

@@ -7,9 +7,7 @@ from conftest import pendulum_period
 from scipy.integrate import DOP853, solve_ivp
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.mechanics.canonical import canonical
-from orbitfinder.mechanics.chain import chain
-from orbitfinder.reference import (
+from orbitfinder.integrate.dop853 import (
     SECOND,
     STEPS_PER_PERIOD,
     TIGHTEST,
@@ -18,6 +16,8 @@ from orbitfinder.reference import (
     integrate,
     vector_field,
 )
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.hamilton import canonical
 
 
 def pendulum(n: int = 1):

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orbitfinder.report import runner
-from orbitfinder.report.facts import ORBITS
-from orbitfinder.report.orbits import printed_closure
-from orbitfinder.report.runs import growth, simulate
+from orbitfinder.reproduce import runner
+from orbitfinder.reproduce.facts import ORBITS
+from orbitfinder.reproduce.orbits import printed_closure
+from orbitfinder.reproduce.runs import growth, simulate
 
 COMMITTED = Path(__file__).parents[1] / "results" / "report"
 
@@ -22,7 +22,7 @@ def test_energy_drift_of_every_method(method: str) -> None:
 
 def test_stabilised_dae_stays_on_its_constraints() -> None:
     """With Baumgarte terms the native DAE keeps |phi| below 1e-11 m over 10 s."""
-    from orbitfinder.report.runs import STABILISED
+    from orbitfinder.reproduce.runs import STABILISED
 
     assert simulate("dae", 10.0, STABILISED).phi.max() <= 1e-11
 
@@ -63,7 +63,7 @@ def test_finished_parts_are_not_redone(tmp_path, monkeypatch) -> None:
     for part in runner.PARTS:
         module = __import__(part.module, fromlist=["x"])
         monkeypatch.setattr(module, part.function, _part(calls, part.name))
-    monkeypatch.setattr("orbitfinder.report.page.write_page", lambda folder, numbers: None)
+    monkeypatch.setattr("orbitfinder.reproduce.page.write_page", lambda folder, numbers: None)
     first = runner.reproduce(tmp_path)
     assert calls == [part.name for part in runner.PARTS]
     (tmp_path / "numbers" / "energy.json").write_text("{ damaged")
@@ -75,7 +75,7 @@ def test_finished_parts_are_not_redone(tmp_path, monkeypatch) -> None:
 
 def test_committed_page_matches_committed_numbers(tmp_path) -> None:
     """results/report/README.md is what the page writer makes of results/report/numbers/."""
-    from orbitfinder.report.page import write_page
+    from orbitfinder.reproduce.page import write_page
 
     numbers = {
         part.name: json.loads((COMMITTED / "numbers" / f"{part.name}.json").read_text())["numbers"]

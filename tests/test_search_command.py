@@ -13,9 +13,10 @@ import pytest
 from click.testing import CliRunner
 from test_atlas_search import content
 
-from orbitfinder import cataloguing, searching
 from orbitfinder.atlas.search import Limits, Tally
-from orbitfinder.cli import cli
+from orbitfinder.cli import atlas as cataloguing
+from orbitfinder.cli import search as searching
+from orbitfinder.cli.group import cli
 
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "search" / "triple.toml"
@@ -148,7 +149,7 @@ def test_mistakes(book, tmp_path, words, message):
 
 def test_energies_of_a_problem_file(tmp_path):
     """A list, one number, or the pin."""
-    from orbitfinder.problemfile import load_problem_file
+    from orbitfinder.problemfile.read import load_problem_file
 
     head = '[system]\nkind = "chain"\nlinks = 3\n[search]\nperiod = [0.5, 6.0]\n'
     for text, energies in (
@@ -164,7 +165,7 @@ def test_energies_of_a_problem_file(tmp_path):
 def test_problem_files(file):
     """Every problem file for searches asks for something that can be searched."""
     from orbitfinder.atlas.starts import Target, check
-    from orbitfinder.problemfile import load_problem_file
+    from orbitfinder.problemfile.read import load_problem_file
 
     loaded = load_problem_file(file)
     energies, periods = searching.wanted(loaded)

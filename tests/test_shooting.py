@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from conftest import PRINTED, dop853, printed_problem, reference
 
-from orbitfinder.flow import build_flow
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops.conditions import SYMMETRIES, pin, unfolded_invariants
+from orbitfinder.loops.ipopt import SolveSettings, hessian
+from orbitfinder.loops.newton import polish, residual
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.shooting import Shooting, transcribe
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.conditions import SYMMETRIES, pin, unfolded_invariants
-from orbitfinder.periodic.nlp import SolveSettings, hessian
-from orbitfinder.periodic.polish import polish, residual
-from orbitfinder.periodic.preparation import at_section
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.shooting import Shooting, transcribe
-from orbitfinder.periodic.solve import initial_nodes
+from orbitfinder.orbits.find import initial_nodes
+from orbitfinder.orbits.prepare import at_section
 
 
 def shoot(problem: Problem) -> Shooting:

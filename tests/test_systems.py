@@ -9,14 +9,14 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from orbitfinder.errors import InputError
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.conditions import pin
-from orbitfinder.periodic.orbit import load_orbit, save_orbit
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.records.orbit import load_orbit, save_orbit
 from orbitfinder.systems import FUNCTIONS
 
 
@@ -114,7 +114,7 @@ def test_the_bead_on_a_hoop_has_the_period_of_its_small_motions():
 
 def test_cart_chain_modes_are_those_of_the_linear_chain():
     """Without cubic springs every mode k has period 2 pi / (2 sin(k pi / (2 n + 2))) at any amplitude."""
-    from orbitfinder.periodic.guesses import normal_mode
+    from orbitfinder.guesses.modes import normal_mode
 
     model = FUNCTIONS["cart_chain"](carts=4)
     for k in (1, 2, 3, 4):
@@ -170,7 +170,7 @@ def test_foreign_code_runs_only_for_a_trusted_file(tmp_path):
 
 def test_a_problem_file_asks_for_trust_and_gets_it(tmp_path):
     """The same through a TOML file."""
-    from orbitfinder.problemfile import load_problem
+    from orbitfinder.problemfile.read import load_problem
 
     (tmp_path / "mine.py").write_text(
         "from orbitfinder.systems import FUNCTIONS\ndef make():\n    return FUNCTIONS['duffing']()\n"

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder.cli import cli
+from orbitfinder.cli.group import cli
 from orbitfinder.systems import duffing
 
 UNITS = {

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.validation import closed_forms, literature, page, reach, reference_orbits, software
+from benchmarks.validation.__main__ import main
+from benchmarks.validation.comparison import Comparison, Section, attempted, number
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.validation import closed_forms, literature, page, reach, reference_orbits, software
-from orbitfinder.validation.__main__ import main
-from orbitfinder.validation.comparison import Comparison, Section, attempted, number
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(__file__).parent / "data"

@@ -5,15 +5,15 @@ import pytest
 from conftest import PRINTED, dop853, pendulum_period, printed_problem
 
 import orbitfinder as of
-from orbitfinder.compiled import available, compiling
 from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError
+from orbitfinder.integrate.compiled import available, compiling
+from orbitfinder.loops import condensed as elimination
+from orbitfinder.loops.condensed import Linearised, eliminated
+from orbitfinder.loops.conditions import SYMMETRIES, pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic import elimination
-from orbitfinder.periodic.conditions import SYMMETRIES, pin
-from orbitfinder.periodic.elimination import Linearised, eliminated
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.warm import Refined, Refiner, WarmSettings
+from orbitfinder.orbits.refine import Refined, Refiner, WarmSettings
 
 
 @pytest.fixture(autouse=True)
@@ -158,7 +158,7 @@ def test_derivatives_of_the_march(name):
     from dataclasses import replace
     from pathlib import Path
 
-    from orbitfinder.periodic.marches import Path as Nodes
+    from orbitfinder.loops.segments import Path as Nodes
 
     problem = of.load_problem(Path(__file__).parents[1] / "problems" / f"{name}.toml")
     marches = Refiner(replace(problem, segments=3)).marches

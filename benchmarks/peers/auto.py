@@ -20,8 +20,8 @@ import numpy as np
 
 import orbitfinder as of
 from orbitfinder.exports.straightline import FORTRAN, fortran_number, straight_line
-from orbitfinder.flow import build_flow
-from orbitfinder.runge_kutta import march
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.integrate.rk8 import march
 from peers.task import Answer, Task, Unavailable
 
 HOME = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from orbitfinder.atlas.job import Task
 from orbitfinder.atlas.report import Summary, summarise
 from orbitfinder.atlas.search import Limits, Search, Tally
 from orbitfinder.atlas.starts import Bench, Target, bench
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.atlas.task import Task
 from orbitfinder.atlas.workers import Inline, Local, Workers
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.atlas.refine import Attempt, Numbers
-from orbitfinder.atlas.task import Known, Order, Task, perform, prepared
+from orbitfinder.atlas.attempt import Attempt, Numbers
+from orbitfinder.atlas.job import Known, Order, Task, perform, prepared
 from orbitfinder.atlas.workers import DIED
 from orbitfinder.errors import InputError, OrbitfinderError
 

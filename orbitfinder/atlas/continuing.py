@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.atlas.quick import QuickSettings
-from orbitfinder.atlas.refine import Attempt, Numbers, finished, reasons
+from orbitfinder.atlas.attempt import Attempt, Numbers, finished, reasons
+from orbitfinder.atlas.solver import QuickSettings
 from orbitfinder.atlas.starts import Bench, Start
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.continuation import follow
-from orbitfinder.families.points import FamilyPoint, FamilySettings
+from orbitfinder.families.follow import follow
+from orbitfinder.families.point import FamilyPoint, FamilySettings
+from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import begin
-from orbitfinder.families.walk import Walk, first_point
-from orbitfinder.periodic.orbit import Orbit, orbit_from_document
+from orbitfinder.records.orbit import Orbit, orbit_from_document
 
 CONTINUATION = "continuation"
 SETTINGS = FamilySettings(

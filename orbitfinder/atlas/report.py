@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder.atlas.estimate import Stratum, chao1, mirrored, remarks, stratum, total
 from orbitfinder.atlas.store import RESTORE, Atlas
-from orbitfinder.reading import json_document, read_as
+from orbitfinder.records.reading import json_document, read_as
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,14 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from orbitfinder import limit
+from orbitfinder._runtime import limit
+from orbitfinder.atlas.attempt import Attempt
 from orbitfinder.atlas.continuing import CONTINUATION
+from orbitfinder.atlas.job import Order, Task
 from orbitfinder.atlas.mirrors import named
-from orbitfinder.atlas.refine import Attempt
 from orbitfinder.atlas.starts import METHOD, Bench, strategy_of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.tables import explained, transaction
-from orbitfinder.atlas.task import Order, Task
 from orbitfinder.atlas.workers import Workers
 
 AHEAD = 32

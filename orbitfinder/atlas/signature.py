@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from orbitfinder.flow import build_flow
+from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.measure import dense
-from orbitfinder.periodic.orbit import Orbit
+from orbitfinder.orbits.measure import dense
+from orbitfinder.records.orbit import Orbit
 
 LOOP_SAMPLES = 512
 """States that a signature keeps of its loop."""

@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder.atlas.march import March, build_march, ends, rounded, states_along
 from orbitfinder.atlas.mirrors import mirrors, off_section
 from orbitfinder.atlas.resting import reach_of, resting_place
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.flow import Flow, build_flow
+from orbitfinder.guesses.modes import normal_modes
+from orbitfinder.integrate.batch import March, build_march, ends, rounded, states_along
+from orbitfinder.integrate.cvodes import Flow, build_flow
+from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
+from orbitfinder.loops.symmetry import check_symmetry
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.conditions import SYMMETRIES, unfolded_invariants
-from orbitfinder.periodic.guesses import normal_modes
-from orbitfinder.periodic.hamilton import prepare
-from orbitfinder.periodic.symmetry import check_symmetry
+from orbitfinder.orbits.hamilton import prepare
 
 METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""

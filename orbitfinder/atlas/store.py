@@ -11,17 +11,17 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from orbitfinder import display
-from orbitfinder.arguments import checked
+from orbitfinder._runtime import notebook as display
+from orbitfinder._runtime.arguments import checked
+from orbitfinder._runtime.suggest import closest
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, select, transaction
 from orbitfinder.errors import InputError
+from orbitfinder.loops.conditions import SYMMETRIES
 from orbitfinder.mechanics.model import Model, energies
-from orbitfinder.periodic.conditions import SYMMETRIES
-from orbitfinder.periodic.floquet import STABILITIES
-from orbitfinder.periodic.orbit import Orbit, check_document, orbit_from_document, orbit_to_document
-from orbitfinder.reading import inflated, json_document, read_as
-from orbitfinder.suggest import closest
+from orbitfinder.orbits.floquet import STABILITIES
+from orbitfinder.records.orbit import Orbit, check_document, orbit_from_document, orbit_to_document
+from orbitfinder.records.reading import inflated, json_document, read_as
 
 RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 4096

@@ -18,7 +18,7 @@ from types import GenericAlias
 from typing import Any
 
 from orbitfinder.errors import InputError
-from orbitfinder.reading import LARGEST_FILE, LARGEST_INTEGER, read_as
+from orbitfinder.records.reading import LARGEST_FILE, LARGEST_INTEGER, read_as
 
 APPLICATION = 0x6F726266
 """The letters `orbf`."""

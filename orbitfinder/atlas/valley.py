@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder.atlas.march import refined_ends, rounded
-from orbitfinder.atlas.quick import Path, QuickSettings, Stalled, System, bounded, linearised, moved
+from orbitfinder.atlas.solver import Path, QuickSettings, Stalled, System, bounded, linearised, moved
 from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.batch import refined_ends, rounded
 
 LONGEST, SHORTEST = 0.3, 1e-3
 """Scaled steps along the valley."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from typing import Protocol
 
-from orbitfinder import processes
-from orbitfinder.atlas.refine import Attempt, Numbers
+from orbitfinder._runtime import processes
+from orbitfinder.atlas.attempt import Attempt, Numbers
+from orbitfinder.atlas.job import Known, Order, Task, perform, prepared
 from orbitfinder.atlas.starts import Bench
-from orbitfinder.atlas.task import Known, Order, Task, perform, prepared
 from orbitfinder.errors import OrbitfinderError
 
 MOST_TRIES = 2

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from orbitfinder.flow import build_flow, sample, vector_field
+from orbitfinder._runtime.version import __version__
+from orbitfinder.integrate.cvodes import build_flow, sample, vector_field
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.orbit import Orbit
-from orbitfinder.version import __version__
+from orbitfinder.records.orbit import Orbit
 
 SAMPLES = 513
 """Points of one period when orbit.npz is missing."""

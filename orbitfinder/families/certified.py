@@ -7,15 +7,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from orbitfinder.families.points import Batch, Event, FamilyPoint, winding
+from orbitfinder.families.point import Batch, Event, FamilyPoint, winding
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import SAMPLES, full_samples
-from orbitfinder.families.system import Curve, Place, at_place
+from orbitfinder.loops.continued import Curve, Place, at_place
+from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import energy
-from orbitfinder.periodic.certify import certify
-from orbitfinder.periodic.orbit import Orbit
-from orbitfinder.periodic.symmetry import recognise
+from orbitfinder.orbits.certify import certify
+from orbitfinder.records.orbit import Orbit
 
 TOLERANCE = 1e-11
 Member = TypeVar("Member", FamilyPoint, Event)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.mechanics.canonical import canonical
+from orbitfinder.integrate.dop853 import TIGHTEST, integrate
+from orbitfinder.integrate.dop853 import vector_field as numpy_field
 from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.hamilton import canonical
 from orbitfinder.mechanics.model import Model
-from orbitfinder.reference import TIGHTEST, integrate
-from orbitfinder.reference import vector_field as numpy_field
 
 CHECKED = replace(TIGHTEST, max_evaluations=100_000)
 """Ten times what a tame period needs at the finest of `LONGEST_STEPS`."""

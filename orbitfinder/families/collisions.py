@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.passages import Measure
-from orbitfinder.families.probes import Interval, Probe, real_indices
+from orbitfinder.families.samples import Interval, Probe, real_indices
 
 NEAR_MEETING = 0.3
 """Indices nearer than this at one end of a step may have met twice inside it."""

@@ -15,7 +15,7 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.collisions import twice
 from orbitfinder.families.passages import UNTOLD, Measure, Test, located
-from orbitfinder.families.probes import Interval, Probe, is_real
+from orbitfinder.families.samples import Interval, Probe, is_real
 
 GRAZED = 0.1
 """A modulus within this share of 1 at one of the two points may have passed it and come back."""

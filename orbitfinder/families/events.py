@@ -20,15 +20,15 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.collisions import collisions, look, meeting
 from orbitfinder.families.crossings import crossings
 from orbitfinder.families.passages import Measure, Test, located, passages
-from orbitfinder.families.points import Event, FamilySettings, parameter_value
-from orbitfinder.families.probes import Interval as Interval
-from orbitfinder.families.probes import Probe as Probe
-from orbitfinder.families.probes import make_interval as make_interval
-from orbitfinder.families.probes import make_probe as make_probe
-from orbitfinder.families.probes import parameter_slopes as parameter_slopes
+from orbitfinder.families.point import Event, FamilySettings, parameter_value
+from orbitfinder.families.samples import Interval as Interval
+from orbitfinder.families.samples import Probe as Probe
+from orbitfinder.families.samples import make_interval as make_interval
+from orbitfinder.families.samples import make_probe as make_probe
+from orbitfinder.families.samples import parameter_slopes as parameter_slopes
 from orbitfinder.families.strips import strips
-from orbitfinder.families.system import Curve, head_of
-from orbitfinder.periodic.floquet import ERROR_FLOOR
+from orbitfinder.loops.continued import Curve, head_of
+from orbitfinder.orbits.floquet import ERROR_FLOOR
 
 CRITICAL = ("branch_point", "period_doubling", "torus")
 """Kinds at which a multiplier leaves or enters the unit circle."""

@@ -8,9 +8,9 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.events import Interval, make_probe
-from orbitfinder.families.points import FamilyPoint, make_point, parameter_value
-from orbitfinder.families.system import Aim, Place, Solution, correct, distance, head_of, tangent
-from orbitfinder.families.walk import Stand, Walk
+from orbitfinder.families.point import FamilyPoint, make_point, parameter_value
+from orbitfinder.families.run import Stand, Walk
+from orbitfinder.loops.continued import Aim, Place, Solution, correct, distance, head_of, tangent
 
 
 def exact_points(

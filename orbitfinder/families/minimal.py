@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.flow import vector_field as equations
+from orbitfinder.integrate.cvodes import vector_field as equations
+from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_field
+from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_constrained
 from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.linkage import linkage_state
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.partition import bar_angles, minimal_linkage
-from orbitfinder.periodic.conditions import Pin
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.reference import ReferenceSettings, integrate, vector_field
 
 LEAST_SINE = 0.05
 """|sin| of the angle between the two dependent bars below which they count as being in line."""

@@ -15,9 +15,9 @@ from itertools import product
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.guesses import modes as guesses
+from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic import guesses
-from orbitfinder.periodic.problem import Problem
 
 AMPLITUDE = 0.02
 """Largest deviation (rad or m) at which a family is begun, unless said otherwise."""

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.probes import Interval, Probe, is_real, real_indices
+from orbitfinder.families.samples import Interval, Probe, is_real, real_indices
 from orbitfinder.families.stability import matching
 
 LOCATION = 2e-11

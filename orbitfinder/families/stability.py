@@ -8,9 +8,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.propagate import invariants_at, momentum_slopes, rate_at
-from orbitfinder.families.system import Curve, Solution
-from orbitfinder.periodic.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
+from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.loops.graded import invariants_at, momentum_slopes, rate_at
+from orbitfinder.orbits.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
 
 UNRESOLVED = 1e7
 """The reciprocal of a multiplier beyond this is taken from it, not from the eigenvalue solver."""

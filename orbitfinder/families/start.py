@@ -11,36 +11,20 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.mesh import remeshed, settled
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.points import FamilySettings
-from orbitfinder.families.propagate import (
-    Propagator,
-    boundary_matrices,
-    build_propagator,
-    invariants_at,
-    march,
-    rates,
-)
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.scale import length
-from orbitfinder.families.system import (
-    Aim,
-    Curve,
-    Place,
-    Solution,
-    correct,
-    head_of,
-    kernel,
-    make_curve,
-)
+from orbitfinder.loops.conditions import SYMMETRIES, Pin
+from orbitfinder.loops.continued import Aim, Curve, Place, Solution, correct, head_of, kernel, make_curve
+from orbitfinder.loops.graded import Propagator, boundary_matrices, build_propagator, invariants_at, march, rates
+from orbitfinder.loops.mesh import remeshed, settled
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import check_symmetry, recognise
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.conditions import SYMMETRIES, Pin
-from orbitfinder.periodic.orbit import Orbit
-from orbitfinder.periodic.problem import Guess, Problem
-from orbitfinder.periodic.solve import find_orbit
-from orbitfinder.periodic.symmetry import check_symmetry, recognise
-from orbitfinder.reading import read_as
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import read_as
 
 FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
@@ -111,7 +95,7 @@ def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[st
 
     Momenta are never held: an orbit closes for one value of each, at which nothing drifts.
     """
-    from orbitfinder.suggest import closest
+    from orbitfinder._runtime.suggest import closest
 
     name = settings.parameter
     if name in ("energy", "period", *model.state_names):

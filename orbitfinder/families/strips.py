@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.collisions import twice
 from orbitfinder.families.passages import Test, exchanged, passage
-from orbitfinder.families.probes import Interval, Probe, is_real
+from orbitfinder.families.samples import Interval, Probe, is_real
 
 NEAR = 0.5
 """How near to +-2 an index must be at one of the two points to have gone through it."""

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.branching import SWITCHABLE, switch
-from orbitfinder.families.points import Event, Family, FamilySettings
+from orbitfinder.families.branches import SWITCHABLE, switch
+from orbitfinder.families.journal import load_family
+from orbitfinder.families.point import Event, Family, FamilySettings
 from orbitfinder.families.start import Start, curve_of
-from orbitfinder.families.store import load_family
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 

@@ -17,9 +17,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder.arguments import check_fields
+from orbitfinder._runtime.arguments import check_fields
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.elimination import LinearBalances, eliminated
+from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.lagrange import (
     Symbols,
     coordinate_angles,

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.suggest import closest
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import ConstrainedModel, reduced
 from orbitfinder.mechanics.model import Model
-from orbitfinder.suggest import closest
 
 BUILT_IN = "orbitfinder.systems"
 
@@ -53,7 +53,7 @@ def module_file(module: str, folder: Path) -> Path | None:
 
 
 def _built_in(name: str) -> Callable[..., Any]:
-    from orbitfinder.systems import FUNCTIONS
+    from orbitfinder.mechanics.library import FUNCTIONS
 
     if name not in FUNCTIONS:
         known = ", ".join(FUNCTIONS)

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder.arguments import check_fields
+from orbitfinder._runtime.arguments import check_fields
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Invariant, Model
 

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.integrate.dop853 import SECOND, integrate, vector_field
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.proof.formulation import PARTS, Formulation
-from orbitfinder.reference import SECOND, integrate, vector_field
+from orbitfinder.records.orbit import Orbit
 
 SCAN = 2000
 """Instants of a period at which a symmetric one is looked for"""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder import limit
+from orbitfinder._runtime import limit
 from orbitfinder.proof.balls import Vector, arb, arb_mat, column, exact, floats, identity, midpoints, radii
 from orbitfinder.proof.enclosure import Settings, Step, find_step, transition_over, valued
 from orbitfinder.proof.field import Field

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.version import __version__
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.orbit import Orbit, read_document, write_atomically
 from orbitfinder.proof.balls import arb, flint, precision
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, prove
-from orbitfinder.reading import read_as
-from orbitfinder.version import __version__
+from orbitfinder.records.orbit import Orbit, read_document, write_atomically
+from orbitfinder.records.reading import read_as
 
 DIGITS = 30
 """Decimal places of the centres of enclosures in a record"""

@@ -10,7 +10,6 @@ from typing import Any
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.proof.approach import approach
 from orbitfinder.proof.balls import Vector, arb, decimal, precision, radius
 from orbitfinder.proof.enclosure import Settings
@@ -19,6 +18,7 @@ from orbitfinder.proof.invariance import usable_symmetry
 from orbitfinder.proof.krawczyk import krawczyk
 from orbitfinder.proof.newton import solve
 from orbitfinder.proof.theorem import NotProved, Progress, check_symmetries, make_equations, provable_model, unknowns_at
+from orbitfinder.records.orbit import Orbit
 
 MOST_DIGITS = 250
 GUARD = 8

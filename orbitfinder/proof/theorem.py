@@ -15,7 +15,6 @@ from typing import Any
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.periodic.orbit import Orbit
 from orbitfinder.proof.approach import Approach, approach
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
 from orbitfinder.proof.enclosure import Settings
@@ -25,6 +24,7 @@ from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk
 from orbitfinder.proof.newton import solve
 from orbitfinder.proof.stability import Stability, stability
 from orbitfinder.proof.tour import Tour, minimal_period, monodromy, moves, positive_mass, reduced, tour
+from orbitfinder.records.orbit import Orbit
 
 STATEMENT = 1
 """version of the theorem in docs/proof.md that a record refers to"""

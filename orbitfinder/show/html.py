@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import OrbitfinderError
-from orbitfinder.families.points import Family, FamilyPoint
-from orbitfinder.flow import build_flow, sample
+from orbitfinder.families.point import Family, FamilyPoint
+from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.periodic.orbit import Certificate, Orbit
+from orbitfinder.records.orbit import Certificate, Orbit
 from orbitfinder.show.diagram import diagram
 from orbitfinder.show.svg import moving_mechanism, moving_portrait, unit_circle
 

@@ -11,7 +11,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies, positions
-from orbitfinder.periodic.orbit import Orbit
+from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.style import COLOURS, dress, line_style, new_figure, save_png
 
 if TYPE_CHECKING:

@@ -1,0 +1,184 @@
+"""What a caller gave against what the annotation asks for: one sentence, not an AttributeError ten calls further down.
+
+The annotation is the rule, so that nothing is declared twice. The public functions are wrapped where
+`orbitfinder/__init__.py` loads them, the frozen dataclasses that users fill in ask `check_fields`; what the house calls
+inside is not checked.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping
+from numbers import Integral, Real
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from orbitfinder._runtime.suggest import closest
+from orbitfinder.errors import InputError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+SEQUENCE = re.compile(r"(?:Sequence|tuple)\[(.+?)(?:, \.\.\.)?\]")
+MAPPING = re.compile(r"Mapping\[str, (.+)\]")
+SHOWN = 60
+"""characters of a value in a message"""
+
+
+def _real(value: Any) -> bool:
+    if isinstance(value, Real):
+        return not isinstance(value, bool)
+    return getattr(value, "shape", None) in ((), (1, 1)) and _numbers(value)
+
+
+def _numbers(value: Any) -> bool:
+    """Something that NumPy makes floats of, texts and None excepted."""
+    try:
+        return np.asarray(value).dtype.kind in "fiub"
+    except Exception:  # whatever an object's own conversion raises: CasADi's symbols have four kinds
+        return False
+
+
+def _pair(value: Any) -> bool:
+    return _numbers(value) and np.shape(value) == (2,)
+
+
+def _is_a(*names: str) -> Callable[[Any], bool]:
+    """Whether a value is of a class of that name, which need not be imported for that."""
+    return lambda value: any(base.__name__ in names for base in type(value).__mro__)
+
+
+KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "float": (_real, "a number"),
+    "int": (lambda value: isinstance(value, Integral) and not isinstance(value, bool), "a whole number"),
+    "bool": (lambda value: isinstance(value, bool | np.bool_), "True or False"),
+    "str": (lambda value: isinstance(value, str), "a text"),
+    "Path": (lambda value: isinstance(value, str | os.PathLike), "a path"),
+    "np.ndarray": (_numbers, "an array of numbers"),
+    "Numbers": (_numbers, "a number, or one for each"),
+    "Sequence[float]": (lambda value: _numbers(value) and np.ndim(value) > 0, "a list of numbers"),
+    "tuple[float, float]": (_pair, "two numbers, [smallest, largest]"),
+    "ca.SX": (lambda value: _is_a("SX", "DM")(value) or _numbers(value), "a CasADi SX expression"),
+    "Expression": (callable, "a function of the Variables"),
+    "Callback": (callable, "a function"),
+    "None": (lambda value: value is None, ""),
+}
+"""By annotation: the test, and what the message says is expected"""
+MADE_BY = {
+    "ca.SX": "write it in ca.SX.sym symbols, several rows as ca.vertcat(...)",
+    "Model": "chain(...), lagrange(...) and the functions of orbitfinder.systems make one",
+    "ConstrainedModel": "linkage(...), chain_dae(...) and constrained(...) make one",
+    "Problem": "Problem(model, guess) states one, load_problem(path) reads one",
+    "Orbit": "find_orbit(problem) finds one, load_orbit(path) reads one",
+    "Guess": "Guess(state, period) makes one, normal_mode(...) too",
+    "Pin": "write pin=pin(energy=...)",
+    "Constraint": "write (Constraint(expression),)",
+    "Invariant": "Invariant(name, value, unfolding, generator) makes one",
+    "Symbols": "Symbols(q, v) makes one of ca.SX.sym symbols",
+    "Flow": "build_flow(model) makes one",
+    "Clip": "orbit_clip(orbit) makes one",
+    "Baumgarte": "Baumgarte(alpha, beta) makes one",
+    "SolveSettings": "SolveSettings(max_iterations=...) makes them",
+    "IntegratorSettings": "IntegratorSettings(relative_tolerance=...) makes them",
+    "DaeSettings": "DaeSettings(relative_tolerance=...) makes them",
+}
+"""By class: where one comes from; the remedy in its message. Other names are aliases, and not looked into."""
+
+
+def fits(annotation: str, value: Any) -> bool:
+    """Whether a value is what one of the alternatives of an annotation asks for; an unknown one takes everything."""
+    return any(_fits(part, value) for part in _alternatives(annotation))
+
+
+def _fits(part: str, value: Any) -> bool:
+    if part in KINDS:
+        return KINDS[part][0](value)
+    if part.startswith("Callable["):
+        return callable(value)
+    if found := MAPPING.fullmatch(part):
+        keyed = isinstance(value, Mapping) and all(isinstance(key, str) for key in value)
+        return keyed and all(fits(found[1], one) for one in value.values())
+    if found := SEQUENCE.fullmatch(part):
+        listed = isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping)
+        return listed and all(fits(found[1], one) for one in value)
+    return part not in MADE_BY or _is_a(part)(value)
+
+
+def _alternatives(annotation: str) -> list[str]:
+    """The parts of A | B[C | D] | None outside brackets."""
+    return re.split(r" \| (?![^\[]*\])", annotation)
+
+
+def _expected(part: str) -> str:
+    if part in KINDS:
+        return KINDS[part][1]
+    if part.startswith("Callable["):
+        return "a function"
+    if found := MAPPING.fullmatch(part):
+        return f"names with {_expected(found[1])} each, {{name: ...}}"
+    if found := SEQUENCE.fullmatch(part):
+        return f"a list, each {_expected(found[1])}"
+    return f"{'an' if part[0] in 'AIO' else 'a'} {part}"
+
+
+def shown(value: Any) -> str:
+    """A value in a message: itself where it is short and plain, else its type."""
+    plain = isinstance(value, str | Real | list | tuple | dict) or value is None
+    text = repr(value) if plain else ""
+    return text if 0 < len(text) <= SHOWN else f"{type(value).__name__} {text[:SHOWN]}".strip()
+
+
+def check(name: str, annotation: str, value: Any) -> None:
+    """`InputError` naming the argument, what it should be, what was given and where one comes from."""
+    if fits(annotation, value):
+        return
+    parts = [part for part in _alternatives(annotation) if part != "None"]
+    expected = " or ".join(dict.fromkeys(_expected(part) for part in parts if (part, "Path") != ("str", parts[-1])))
+    made = next((f"; {MADE_BY[word]}" for word in re.findall(r"ca\.SX|[A-Za-z]+", annotation) if word in MADE_BY), "")
+    raise InputError(f"{name}: expected {expected}, got {shown(value)}{made}")
+
+
+def check_fields(instance: Any) -> None:
+    """`check` for every field of a dataclass whose annotations are texts; for its `__post_init__`."""
+    for field in dataclasses.fields(instance):
+        check(field.name, str(field.type), getattr(instance, field.name))
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """A function that checks its arguments; a ConstrainedModel in a Model's place comes in its reduced form."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def front(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            given = signature.bind(*args, **kwargs)
+        except TypeError as error:
+            wrong = next((word for word in kwargs if word not in signature.parameters), "")
+            hint = closest(wrong, list(signature.parameters)) if wrong else ""
+            usage = f"{function.__name__}({', '.join(map(str, _plain(signature)))})"
+            raise InputError(f"{function.__name__}: {error}{hint}; call it as {usage}") from error
+        for name, value in given.arguments.items():
+            _check_argument(given.arguments, signature.parameters[name], value)
+        return function(*given.args, **given.kwargs)
+
+    return front
+
+
+def _plain(signature: inspect.Signature) -> list[inspect.Parameter]:
+    return [one.replace(annotation=inspect.Parameter.empty) for one in signature.parameters.values()]
+
+
+def _check_argument(arguments: dict[str, Any], parameter: inspect.Parameter, value: Any) -> None:
+    annotation = str(parameter.annotation)
+    if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+        for name, one in value.items():
+            check(name, annotation, one)
+    elif "Model" in _alternatives(annotation) and _is_a("ConstrainedModel")(value):
+        arguments[parameter.name] = value.as_model()
+    else:
+        check(parameter.name, annotation, value)

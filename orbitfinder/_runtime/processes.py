@@ -1,0 +1,110 @@
+"""Processes of our own: nothing of the current folder on their path, gone when their parent is.
+
+A spawned Python starts as `python -c`, which puts the current folder first on the path: a struct.py there would be run
+in place of the library's own, before any line of ours.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.threads import NAMES, children_see
+
+SAFE_PATH = "PYTHONSAFEPATH"
+"""Environment variable that keeps the current folder off a child's path"""
+LAST_WORDS = 5.0
+"""Seconds that processes get to end by themselves"""
+LOOK_EVERY = 1.0
+"""Seconds between two looks at whether the parent lives"""
+
+
+@dataclass(eq=False)
+class Hand:
+    """A process of ours and our end of the pipe to it."""
+
+    process: BaseProcess
+    pipe: Connection
+
+    def tell(self, message: Any) -> None:
+        """Send a message; that the process has died is found when its answer is read."""
+        with contextlib.suppress(OSError):
+            self.pipe.send(message)
+
+    def answer(self) -> Any:
+        """What it sends back; None when it has died."""
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            return None
+
+
+def ready(hands: Iterable[Hand]) -> list[Hand]:
+    """Those that have answered or died, after waiting for one of them."""
+    asked = list(hands)
+    found = wait([hand.pipe for hand in asked])
+    return [hand for hand in asked if hand.pipe in found]
+
+
+def hired(work: Callable[..., None], *arguments: Any) -> Hand:
+    """A spawned process that does `work(pipe, *arguments)`.
+
+    The process leaves Ctrl-C to us, has its BLAS on one thread, and ends within seconds of us however we end.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_begin, args=(theirs, work, *arguments), daemon=True)
+    with children_see(dict.fromkeys((*NAMES, SAFE_PATH), "1")):
+        resource_tracker.ensure_running()  # its start lets Ctrl-C through again, so it comes before that is held back
+        try:
+            with interrupt.held_back():
+                process.start()
+        except KeyboardInterrupt:
+            process.kill()
+            raise
+    theirs.close()
+    return Hand(process, ours)
+
+
+def dismissed(hands: Iterable[Hand]) -> None:
+    """End processes and see them go, however often Ctrl-C is pressed meanwhile."""
+    gone = list(hands)
+    with interrupt.held_back():
+        for hand in gone:
+            hand.process.terminate()
+        until = time.monotonic() + LAST_WORDS
+        for hand in gone:
+            hand.process.join(max(0.0, until - time.monotonic()))
+            if hand.process.is_alive():
+                hand.process.kill()
+                hand.process.join()
+            hand.pipe.close()
+
+
+def _begin(pipe: Connection, work: Callable[..., None], *arguments: Any) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    work(pipe, *arguments)
+
+
+def _end_with_parent() -> None:
+    """CasADi lets other threads run while it computes, so this one sees the parent go at once."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    while os.getppid() == parent.pid and not wait([parent.sentinel], LOOK_EVERY):
+        pass
+    with contextlib.suppress(OSError):
+        os.kill(os.getpid(), signal.SIGTERM)  # finish a file that is being written
+    time.sleep(LAST_WORDS)
+    os._exit(128 + signal.SIGTERM)

@@ -1,0 +1,259 @@
+"""From a start to a certified Orbit or to the reason why not: cheap solve, polish, minimal period, certificate."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import compress
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.atlas.signature import Signature, resampled
+from orbitfinder.atlas.solver import Path, QuickSettings, Stalled, polished, segments_needed, shot, solve, system
+from orbitfinder.atlas.starts import Bench, Start, make_start, strategy_of
+from orbitfinder.atlas.valley import orbit_in_valley
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.integrate.batch import derivatives, ends, rounded, states_along
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import recognise
+from orbitfinder.mechanics.model import energy
+from orbitfinder.orbits.certify import certified, return_distances
+from orbitfinder.orbits.evidence import gap
+from orbitfinder.orbits.floquet import analyse, reduce_monodromy
+from orbitfinder.orbits.measure import action, frame, full_period
+from orbitfinder.records.orbit import Orbit
+
+Numbers = tuple[float, float, float]
+LARGEST_COVER = 30
+LARGEST_UNFOLDING = 1e-8
+SAMPLES = 256
+"""Steps over a period at least, for the loop, its action and its minimal period."""
+COVER = 1e-5
+"""A return at T/k nearer than this, relative to the motion's extent, means that the loop was run k times."""
+PERIOD_MARGIN = 1.15
+"""The cheap stage lets the period leave the range by this factor before it holds it."""
+SMALLEST = 1e-3
+"""Motions of less than this extent (rad or m) are equilibria."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """How one start ended: with an orbit; with a signature alone, when it seemed to be known; or with a reason.
+
+    `seconds` is processor time.
+    """
+
+    index: int
+    strategy: str
+    signature: Signature | None = None
+    orbit: Orbit | None = None
+    reason: str = ""
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A converged loop before it is measured: path over the horizon, nodes and states of one period, its action."""
+
+    problem: Problem
+    path: Path
+    nodes: np.ndarray
+    times: np.ndarray
+    states: np.ndarray
+    action: float
+
+    @property
+    def numbers(self) -> Numbers:
+        """Energy, period and |action|, which images of a loop share."""
+        return self.problem.pin[0].value, self.path.period, abs(self.action)
+
+
+def attempt(
+    one: Bench,
+    seed: int,
+    index: int,
+    known: Callable[[Numbers], bool] | None = None,
+    settings: QuickSettings | None = None,
+) -> Attempt:
+    """One start from its number to its orbit and certificate.
+
+    Where `known` says that an orbit with these numbers (energy, period, |action|) is there already, only
+    the signature is made: whoever asked is to judge whether it is that orbit.
+    """
+    settings, name = settings or QuickSettings(), strategy_of(one, index)
+    with reasons(index, name) as ended:
+        start = make_start(one, seed, index)
+        ended.append(finished(one, seed, start, known, settings))
+    return ended[-1]
+
+
+@contextlib.contextmanager
+def reasons(index: int, name: str) -> Iterator[list[Attempt]]:
+    """A list of attempts; what is raised in the block on purpose becomes the last of them."""
+    ended: list[Attempt] = []
+    try:
+        yield ended
+    except ConvergenceError as error:
+        ended.append(Attempt(index, name, reason=str(error)))
+    except IntegrationError:
+        ended.append(Attempt(index, name, reason="integration failed"))
+
+
+def finished(
+    one: Bench, seed: int, start: Start, known: Callable[[Numbers], bool] | None, settings: QuickSettings
+) -> Attempt:
+    """The attempt that a start becomes; raises what `reasons` catches."""
+    loop = minimal(one, converged(one, start, settings), settings)
+    signature = loop_signature(one, loop)
+    if known is not None and known(loop.numbers):
+        return Attempt(start.index, start.strategy, signature)
+    orbit = replace(measured(one, loop), provenance=origin(seed, start), name=name_of(one, seed, start))
+    orbit = certified(orbit, one.model)
+    if orbit.certificate is not None and not orbit.certificate.passed:
+        failed = ", ".join(orbit.certificate.failures)
+        return Attempt(start.index, start.strategy, reason=f"not certified: {failed}")
+    return Attempt(start.index, start.strategy, signature, orbit)
+
+
+def name_of(one: Bench, seed: int, start: Start) -> str:
+    """A name that is unique in an atlas, and good for a folder: energy, seed, number of the start."""
+    return f"e{one.target.energy:g}-s{seed}-n{start.index}".replace("+", "")
+
+
+def loop_signature(one: Bench, loop: Loop) -> Signature:
+    """The signature of a loop that is not measured yet."""
+    energy, period, action = loop.numbers
+    angles = tuple(one.model.angles) or (False,) * one.model.degrees_of_freedom
+    return Signature(energy, period, action, resampled(loop.times, loop.states), angles)
+
+
+def converged(one: Bench, start: Start, settings: QuickSettings) -> Loop:
+    """The loop that a start leads to, over the period found."""
+    guess = Guess(start.state, start.period)
+    problem = Problem(one.model, guess, pin=pin(energy=one.target.energy), symmetry=start.symmetry)
+    march = one.marches[start.symmetry]
+    horizon = problem.boundary.fraction * start.period
+    count = segments_needed(march, one.step, start.state, horizon, settings)
+    nodes, end = shot(march, one.step, start.state, horizon, count)
+    if start.symmetry == "none":
+        problem = replace(problem, winding=turns(one, nodes, end))
+    return solved(one, problem, Path(nodes, start.period, np.zeros(march.unfolded)), settings)
+
+
+def turns(one: Bench, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ...]:
+    """Whole turns of each coordinate over the guess, to the nearest."""
+    n = one.model.degrees_of_freedom
+    whole = np.round((end - nodes[0])[:n] / (2 * np.pi))
+    return tuple(int(k) for k in np.where(np.asarray(one.model.angles or (False,) * n), whole, 0))
+
+
+def solved(one: Bench, problem: Problem, path: Path, settings: QuickSettings) -> Loop:
+    """The polished loop of a path that is near one."""
+    low, high = one.target.periods
+    motion = one.marches[problem.symmetry], one.step
+    equations = system(problem, motion, path.nodes, (low / PERIOD_MARGIN, high * PERIOD_MARGIN))
+    try:
+        found, steps = polished(equations, *solve(equations, path, settings), settings)
+    except Stalled as stall:
+        found, steps = polished(equations, *orbit_in_valley(equations, stall.path, settings), settings)
+    if np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
+        raise ConvergenceError("unfolding does not vanish")
+    found = replace(found, nodes=centred(one, problem, found.nodes))
+    nodes, times, states = whole_period(one, problem, found, steps)
+    if np.ptp(states, axis=0).max() < SMALLEST:
+        raise ConvergenceError("equilibrium")
+    return Loop(problem, found, nodes, times, states, action(one.model, times, states))
+
+
+def whole_period(
+    one: Bench, problem: Problem, path: Path, steps: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes of one period from those of a part of it; equal times over it and the states there, to round-off."""
+    nodes = full_period(problem, one.flows[problem.symmetry], path.nodes, path.period)
+    duration, march = path.period / len(nodes), one.marches["none"]
+    none = np.zeros(march.unfolded)
+    steps = max(steps, rounded(SAMPLES / len(nodes)))
+    pieces = [states_along(march, node, duration, steps, none)[:-1] for node in nodes]
+    shift = np.concatenate([2 * np.pi * problem.turns, np.zeros(problem.model.degrees_of_freedom)])
+    states = np.vstack([*pieces, nodes[:1] + shift])
+    return nodes, np.linspace(0.0, path.period, len(states)), states
+
+
+def measured(one: Bench, loop: Loop) -> Orbit:
+    """The Orbit of a loop, as `periodic.measure` makes it, by the compiled march."""
+    model, problem, march = one.model, loop.problem, one.marches["none"]
+    period, none, n = loop.path.period, np.zeros(march.unfolded), one.model.degrees_of_freedom
+    steps = (len(loop.times) - 1) // len(loop.nodes)
+    monodromy = np.eye(2 * n)
+    for matrix in derivatives(march, loop.nodes, period / len(loop.nodes), steps, none)[1][:, :, : 2 * n]:
+        monodromy = matrix @ monodromy
+    gradients, directions = frame(model, one.flows["none"], loop.nodes[0])
+    floquet = analyse(reduce_monodromy(monodromy, gradients, directions), conservative=True)
+    end = ends(march, loop.nodes[:1], period, len(loop.times) - 1, none)[0]
+    return Orbit(
+        name=problem.name, system=model.system, state=loop.nodes[0], period=period,
+        energy=energy(model, loop.nodes[0]), action=loop.action, closure=gap(loop.nodes[0], end, problem.turns),
+        symmetry=recognise(loop.times, loop.states, np.asarray(model.angles)),
+        winding=tuple(int(k) for k in problem.turns), floquet_multipliers=floquet.multipliers,
+        pair_defect=floquet.pair_defect, stability=floquet.stability,
+        unfolding=tuple(float(s) for s in loop.path.unfolding), nodes=loop.nodes, times=loop.times,
+        samples=loop.states, tolerance=problem.tolerance,
+    )  # fmt: skip
+
+
+def centred(one: Bench, problem: Problem, nodes: np.ndarray) -> np.ndarray:
+    """Nodes with the first one's angles in (-pi, pi], where whole turns may be taken off."""
+    n = one.model.degrees_of_freedom
+    if problem.symmetry in ("reflection", "brake+reflection"):
+        return nodes
+    whole = np.ceil((nodes[0, :n] - np.pi) / (2 * np.pi)) * np.asarray(one.model.angles or (False,) * n)
+    return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(n)])
+
+
+def minimal(one: Bench, loop: Loop, settings: QuickSettings) -> Loop:
+    """The same loop over its minimal period; `ConvergenceError` when that is not in the range wanted."""
+    low, high = one.target.periods
+    if not low <= loop.path.period <= 2 * high:  # a multiple cover that is too long may have a period in range
+        raise ConvergenceError("period outside the range")
+    angles = np.asarray(one.model.angles or (False,) * one.model.degrees_of_freedom)
+    covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
+    near: list[bool] = []
+    if covers:
+        near = [far < COVER for far in return_distances(loop.times, loop.states, angles, covers)]
+    if any(near):
+        loop = uncovered(one, loop, max(compress(covers, near)), settings)
+    if not low <= loop.path.period <= high:
+        raise ConvergenceError("period outside the range")
+    return loop
+
+
+def uncovered(one: Bench, loop: Loop, cover: int, settings: QuickSettings) -> Loop:
+    """The loop solved again over a `cover`-th of its period."""
+    period, state = loop.path.period / cover, loop.states[0]
+    if period < one.target.periods[0]:
+        raise ConvergenceError("period outside the range")
+    winding = tuple(int(k) // cover for k in loop.problem.turns)
+    problem = Problem(one.model, Guess(state, period), pin=pin(energy=one.target.energy), winding=winding)
+    march = one.marches["none"]
+    nodes, _ = shot(march, one.step, state, period, segments_needed(march, one.step, state, period, settings))
+    return solved(one, problem, Path(nodes, period, np.zeros(march.unfolded)), settings)
+
+
+def origin(seed: int, start: Start) -> dict[str, Any]:
+    """Provenance of an orbit found from a start: enough to find it again."""
+    from orbitfinder._runtime.version import __version__
+    from orbitfinder.records.orbit import VERSION
+
+    return {
+        "orbitfinder": __version__,
+        "orbit_format": VERSION,
+        "numpy": np.__version__,
+        "seed": seed,
+        "index": start.index,
+        "strategy": start.strategy,
+        "symmetry_imposed": start.symmetry,
+        "start": {"state": [float(x) for x in start.state], "period": start.period},
+    }

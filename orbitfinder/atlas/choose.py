@@ -1,0 +1,168 @@
+"""The least unstable of the orbits at one energy: a choice among many searches.
+
+At a fixed energy the orbits of a conservative system without freed parameters stand alone, so no
+gradient leads from one to the next. They are looked for from many starts (those of the atlas), and
+the one with the smallest spectral radius is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
+
+if TYPE_CHECKING:
+    from orbitfinder.atlas.signature import Signature
+    from orbitfinder.loops.ipopt import Callback, SolveSettings
+    from orbitfinder.loops.problem import Guess, Problem
+    from orbitfinder.records.orbit import Orbit
+
+STARTS = 200
+"""Starts where the file does not say how many."""
+MOST_STARTS = 100_000
+NEAR = 1e-6
+"""Periods and actions that agree to this, relative, may belong to one orbit."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A distinct orbit, how often it was found, and what it is ordered by: spectral radius, largest |mu + 1/mu|."""
+
+    orbit: Orbit
+    signature: Signature
+    found: int
+    rank: tuple[float, float]
+
+
+def solve(
+    problem: Problem, starts: int | None = None, seed: int = 0, progress: Callback | None = None,
+    settings: SolveSettings | None = None,
+) -> Orbit:  # fmt: skip
+    """The orbit that a Problem asks for, by `find_orbit` or, where it is a choice, by `least_unstable`."""
+    from orbitfinder.orbits.find import find_orbit
+
+    if problem.choice:
+        return least_unstable(problem, STARTS if starts is None else starts, seed, progress, settings)
+    return find_orbit(problem, settings, progress)
+
+
+def least_unstable(
+    problem: Problem, starts: int = STARTS, seed: int = 0, progress: Callback | None = None,
+    settings: SolveSettings | None = None,
+) -> Orbit:  # fmt: skip
+    """The least unstable orbit at the pinned energy with a minimal period in `bounds["period"]`, certified.
+
+    The guess and `starts` starts of the atlas's strategies are tried; the same seed gives the same answer.
+    Among orbits on whose multipliers nothing is outside the unit circle the one with the smallest |mu + 1/mu|
+    is taken. `provenance["choice"]` says how many orbits were found and how unstable the runner-up is. More
+    starts find more orbits: the answer is the best of those found. Raises `InputError`, `ConvergenceError`.
+    """
+    from orbitfinder.orbits.find import find_orbit, without_choice
+
+    check(problem)
+    found = candidates(problem, starts, seed, progress)
+    low, high = problem.bounds["period"]
+    if not found:
+        raise ConvergenceError(
+            f"no orbit found: none of {starts} starts led to one with a period from {low:g} to {high:g} s at this "
+            "energy; widen bounds.period, or try more starts"
+        )
+    best = found[0].orbit
+    plain = without_choice(replace(problem, symmetry="none"))
+    wanted = replace(plain, pin=problem.pin, guess=_guess(best), winding=best.winding)
+    orbit = find_orbit(wanted, settings, progress)
+    if abs(orbit.period / best.period - 1) > NEAR:
+        raise ConvergenceError(
+            f"the chosen orbit (period {best.period:.9g} s) was left for another ({orbit.period:.9g} s) when it was "
+            "refined; use another seed"
+        )
+    return replace(orbit, provenance={**orbit.provenance, "choice": _record(found, starts, seed)})
+
+
+def check(problem: Problem) -> None:
+    """`InputError` when a Problem is not a choice of this kind."""
+    if not problem.choice:
+        raise InputError(
+            "objective: a choice among separate orbits needs objective min_instability, a pinned energy and a range of "
+            "periods in bounds, and nothing free; use find_orbit otherwise"
+        )
+    extra = [name for name in problem.bounds if name != "period"]
+    if extra or problem.constraints or problem.symmetry != "none" or [one.name for one in problem.pin] != ["energy"]:
+        raise InputError(
+            "objective: a choice among separate orbits goes by energy (pin) and period (bounds) only; leave out other "
+            "bounds, constraints, pins and the symmetry"
+        )
+
+
+def candidates(problem: Problem, starts: int, seed: int, progress: Callback | None = None) -> list[Candidate]:
+    """The distinct orbits found, least unstable first."""
+    import time
+
+    from orbitfinder.atlas.attempt import attempt
+    from orbitfinder.atlas.starts import Target, bench
+    from orbitfinder.loops.ipopt import Progress
+
+    began = time.perf_counter()
+    shared = bench(problem.model, Target(problem.pin[0].value, problem.bounds["period"]))
+    found: list[Candidate] = []
+    _own(problem, found)
+    for index in range(starts):
+        one = attempt(shared, seed, index, lambda numbers: any(_near(numbers, each) for each in found))
+        if one.signature is not None:
+            _add(found, one.signature, one.orbit)
+        if progress and index % 20 == 19 and found:
+            best = min(found, key=lambda each: each.rank).orbit
+            progress(Progress("choosing", index + 1, best.closure, best.period, time.perf_counter() - began))
+    return sorted(found, key=lambda each: each.rank)
+
+
+def _own(problem: Problem, found: list[Candidate]) -> None:
+    """Add the orbit that the guess itself leads to, when there is one and its period fits."""
+    from orbitfinder.atlas.signature import signature_of
+    from orbitfinder.orbits.find import find_orbit, without_choice
+
+    try:
+        orbit = find_orbit(replace(without_choice(problem), pin=problem.pin))
+    except OrbitfinderError:
+        return
+    low, high = problem.bounds["period"]
+    if low <= orbit.period <= high and orbit.certificate is not None and orbit.certificate.passed:
+        _add(found, signature_of(orbit, problem.model), orbit)
+
+
+def _near(numbers: tuple[float, float, float], one: Candidate) -> bool:
+    """True when energy, period and |action| could be those of a known orbit."""
+    pairs = zip(numbers[1:], (one.signature.period, one.signature.action), strict=True)
+    return all(abs(a - b) <= NEAR * max(abs(a), abs(b)) for a, b in pairs)
+
+
+def _add(found: list[Candidate], signature: Signature, orbit: Orbit | None) -> None:
+    from orbitfinder.atlas.signature import same_orbit
+    from orbitfinder.orbits.instability import rank
+
+    for k, each in enumerate(found):
+        if same_orbit(each.signature, signature):
+            found[k] = replace(each, found=each.found + 1)
+            return
+    if orbit is not None:
+        found.append(Candidate(orbit, signature, 1, rank(orbit)))
+
+
+def _guess(orbit: Orbit) -> Guess:
+    """A found orbit as a guess, with its own trajectory where it carries one."""
+    from orbitfinder.loops.problem import Guess
+
+    if len(orbit.samples) > 1:
+        return Guess(orbit.samples[0], orbit.period, orbit.times, orbit.samples)
+    return Guess(np.asarray(orbit.state), orbit.period)
+
+
+def _record(found: list[Candidate], starts: int, seed: int) -> dict[str, object]:
+    radii = [one.rank[0] for one in found]
+    return {
+        "starts": starts, "seed": seed, "orbits": len(found), "spectral_radius": radii[0],
+        "runner_up": radii[1] if len(radii) > 1 else None, "times_found": found[0].found,
+    }  # fmt: skip

@@ -1,0 +1,215 @@
+"""The commands `atlas ...`: look into a catalogue of orbits, take things out, draw it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orbitfinder.cli.options import FILES, json_option, print_json, trust_option
+from orbitfinder.cli.search import print_summary
+from orbitfinder.errors import InputError
+
+if TYPE_CHECKING:
+    from orbitfinder.atlas.store import Filter, Row
+
+
+TRUST = "Import the Python function of the system, from beside the atlas or installed, for the names of its state."
+
+
+def interval(name: str) -> Callable[[click.Context, click.Parameter, str | None], tuple[float, float] | None]:
+    """A callback that reads `low,high`; either may be left out."""
+
+    def read(_: click.Context, __: click.Parameter, text: str | None) -> tuple[float, float] | None:
+        if text is None:
+            return None
+        words = text.split(",")
+        try:
+            low, high = (float(word) if word.strip() else None for word in words)
+        except ValueError as error:
+            raise InputError(f"--{name}: {text!r} is no range; give low,high, either may be left out") from error
+        return -math.inf if low is None else low, math.inf if high is None else high
+
+    return read
+
+
+def filters(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that choose orbits of an atlas."""
+    for option in (
+        click.option("--symmetry", multiple=True, help="Only this symmetry, such as brake; may be repeated."),
+        click.option("--stability", multiple=True, help="Only elliptic, unstable or marginal; may be repeated."),
+        click.option("--energy", callback=interval("energy"), metavar="LOW,HIGH", help="Range of energies in J."),
+        click.option("--period", callback=interval("period"), metavar="LOW,HIGH", help="Range of periods in s."),
+    ):
+        command = option(command)
+    return command
+
+
+def chosen(options: dict[str, Any]) -> Filter:
+    """The filter that those options make."""
+    from orbitfinder.atlas.store import Filter
+
+    return Filter(**{name: options[name] for name in ("period", "energy", "stability", "symmetry")})
+
+
+@click.group(name="atlas")
+def atlas() -> None:
+    """Look into an atlas of orbits: list, show, report, export, plot.
+
+    \b
+    Example:
+      orbitfinder atlas list triple.sqlite --stability elliptic
+    """
+
+
+@atlas.command(name="list")
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@filters
+@click.option("--order", default="energy, period", show_default=True, help="Columns to sort by; DESC reverses.")
+@json_option
+def list_orbits(book: Path, order: str, as_json: bool, **options: Any) -> None:
+    """List the orbits of an atlas, one a line.
+
+    \b
+    Examples:
+      orbitfinder atlas list triple.sqlite --stability elliptic
+      orbitfinder atlas list triple.sqlite --period ,3 --order "instability"
+    """
+    from orbitfinder.atlas.store import Atlas
+
+    with Atlas(book) as opened:
+        rows = opened.rows(chosen(options), order)
+    if as_json:
+        print_json({"format": "orbitfinder/atlas-list", "orbits": [vars(row) for row in rows]})
+        return
+    click.echo(
+        f"{'id':>6} {'energy (J)':>12} {'period (s)':>14} {'action (J s)':>13}  {'symmetry':<18}{'stability':<11}"
+        f"{'largest |mu|':>12} {'closure':>9}"
+    )
+    for row in rows:
+        click.echo(described(row))
+    click.echo(f"{len(rows)} orbits")
+
+
+def described(row: Row) -> str:
+    """A row of an atlas as one line."""
+    return (
+        f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f} {row.action:>13.6f}  {row.symmetry:<18}"
+        f"{row.stability:<11}{row.instability:>12.4g} {row.closure:>9.1e}"
+    )
+
+
+@atlas.command()
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@click.argument("number", type=int, metavar="ID")
+@trust_option(TRUST)
+@json_option
+def show(book: Path, number: int, trust: bool, as_json: bool) -> None:
+    """Show one orbit by its id; with --json its orbit.json document.
+
+    \b
+    Example:
+      orbitfinder atlas show triple.sqlite 12 --json > orbit.json && orbitfinder verify orbit.json
+    """
+    from orbitfinder.atlas.store import Atlas, named_state
+
+    with Atlas(book, trusted=book.parent if trust else None) as opened:
+        document = opened.document(number)
+        if as_json:
+            print_json(document)
+            return
+        names = opened.model.state_names
+    click.echo(f"orbit {number} of {book}")
+    for key, unit in (("period", "s"), ("energy", "J"), ("action", "J s"), ("closure", ""), ("symmetry", ""),
+                      ("stability", "")):  # fmt: skip
+        click.echo(f"  {key:<22}{document[key]!r} {unit}".rstrip().replace("'", ""))
+    for name, value in named_state(document, names).items():
+        click.echo(f"  {name:<22}{value!r}")
+    multipliers = ", ".join(f"{complex(*mu):.6g}" for mu in document["floquet_multipliers"])
+    click.echo(f"  {'floquet multipliers':<22}{multipliers}")
+    source = dict(document.get("provenance") or {})
+    click.echo(f"  {'found by':<22}{source.get('strategy')}, seed {source.get('seed')}, start {source.get('index')}")
+
+
+@atlas.command()
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@json_option
+def report(book: Path, as_json: bool) -> None:
+    """Yield of each strategy, failures by reason and an estimate of what remains, over all searches.
+
+    \b
+    Example:
+      orbitfinder atlas report triple.sqlite
+    """
+    from orbitfinder.atlas.report import summarise
+    from orbitfinder.atlas.store import Atlas
+
+    with Atlas(book) as opened:
+        summary = summarise(opened)
+    if as_json:
+        print_json({"format": "orbitfinder/atlas-report"} | summary.document())
+    else:
+        click.echo(f"{book}: {summary.orbits} distinct certified orbits of {summary.starts} starts")
+        print_summary(summary)
+
+
+@atlas.command()
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@click.option(
+    "--to", "kind", type=click.Choice(["json", "csv", "parquet"]), default="json", show_default=True,
+    help="What to write.",
+)  # fmt: skip
+@click.option("-o", "--out", type=FILES, default=None, help="File to write; standard output when left out.")
+@filters
+@trust_option(TRUST)
+def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any) -> None:
+    """Write orbits as a JSON list of orbit documents, or as a table in CSV or Parquet.
+
+    Parquet needs the extra `parquet` (pyarrow) and -o.
+
+    \b
+    Examples:
+      orbitfinder atlas export triple.sqlite --to csv -o triple.csv
+      orbitfinder atlas export triple.sqlite --stability elliptic > elliptic.json
+    """
+    from orbitfinder.atlas.export import exported
+    from orbitfinder.atlas.store import Atlas
+    from orbitfinder.records.orbit import write_atomically
+
+    if out is None and kind == "parquet":
+        raise InputError("--out: missing; a Parquet file is not text, name it with -o FILE.parquet")
+    with Atlas(book, trusted=book.parent if trust else None) as opened:
+        data = exported(opened, kind, chosen(options))
+    if out is None:
+        click.echo(data, nl=False)
+        return
+    try:
+        write_atomically(out, data)
+    except OSError as error:
+        raise InputError(f"--out: cannot write {out} ({error}); choose another place") from error
+    click.echo(f"{out}: written")
+
+
+@atlas.command()
+@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@click.option("-o", "--out", type=FILES, default=Path(), help="Folder for the figures; this one by default.")
+@filters
+def plot(book: Path, out: Path, **options: Any) -> None:
+    """Draw energy against period with stability, the histogram of instability and the discovery curve.
+
+    \b
+    Example:
+      orbitfinder atlas plot triple.sqlite -o figures
+    """
+    from orbitfinder.atlas.store import Atlas
+    from orbitfinder.cli.jobs import check_writable
+    from orbitfinder.show.atlas_plot import save_atlas_figures
+
+    check_writable(out)
+    with Atlas(book) as opened:
+        written = save_atlas_figures(opened, out, chosen(options))
+    for path in written:
+        click.echo(str(path))

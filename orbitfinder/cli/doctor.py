@@ -1,0 +1,217 @@
+"""The command `doctor`: what of this installation works, what is missing, what that costs."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+
+from orbitfinder._runtime.version import __version__
+from orbitfinder.cli.options import json_option, print_json
+
+OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
+PLUGINS = {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}
+EXTRAS = {
+    "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler",
+    "parquet": "atlas export --to parquet", "notebook": "the notebooks", "docs": "building the documentation",
+    "browser": "tests of pages in a browser", "test": "the tests",
+}  # fmt: skip
+"""What each optional extra is for; one that a release does not declare is not asked about."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at: `status` ok, note, missing (optional) or BROKEN (essential), and what to do."""
+
+    name: str
+    status: str
+    detail: str
+    remedy: str = ""
+
+
+def examine() -> list[Finding]:
+    """Every finding, essential ones first. Takes about two seconds, most of them imports."""
+    return [*essential(), *tools(), *extras(), *defects()]
+
+
+def essential() -> Iterator[Finding]:
+    """What the main job cannot do without, the main job included."""
+    fits = sys.version_info[:2] >= (3, 11)
+    remedy = "" if fits else "use Python 3.11 to 3.13"
+    yield Finding("python", OK if fits else BROKEN, platform.python_version(), remedy)
+    for name in ("casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl"):
+        yield _package(name)
+    yield from _plugins()
+    yield _main_job()
+
+
+def _package(name: str) -> Finding:
+    """An installed distribution that can be imported."""
+    from importlib import import_module, metadata
+
+    again = "pip install --force-reinstall orbitfinder"
+    try:
+        import_module({"pillow": "PIL"}.get(name, name))
+        return Finding(name, OK, metadata.version(name))
+    except Exception as error:  # a broken wheel raises whatever its loader makes of it
+        return Finding(name, BROKEN, f"cannot be imported: {type(error).__name__}: {error}", again)
+
+
+def _plugins() -> Iterator[Finding]:
+    """The solvers that CasADi loads at run time; a wheel has them, some system packages do not."""
+    from importlib import import_module
+
+    remedy = "install the casadi wheel from the package index; system packages often lack plugins"
+    for name, kind in PLUGINS.items():
+        try:
+            there, detail = bool(getattr(import_module("casadi"), f"has_{kind}")(name)), "plugin missing"
+        except Exception as error:
+            there, detail = False, f"cannot be asked for: {type(error).__name__}: {error}"
+        yield Finding(f"casadi {name}", *((OK, "plugin loads") if there else (BROKEN, detail, remedy)))
+
+
+def _main_job() -> Finding:
+    """One pendulum swing found and certified, its period compared with the elliptic integral."""
+    import math
+
+    try:
+        from scipy.special import ellipk
+
+        import orbitfinder as of
+
+        exact = 4 * float(ellipk(math.sin(0.5) ** 2)) / math.sqrt(9.8 * 0.5 * 3)
+        orbit = of.find_orbit(of.Problem(of.chain(1), of.Guess([1.0, 0.0], 1.8), of.pin(theta1=1.0)))
+        error = abs(orbit.period / exact - 1)
+        fine = error < 1e-11 and of.certify(orbit).passed
+        detail = f"pendulum at 1 rad certified, period off the elliptic integral by {error:.0e}"
+        return Finding("main job", OK if fine else BROKEN, detail, "" if fine else "please report this with the output")
+    except Exception as error:
+        return Finding("main job", BROKEN, f"{type(error).__name__}: {error}", "see the findings above")
+
+
+def tools() -> Iterator[Finding]:
+    """Programs and folders outside Python: compiler, cache, browser, AUTO."""
+    from orbitfinder.integrate.compiled import available, mode
+
+    found, reason = available()
+    said = f"{reason or 'runs'} (mode {mode()})"
+    remedy = "install gcc or clang; without one everything runs interpreted"
+    yield Finding("C compiler", OK if found else MISSING, said, "" if found else remedy)
+    yield _cache()
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    yield Finding(
+        "browser", OK if browser else MISSING, browser or "none on the path",
+        "" if browser else "any browser opens the pages; headless Chromium is needed for their tests only",
+    )  # fmt: skip
+    auto = next((one for one in (os.environ.get("AUTO_DIR"), "/usr/lib/auto-07p") if one and Path(one).is_dir()), None)
+    yield Finding(
+        "AUTO-07p", OK if auto else MISSING, auto or "not found",
+        "" if auto else "only to run what export --to auto writes; set AUTO_DIR",
+    )  # fmt: skip
+
+
+def _cache() -> Finding:
+    from orbitfinder.integrate.compiled.cache import usable
+
+    try:
+        place = usable()
+        with tempfile.TemporaryFile(dir=place):
+            pass
+    except OSError as error:
+        remedy = "set ORBITFINDER_CACHE to a folder that you, and nobody else, can write to"
+        return Finding("cache", NOTE, f"not used, nothing is compiled: {error}", remedy)
+    entries = list(place.glob("*.so"))
+    size = sum(entry.stat().st_size for entry in entries)
+    return Finding("cache", OK, f"{place}: {len(entries)} compiled functions, {size / 1e6:.1f} MB")
+
+
+def extras() -> Iterator[Finding]:
+    """Each optional extra of this release: complete, or what it lacks."""
+    for extra, wanted in declared_extras().items():
+        lacking = [name for name in wanted if not _installed(name)]
+        use = EXTRAS.get(extra, extra)
+        if lacking:
+            remedy = f"pip install 'orbitfinder[{extra}]', for {use}"
+            yield Finding(f"extra {extra}", MISSING, f"without {', '.join(lacking)}", remedy)
+        else:
+            yield Finding(f"extra {extra}", OK, f"for {use}")
+
+
+def declared_extras() -> dict[str, list[str]]:
+    """Extra -> distributions, as the installed metadata declares them."""
+    import re
+    from importlib import metadata
+
+    found: dict[str, list[str]] = {}
+    try:
+        requirements = metadata.requires("orbitfinder") or []
+    except metadata.PackageNotFoundError:  # run from a source tree that was never installed
+        return found
+    for line in requirements:
+        match = re.match(r"([A-Za-z0-9._-]+).*extra == ['\"]([^'\"]+)['\"]", line)
+        if match:
+            found.setdefault(match.group(2), []).append(match.group(1))
+    return found
+
+
+def _installed(distribution: str) -> bool:
+    from importlib import metadata
+
+    try:
+        metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def defects() -> Iterator[Finding]:
+    """Known CasADi defects, tried here: present ones are notes, since orbitfinder goes round them."""
+    try:
+        from orbitfinder.integrate.casadi_bugs import known_defects
+
+        trials = known_defects()
+    except Exception as error:
+        yield Finding("casadi defects", NOTE, f"not tried: {type(error).__name__}: {error}")
+        return
+    for one in trials:
+        if one.present is False:
+            yield Finding(one.name, OK, f"CasADi: defect absent ({one.reference})")
+            continue
+        yield Finding(one.name, NOTE, f"CasADi: {one.seen} ({one.reference})", f"no action: here {one.instead}")
+
+
+@click.command()
+@json_option
+def doctor(as_json: bool) -> None:
+    """Check this installation: packages, CasADi plugins and known defects, compiler, cache, extras.
+
+    Finds and certifies one pendulum swing on the way. Exit code 0: usable; 1: something essential is
+    missing or wrong, and is marked BROKEN. Takes about three seconds.
+
+    \b
+    Examples:
+      orbitfinder doctor
+      orbitfinder doctor --json
+    """
+    findings = examine()
+    usable = all(finding.status != BROKEN for finding in findings)
+    if as_json:
+        document = {"format": "orbitfinder/doctor", "version": __version__, "usable": usable}
+        print_json(document | {"findings": [asdict(one) for one in findings]})
+    else:
+        click.echo(f"orbitfinder {__version__} on {platform.platform()}")
+        for finding in findings:
+            click.echo(f"  {finding.status:<8}{finding.name:<28}{finding.detail}")
+            if finding.remedy:
+                click.echo(f"  {'':<36}{finding.remedy}")
+        click.echo("Usable." if usable else "Not usable: see what is marked BROKEN.")
+    if not usable:
+        click.get_current_context().exit(1)

@@ -1,0 +1,93 @@
+"""The command `guess`: what a problem file's system offers to start from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orbitfinder.cli.options import FILES, json_option, print_json, trust_option
+from orbitfinder.errors import InputError
+
+if TYPE_CHECKING:
+    from orbitfinder.problemfile.proposals import Proposal, Proposals
+
+SHOWN = 8
+"""State components or shape entries that are printed; the rest is in --json."""
+
+
+@click.command()
+@click.argument("file", type=FILES)
+@click.option("--duration", type=float, default=None, help="Simulate this long for close returns, in s.")
+@click.option("--count", default=8, show_default=True, type=click.IntRange(1, 100), help="Close returns to show.")
+@click.option("--amplitude", default=0.1, show_default=True, type=float, help="Largest angle of the modes in rad.")
+@click.option("--out", default=None, type=FILES, help="Write a problem file with one of them, the others as comments.")
+@click.option("--pick", default=None, metavar="NAME", help="Which one --out takes, such as mode-2 or return-1.")
+@trust_option()
+@json_option
+def guess(
+    file: Path, duration: float | None, count: int, amplitude: float, out: Path | None, pick: str | None,
+    trust: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Show what the system of a problem FILE offers to start a search from.
+
+    Its own guess and how far that is from closed, the linear normal modes of the equilibrium, and the close returns of
+    its recorded trajectory or of the motion from its state.
+
+    \b
+    Examples:
+      orbitfinder guess problems/examples/double-mode-2.toml
+      orbitfinder guess my-pendulum.toml --duration 60 --out candidate.toml --pick return-2
+    """
+    from orbitfinder.problemfile.proposals import problem_text, propose, write_problem
+    from orbitfinder.problemfile.read import checked_name, load_problem_file
+
+    if not amplitude > 0:
+        raise InputError(f"--amplitude: must be positive, got {amplitude}; give an angle in rad")
+    if pick is not None and out is None:
+        raise InputError(f"--pick: {pick!r} is for --out; give a file to write")
+    loaded = load_problem_file(file, trust)
+    proposals = propose(loaded, duration, count, amplitude)
+    written = None
+    if out is not None:
+        chosen = proposals.named(pick)
+        if "csv" in chosen.table and out.parent.resolve() != file.parent.resolve():
+            raise InputError(f"--out: {chosen.name} reads {chosen.table['csv']!r} beside {file}; write it there")
+        written = write_problem(problem_text(loaded, proposals, chosen, checked_name(out.stem, "--out")), out)
+    if as_json:
+        document = {"format": "orbitfinder/guesses", "name": proposals.name, "states": list(proposals.state_names),
+                    "guesses": [one.document() for one in proposals.found], "notes": list(proposals.notes),
+                    "written": str(written) if written else None}  # fmt: skip
+        print_json(document)
+        return
+    _print(proposals)
+    if written is not None:
+        click.echo(f"{written}: written; next: orbitfinder run {written}")
+
+
+def _print(proposals: Proposals) -> None:
+    click.echo(f"{proposals.name}: {len(proposals.found)} starting points")
+    for one in proposals.found:
+        click.echo(_line(one))
+        click.echo(f"    {_shape(one)}")
+    for note in proposals.notes:
+        click.echo(f"  none: {note}")
+
+
+def _line(one: Proposal) -> str:
+    level = "" if one.energy is None else f"  energy {one.energy:.9g} J"
+    miss = "" if one.miss is None else f"  misses itself by {one.miss:.2e}"
+    frequency = one.details.get("frequency")
+    return (
+        f"  {one.name:<10} period {one.period:.9g} s{level}{miss}"
+        + (f"  {frequency:.6g} Hz" if frequency else "")
+        + (f"  from t = {one.details['time']:.4g} s" if "time" in one.details else "")
+        + (f"  {one.details['samples']} samples" if "samples" in one.details else "")
+    )
+
+
+def _shape(one: Proposal) -> str:
+    label, numbers = ("shape", one.details["shape"]) if "shape" in one.details else ("state", list(one.state))
+    more = f", ... ({len(numbers)} in all)" if len(numbers) > SHOWN else ""
+    return f"{label} [{', '.join(f'{x:.6g}' for x in numbers[:SHOWN])}{more}]"

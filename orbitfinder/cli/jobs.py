@@ -1,0 +1,273 @@
+"""One problem file from start to finish, and many of them side by side.
+
+Workers are spawned processes that get a path and send back an `Outcome`: CasADi's graphs do not
+travel between processes, and IPOPT with MUMPS is not safe in threads.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orbitfinder._runtime import processes, streams
+from orbitfinder._runtime.limit import limited
+from orbitfinder.errors import InputError, OrbitfinderError
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+    from orbitfinder.cli.console import Display
+    from orbitfinder.mechanics.model import Model
+    from orbitfinder.records.orbit import Certificate, Orbit
+
+
+LARGEST_STATE = 1e100
+"""rad or rad/s; beyond it energies overflow."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to run and where its results go; plain values, so that it travels to a worker."""
+
+    file: Path
+    name: str
+    out: Path
+    figures: bool
+    trust: bool
+    limit: float | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one problem ended: `status` is certified, rejected (by the checks named in `failures`) or failed."""
+
+    name: str
+    file: str
+    status: str
+    message: str
+    wall_time: float
+    period: float | None = None
+    energy: float | None = None
+    closure: float | None = None
+    stability: str | None = None
+    symmetry: str | None = None
+    chosen: dict[str, float] = field(default_factory=dict)
+    """the freed physical parameters' values"""
+    failures: tuple[str, ...] = ()
+    written: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """True for a certified orbit."""
+        return self.status == "certified"
+
+    def document(self) -> dict[str, Any]:
+        """The entry of this outcome in the output of `--json`."""
+        return asdict(self) | {"failures": list(self.failures), "written": list(self.written)}
+
+
+def prepare(
+    files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None
+) -> list[Job]:
+    """Jobs for problem files, everything that can be checked before computing checked."""
+    from orbitfinder.problemfile.read import load_problem
+
+    jobs: dict[str, Job] = {}
+    for file in files:
+        name = load_problem(file, trust).name
+        if name in jobs:
+            raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
+        jobs[name] = Job(file, name, out, figures, trust, limit)
+    check_writable(out)
+    for name in jobs:
+        if (out / name).exists():
+            check_writable(out / name)
+    return list(jobs.values())
+
+
+def check_writable(folder: Path, option: str = "--out") -> None:
+    """`InputError` when files cannot be created in a folder (made if need be)."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+        raise InputError(
+            f"{option}: cannot write in {str(folder)!r} ({reason}); choose a folder that you can write to"
+        ) from error
+
+
+def run_job(job: Job, shown: Display | None = None) -> Outcome:
+    """Find, certify and write one orbit. Raises `InputError` only; the rest is an Outcome."""
+    from orbitfinder.atlas.choose import solve
+    from orbitfinder.problemfile.read import load_problem_file
+
+    began = time.perf_counter()
+    report = None if shown is None else (lambda progress: shown.event(job.name, progress))
+    try:
+        with limited(job.limit):
+            loaded = load_problem_file(job.file, job.trust)
+            problem = loaded.wanted
+            orbit = solve(problem, loaded.starts, loaded.seed, report)
+    except InputError:
+        raise
+    except OrbitfinderError as error:
+        return Outcome(job.name, str(job.file), "failed", one_line(error), time.perf_counter() - began)
+    try:
+        return _written(job, orbit, problem.model, began)
+    except OSError as error:
+        raise InputError(
+            f"--out: cannot write in {job.out / job.name} ({error}); free some space or choose another folder"
+        ) from error
+
+
+def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
+    """Write the result under the name it deserves; figures only of certified orbits."""
+    from orbitfinder.records.orbit import save_orbit
+
+    certificate, folder = orbit.certificate, job.out / job.name
+    passed = certificate is not None and certificate.passed
+    written = [save_orbit(orbit, folder / ("orbit.json" if passed else "rejected.json"))]
+    if passed:
+        for stale in ("rejected.json", "rejected.npz"):
+            (folder / stale).unlink(missing_ok=True)
+        if job.figures:
+            from orbitfinder.show.plot import save_figures
+
+            written += save_figures(orbit, folder, model)
+    failures = certificate.failures if certificate else ("no certificate",)
+    return Outcome(
+        orbit.name, str(job.file), "certified" if passed else "rejected",
+        f"certified{_among(orbit)}" if passed else f"not an orbit: {explained(certificate)}",
+        time.perf_counter() - began,
+        orbit.period, orbit.energy, orbit.closure, orbit.stability, orbit.symmetry,
+        dict(orbit.provenance.get("free", {})), failures,
+        tuple(str(path) for path in written),
+    )  # fmt: skip
+
+
+def _among(orbit: Orbit) -> str:
+    """How many orbits a choice was made among, in words; nothing where there was none."""
+    made = orbit.provenance.get("choice")
+    if not made:
+        return ""
+    return f", the least unstable of {made['orbits']} orbits found from {made['starts']} starts"
+
+
+def explained(certificate: Certificate | None) -> str:
+    """The failing checks of a certificate with their numbers."""
+    failing = [check for check in certificate.checks if not check.passed] if certificate else []
+    return "; ".join(
+        f"check {check.name} failed ({check.value:.3g}, allowed {check.tolerance:.3g}"
+        + (f", {one_line(check.note)})" if check.note else ")")
+        for check in failing
+    )
+
+
+def verify_file(file: Path, trust: bool = False) -> tuple[Orbit, Certificate]:
+    """An orbit and its certificate, recomputed from its file alone. `InputError` names the file.
+
+    With `trust` a system made by a foreign Python function is rebuilt by calling it again.
+    """
+    from orbitfinder.orbits.certify import certify
+
+    try:
+        orbit, model = orbit_and_model(file, trust)
+        return orbit, certify(orbit, model)
+    except InputError as error:
+        where = "" if str(file) in str(error) else f"{file}: "
+        raise InputError(f"{where}{error}") from error
+
+
+def orbit_and_model(file: Path, trust: bool = False) -> tuple[Orbit, Model]:
+    """The orbit of a file, whose entries belong together, and the model of its system; the way in of every command."""
+    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.records.orbit import load_orbit
+
+    orbit = load_orbit(file)
+    model = build_model(orbit.system, file.parent if trust else None)
+    check_consistent(orbit, model)
+    return orbit, model
+
+
+def check_consistent(orbit: Orbit, model: Model) -> None:
+    """`InputError` when the entries of an orbit do not belong together; a certificate is about those that do."""
+    import numpy as np
+
+    n = model.degrees_of_freedom
+    again = "the file was edited or damaged, run the problem again"
+    if orbit.state.shape != (2 * n,) or len(orbit.winding) != n:
+        found = f"{orbit.state.size} numbers in state and {len(orbit.winding)} in winding"
+        raise InputError(f"state: {found} for a system of {n} coordinates; {again}")
+    if np.abs(orbit.state).max() > LARGEST_STATE:
+        raise InputError(f"state: {orbit.state.tolist()} is beyond {LARGEST_STATE:g}; {again}")
+
+
+def one_line(text: object) -> str:
+    """A message without line breaks or control characters."""
+    return "".join(letter if letter.isprintable() else " " for letter in " ".join(str(text).split()))
+
+
+def run_jobs(jobs: Sequence[Job], workers: int, shown: Display) -> Iterator[Outcome]:
+    """Outcomes in the order in which they come, from this process or from spawned ones."""
+    if workers == 1 or len(jobs) == 1:
+        for job in jobs:
+            yield run_job(job, shown)
+        return
+    hands, todo = list[processes.Hand](), list(jobs)
+    doing: dict[processes.Hand, Job] = {}
+    try:
+        while todo or doing:
+            while todo and len(doing) < workers:
+                hand = next((one for one in hands if one not in doing), None) or processes.hired(_serve)
+                hands += [] if hand in hands else [hand]
+                doing[hand] = todo.pop(0)
+                hand.tell(doing[hand])
+            for hand in processes.ready(doing):
+                job, answer = doing.pop(hand), hand.answer()
+                if answer is None:
+                    hands.remove(hand)
+                    answer = Outcome(job.name, str(job.file), "failed", "the process that worked on it died", 0.0)
+                if isinstance(answer, InputError):
+                    raise answer
+                yield answer
+    finally:
+        processes.dismissed(hands)
+
+
+_stopped: list[int] = []
+"""In a worker: the signals by which the parent has told it to stop."""
+
+
+def _stop(number: int, _: object) -> None:
+    _stopped.append(number)
+    raise SystemExit(128 + number)
+
+
+def _serve(pipe: Connection) -> None:
+    """The life of a worker: jobs until the pipe is closed; told to stop, it cleans up after itself."""
+    import signal
+
+    signal.signal(signal.SIGTERM, _stop)
+    streams.leave_current_folder_out()
+    with contextlib.suppress(EOFError):
+        while True:
+            pipe.send(_work(pipe.recv()))
+
+
+def _work(job: Job) -> Outcome | InputError:
+    """`run_job` in a worker; once told to stop it takes no further job, whatever became of the exception."""
+    try:
+        return run_job(job)
+    except InputError as error:
+        return error
+    finally:
+        if _stopped:
+            os._exit(128 + _stopped[0])

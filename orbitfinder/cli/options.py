@@ -1,0 +1,102 @@
+"""What the commands share: arguments that are files, --json and its output, --trust, --compile."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orbitfinder._runtime.limit import limited
+from orbitfinder.records.jsontext import finite
+
+FILES = click.Path(path_type=Path)
+
+
+class Finite(click.types.FloatParamType):
+    """A number, neither infinite nor NaN."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number, or a usage error."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
+
+
+FINITE = Finite()
+JSON_KEY = "orbitfinder.json"
+"""Where the context keeps whether --json was given: an error is then printed as JSON too"""
+COMPILE_VARIABLE = "ORBITFINDER_COMPILE"
+TRUST = "Execute Python problem files; only for files you have read."
+SYSTEM_TRUST = "Import the Python module that a system was made with; only if you have read it."
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+
+def _remember_json(context: click.Context, _: click.Parameter, value: bool) -> bool:
+    context.meta[JSON_KEY] = value
+    return value
+
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
+    help="Print one JSON document on standard output instead of text.",
+)  # fmt: skip
+
+
+def trust_option(text: str = TRUST) -> Decorator:
+    """The option --trust, its help saying what is executed."""
+    return click.option("--trust", is_flag=True, help=text)
+
+
+def print_json(document: Any) -> None:
+    """One JSON document on standard output, null for what JSON has no number for."""
+    click.echo(json.dumps(finite(document), indent=1, allow_nan=False))
+
+
+def _remember_compile(context: click.Context, _: click.Parameter, value: str | None) -> None:
+    """Put the mode where worker processes find it too, for as long as the command runs."""
+    if value is None:
+        return
+    before = os.environ.get(COMPILE_VARIABLE)
+    os.environ[COMPILE_VARIABLE] = value
+
+    def restore() -> None:
+        if before is None:
+            os.environ.pop(COMPILE_VARIABLE, None)
+        else:
+            os.environ[COMPILE_VARIABLE] = before
+
+    context.call_on_close(restore)
+    if value == "on":
+        from orbitfinder.integrate.compiled import available
+
+        found, reason = available()
+        if not found:
+            click.echo(f"--compile on: {reason}; running interpreted", err=True)
+
+
+def limit_option(default: float | None = None, each: str = "") -> click.Option:
+    """The option --limit: of the whole command, or (named by `each`) of each of its parts, which then gets `limit`."""
+
+    def hold(context: click.Context, _: click.Parameter, value: float | None) -> float | None:
+        if not each:
+            context.with_resource(limited(value))
+        return value
+
+    what = f"Stop {each or 'the command'} after this time; what is finished by then is kept."
+    return click.Option(
+        ["--limit"], type=click.FloatRange(0.0, min_open=True), default=default, show_default=default is not None,
+        metavar="SECONDS", callback=hold, expose_value=bool(each), help=what,
+    )  # fmt: skip
+
+
+compile_option: Decorator = click.option(
+    "--compile", "compile_mode", type=click.Choice(("on", "off", "auto")), default=None, expose_value=False,
+    callback=_remember_compile, help="Compiled equations: always, never, or where it pays (auto, the default).",
+)  # fmt: skip

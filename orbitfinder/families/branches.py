@@ -1,0 +1,278 @@
+"""Switching to the families that leave another one at a branch point, a period doubling or a resonance.
+
+At a critical multiplier exp(2 pi i k / q) of an orbit of period T there are orbits of period q T near it.
+Where the orbit is symmetric they are looked for among symmetric ones first: in the formulation of a
+symmetry the shooting Jacobian of the q-fold orbit has a kernel of dimension two, the old family's tangent
+and the new family's, whereas without one a whole circle of directions is critical (A. Vanderbauwhede,
+Subharmonic branching in reversible systems, SIAM J. Math. Anal. 21 (1990) 954-979).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.events import parameter_slopes
+from orbitfinder.families.point import Event, FamilySettings, parameter_value
+from orbitfinder.families.scale import extent
+from orbitfinder.families.start import (
+    Start,
+    corrected,
+    curve_at,
+    full_samples,
+    reformulated,
+    symmetry_of,
+    unfolded,
+    unknown_parameters,
+)
+from orbitfinder.loops.conditions import SYMMETRIES
+from orbitfinder.loops.continued import Aim, Curve, Place, Solution, advanced, at_place, correct, head_of, scaled
+from orbitfinder.loops.graded import build_propagator
+
+SWITCHABLE = ("branch_point", "period_doubling", "resonance")
+DISTANCES = (0.02, 0.005, 0.05, 0.1)
+"""How far from the old family, relative to its orbit, the new one is looked for; the first that succeeds is taken."""
+ALIKE = 0.25
+"""Orbits nearer to each other than this share of their distance from the old one are one branch."""
+MIRRORED = 1e-7
+"""Energies and periods of mirror images agree to this share of their distance from the old orbit's."""
+CRITICAL = 1e-3
+"""A singular value below this, relative to the next larger ones, belongs to the kernel."""
+NARROWER = {
+    "brake+reflection": (("brake+reflection", 0.0), ("brake", 0.0), ("reversal", 0.25), ("reflection", 0.0)),
+    "brake": (("brake", 0.0), ("brake", 0.5)),
+    "reversal": (("reversal", 0.0), ("reversal", 0.5)),
+    "reflection": (("reflection", 0.0),),
+    "none": (),
+}
+"""Formulations that a branch of each symmetry may have, with the share of the period where it starts.
+
+Half of an even number of turns is no half turn: only branches of odd order keep a reflection.
+"""
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """The orbit of an event, q times round, in one formulation, with the directions that leave it."""
+
+    curve: Curve
+    place: Place
+    directions: tuple[np.ndarray, ...]
+
+
+def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -> list[Start]:
+    """Starts of the families that leave at an event, each directed away from it, duplicates removed.
+
+    `curve` is the one that the event was found on. Raises `InputError` for other kinds of events; an
+    empty list says that no branch was found.
+    """
+    if event.kind not in SWITCHABLE:
+        raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
+    settings = settings or FamilySettings()
+    found: list[Start] = []
+    for symmetry, share in (*NARROWER[curve.propagator.symmetry.name], ("none", 0.0)):
+        if symmetry == "none" and found:
+            break
+        if symmetry == "brake+reflection" and event.order % 2 == 0:
+            continue
+        crossing = _crossing(curve, event, symmetry, share, settings)
+        if found and len(crossing.directions) > 2:  # a circle, on which only the symmetric ones are isolated
+            continue
+        for direction in crossing.directions:
+            start = _branch(crossing, event, direction, settings)
+            if start is not None and not _known(start, found, crossing, event):
+                found.append(start)
+    return found
+
+
+def _known(start: Start, found: list[Start], crossing: Crossing, event: Event) -> bool:
+    """Whether a branch was found before: by its own symmetry, where it has more than was asked for, or as it is."""
+    own = start.curve.propagator.symmetry.name
+    known = {one.curve.propagator.symmetry.name for one in found}
+    if own != crossing.curve.propagator.symmetry.name and own in known:
+        return True
+    return any(_same(start, other, crossing, event) for other in found)
+
+
+def _crossing(curve: Curve, event: Event, symmetry: str, share: float, settings: FamilySettings) -> Crossing:
+    """The q-fold orbit in a formulation and the kernel of its Jacobian without the family's own tangent."""
+    free, held = unknown_parameters(curve.propagator.model, settings)
+    place = _repeated(curve, event, symmetry, share)
+    propagator = build_propagator(curve.propagator.model, symmetry, free)
+    place = replace(place, unfolding=np.zeros(propagator.unfolding))
+    there = replace(curve_at(propagator, place, held, _turns(curve, event)), weights=curve.weights.copy())
+    matrix, units = scaled(there, at_place(there, place))
+    _, sizes, rows = np.linalg.svd(matrix)
+    sizes = np.concatenate([sizes, np.zeros(len(rows) - len(sizes))])
+    # the largest kernel possible: tangent, and two directions of a circle
+    kernel = units * rows[-3:][sizes[-3:] < CRITICAL * sizes[-4]]
+    heads = np.stack([head_of(row, place) * np.sqrt(there.weights) for row in kernel])
+    size = there.propagator.size
+    moved = np.concatenate([np.zeros(size), event.tangent[size : size + 1] * event.order, event.tangent[size + 1 :]])
+    own = _own(there, place, heads, moved, curve, event, share)
+    _, _, mixed = np.linalg.svd(np.atleast_2d(np.linalg.lstsq(heads.T, own, rcond=None)[0]))
+    across = mixed[1:] @ kernel
+    return Crossing(there, place, tuple(_round(across, event.order)))
+
+
+def _own(
+    there: Curve, place: Place, heads: np.ndarray, moved: np.ndarray, curve: Curve, event: Event, share: float
+) -> np.ndarray:
+    """The old family's tangent (weighted head) at the start of this formulation, by differencing its orbits."""
+    step = 1e-4 * _reach(curve, at_place(curve, _place_of(curve, event)))
+    normal = curve.weights * event.tangent
+    base = _place_of(curve, event)
+    own = moved.copy()
+    ends = []
+    for sign in (-1.0, 1.0):
+        shifted = correct(curve, base, Aim(float(normal @ base.head) + sign * step, normal), base)
+        moment = share * shifted.place.period
+        times, states = full_samples(curve, shifted)
+        ends.append(np.array([np.interp(moment, times, column) for column in states.T]))
+    own[: there.propagator.size] = (ends[1] - ends[0]) / (2 * step)
+    return np.asarray(own * np.sqrt(there.weights))
+
+
+def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
+    """Both signs of one direction, or phases round the circle of two."""
+    if len(across) == 1:
+        yield from (across[0], -across[0])
+    elif len(across) == 2:
+        for angle in 2 * np.pi * np.arange(2 * order) / (2 * order):
+            yield np.cos(angle) * across[0] + np.sin(angle) * across[1]
+
+
+def _place_of(curve: Curve, event: Event) -> Place:
+    free = np.array(list(event.free.values()))
+    return Place(event.nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
+
+
+def _turns(curve: Curve, event: Event) -> np.ndarray:
+    n = curve.propagator.size // 2
+    alone = np.round(curve.constant[:n] / (2 * np.pi)) if curve.propagator.symmetry.name == "none" else np.zeros(n)
+    return np.asarray(alone * event.order)
+
+
+def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Place:
+    """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
+    base, fraction = at_place(curve, _place_of(curve, event)), SYMMETRIES[symmetry].fraction
+    n = curve.propagator.size // 2
+    each = (base.place.mesh.size - 1) // len(event.nodes)
+    mesh, states = unfolded(curve, base.place.mesh, base.march.states)
+    count = mesh.size - 1
+    first = int(np.argmin(np.abs(mesh - share)))
+    laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
+    times = (laps + mesh[index] - mesh[first]) / event.order
+    turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(n)])
+    nodes = (states[index] + laps[:, None] * turn)[:-1:each]
+    if "brake" in symmetry:
+        nodes[0, n:] = 0.0
+    return Place(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
+
+
+def _reach(curve: Curve, found: Solution) -> float:
+    """What distances from an orbit are relative to, in the family's metric: its own extent, of angles at most 1 rad."""
+    size = extent(curve.weights, found.march.states)
+    return min(size, 1.0) if any(curve.propagator.model.angles) else size
+
+
+def _branch(crossing: Crossing, event: Event, direction: np.ndarray, settings: FamilySettings) -> Start | None:
+    """The new family in one direction, or None when what is found is the old one or nothing."""
+    curve, place = crossing.curve, crossing.place
+    size = curve.propagator.size
+    moved = direction[: place.nodes.size].reshape(-1, size) ** 2 @ curve.weights[:size]
+    direction = direction / np.sqrt(moved.max())  # the start may be where the two families part least
+    normal, reach = curve.weights * head_of(direction, place), _reach(curve, at_place(curve, place))
+    for length in (share * reach for share in DISTANCES):
+        aim = Aim(float(normal @ (place.head + length * head_of(direction, place))), normal)
+        try:
+            start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
+        except (ConvergenceError, IntegrationError):
+            continue
+        if event.order > 1 and _is_cover(start, event.order, length):
+            continue
+        if np.abs(start.found.place.unfolding).max(initial=0.0) > 1e-9:
+            continue
+        return _symmetric(_outwards(start, place), settings)
+    return None
+
+
+def _symmetric(start: Start, settings: FamilySettings) -> Start:
+    """The same start in the formulation of the symmetry that its orbit has, going the same way."""
+    model = start.curve.propagator.model
+    try:
+        other = reformulated(start, symmetry_of(start.curve, start.found), *unknown_parameters(model, settings))
+    except (ConvergenceError, IntegrationError):
+        return start
+    slopes = [list(parameter_slopes(one.curve, one.found.place, one.direction).values()) for one in (start, other)]
+    count = 2 + len(start.curve.propagator.free)
+    same = np.dot(slopes[0][:count], slopes[1][:count]) >= 0
+    return other if same else replace(other, direction=-other.direction)
+
+
+def _is_cover(start: Start, order: int, length: float) -> bool:
+    """Whether the orbit closes already after a part of its period."""
+    _, states = full_samples(start.curve, start.found)
+    count = len(states) - 1
+    parts = [k for k in range(2, order + 1) if order % k == 0]
+    scale = np.sqrt(start.curve.weights[: states.shape[1]])
+    returns = [np.abs((_mid(states, count / k) - states[0]) * scale).max() for k in parts]
+    return bool(min(returns) < 0.05 * length)
+
+
+def _mid(states: np.ndarray, place: float) -> np.ndarray:
+    low = int(place)
+    return np.asarray(states[low] + (place - low) * (states[min(low + 1, len(states) - 1)] - states[low]))
+
+
+def _outwards(start: Start, origin: Place) -> Start:
+    """The same start, directed away from the orbit that it was born from."""
+    moved = start.found.place.head - origin.head
+    return start if np.sum(start.curve.weights * moved * start.direction) >= 0 else replace(
+        start, direction=-start.direction
+    )  # fmt: skip
+
+
+def _same(one: Start, other: Start, crossing: Crossing, event: Event) -> bool:
+    """Whether two starts are one branch: the same curve in the space of states, or a mirror image of it."""
+    a, b = (_moved(start, event) for start in (one, other))
+    if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + 1e-13):
+        return True
+    scale = np.sqrt(crossing.curve.weights[: crossing.curve.propagator.size])
+    mine, theirs = (full_samples(start.curve, start.found)[1] * scale for start in (one, other))
+    old = full_samples(crossing.curve, at_place(crossing.curve, crossing.place))[1] * scale
+    signs, size = np.repeat([1.0, -1.0], scale.size // 2), _apart(mine, old)
+    images = [theirs, -theirs, theirs * signs, -theirs * signs]
+    feet = [_foot(image, old) for image in images]  # told apart at the same distance from the old orbit
+    images = [foot + size / _apart(image, old) * (image - foot) for image, foot in zip(images, feet, strict=True)]
+    return min(_apart(mine, image) for image in images) < ALIKE * size
+
+
+def _apart(points: np.ndarray, curve: np.ndarray) -> float:
+    """The largest distance of points (k x 2n) from the polygon through others."""
+    return float(np.linalg.norm(points - _foot(points, curve), axis=1).max())
+
+
+def _foot(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
+    """The nearest points (k x 2n) of the polygon through others."""
+    nearest = cKDTree(curve).query(points)[1]
+    found = curve[nearest].copy()
+    for shift in (-1, 0):
+        low = np.clip(nearest + shift, 0, len(curve) - 2)
+        along = curve[low + 1] - curve[low]
+        share = np.sum((points - curve[low]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-300)
+        foot = curve[low] + np.clip(share, 0.0, 1.0)[:, None] * along
+        nearer = np.linalg.norm(points - foot, axis=1) < np.linalg.norm(points - found, axis=1)
+        found[nearer] = foot[nearer]
+    return found
+
+
+def _moved(start: Start, event: Event) -> np.ndarray:
+    """How far energy, period and freed parameters are from the event's."""
+    place = start.found.place
+    energy = parameter_value(start.curve, place, "energy") - event.energy
+    return np.array([energy, place.period - event.period * event.order, *(place.free - list(event.free.values()))])

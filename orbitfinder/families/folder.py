@@ -1,0 +1,222 @@
+"""`orbitfinder continue`: a family computed into a folder, resumed where an earlier run stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime import limit, locks
+from orbitfinder._runtime.arguments import checked
+from orbitfinder.errors import InputError, LimitError
+from orbitfinder.families.certified import batch_certified, certified
+from orbitfinder.families.closure import closure_check
+from orbitfinder.families.follow import follow
+from orbitfinder.families.journal import (
+    FORMAT,
+    JOURNAL,
+    VERSION,
+    Journal,
+    append,
+    assemble,
+    plain,
+    read_journal,
+    restored,
+    save_family,
+    start_journal,
+)
+from orbitfinder.families.point import CLOSURE, Batch, Family, FamilyPoint, FamilySettings, winding
+from orbitfinder.families.run import Walk, first_point
+from orbitfinder.families.start import Start, begin, curve_of
+from orbitfinder.families.switching import Branch
+from orbitfinder.loops.continued import Curve
+from orbitfinder.loops.problem import Problem
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.orbit import Orbit, load_orbit
+
+SAVE_EVERY = 50
+"""Steps between two rewritings of family.json while a family grows."""
+
+Progress = Callable[[Batch], None]
+Origin = str | Path | Orbit | Problem | Start | Branch
+
+
+@checked
+def continue_command(
+    origin: Origin,
+    parameter: str = "energy",
+    until: float | None = None,
+    at: Sequence[float] = (),
+    points: int = 300,
+    out: str | Path = "families",
+    progress: Progress | None = None,
+    *,
+    name: str | None = None,
+    settings: FamilySettings | None = None,
+    model: Model | None = None,
+) -> Family:
+    """Follow the family of an orbit (path of an orbit.json, Orbit, Problem, branch Start or Branch).
+
+    Writes DIR/<name>/family.json and family.npz and resumes DIR/<name>/family.jsonl when the same was
+    asked before. `at` are values of the parameter at which points are computed exactly, `until` the
+    value to stop at. A branch `Start` needs its `name`, and a system that no file describes its `model`.
+    Raises `InputError`, `ConvergenceError`.
+    """
+    settings = replace(settings or FamilySettings(), parameter=parameter, points=points)
+    origin = load_orbit(origin) if isinstance(origin, (str, Path)) else origin
+    label = name or getattr(origin, "name", "")
+    if not label:
+        raise InputError("name: missing; a family that starts from a branch needs a name")
+    folder, request = Path(out) / label, _request(origin, settings, until, at)
+    with locks.alone_in(folder):
+        journal = read_journal(folder)
+        if journal is None or journal.header.get("request") != request:
+            start = _started(origin, settings, model)
+            journal = _fresh(folder, label, start, settings, request, _source(origin))
+            curve = start.curve
+        else:
+            curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
+            if not journal.sealed and settings.certify:
+                _check_again(journal, curve, folder)
+        return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
+
+
+def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
+    """`InputError` unless every point of a journal without digests still closes, by independent means."""
+    check = closure_check(curve.propagator.model)
+    for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
+        allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
+        closure = check(point.state, point.period, winding(curve), allowed, point.free)
+        if not closure <= allowed:
+            raise InputError(
+                f"{folder / JOURNAL}: the point at {journal.header['parameter']} {point.value:.9g} closes only to "
+                f"{closure:.2g}; the file was edited or damaged, delete it to start again"
+            )
+
+
+def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, model: Model | None) -> Start:
+    if isinstance(origin, Branch):
+        return origin.start
+    return origin if isinstance(origin, Start) else begin(origin, settings, model=model)
+
+
+def _model_of(origin: Orbit | Problem | Start | Branch, journal: Journal, model: Model | None) -> Model:
+    """The model that the journal's curve is made of: a linkage's is the minimal one that was chosen then."""
+    if isinstance(origin, (Start, Branch)):
+        return _started(origin, FamilySettings(), None).curve.propagator.model
+    model = model or (origin.model if isinstance(origin, Problem) else None)
+    system = journal.header["system"]
+    if model is None or "independent" in system or dict(model.system) != system:
+        return build_model(system)
+    return model
+
+
+def _source(origin: Orbit | Problem | Start | Branch) -> dict[str, Any]:
+    """What the family was started from, for its file."""
+    if isinstance(origin, Branch):
+        return {"kind": "branch", **origin.described()}
+    kinds = {Orbit: "orbit", Problem: "problem", Start: "start"}
+    return {"kind": kinds[type(origin)], "name": getattr(origin, "name", "")}
+
+
+def _request(
+    origin: Orbit | Problem | Start | Branch, settings: FamilySettings, until: float | None, at: Sequence[float]
+) -> dict[str, Any]:
+    """What decides whether a journal answers the same question; the number of points may grow."""
+    head: Any
+    if isinstance(origin, Branch):
+        head = origin.described()
+    elif isinstance(origin, Start):
+        head = origin.found.place.head.tolist()
+    elif isinstance(origin, Orbit):
+        head = [*origin.state.tolist(), origin.period]
+    else:
+        head = [*map(float, origin.guess.state), float(origin.guess.period), plain(origin.pin), origin.symmetry]
+    chosen = {key: value for key, value in plain(settings).items() if key != "points"}
+    return {"origin": plain(head), "settings": chosen, "until": until, "at": [float(value) for value in at]}
+
+
+def _fresh(
+    folder: Path, name: str, start: Start, settings: FamilySettings, request: dict[str, Any], source: dict[str, Any]
+) -> Journal:
+    curve = start.curve
+    origin = first_point(start, settings, closure_check(curve.propagator.model) if settings.certify else None)
+    header = {
+        "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.propagator.model.system),
+        "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
+        "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
+        "curve": {
+            "symmetry": curve.propagator.symmetry.name, "free": list(curve.propagator.free),
+            "constant": curve.constant, "held": [list(one) for one in curve.held],
+            "weights": curve.weights, "period": curve.period,
+        },
+    }  # fmt: skip
+    start_journal(folder, plain(header))
+    found = read_journal(folder)
+    assert found is not None
+    return found
+
+
+def directions(
+    origin: FamilyPoint, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]], away: int = 1
+) -> Iterator[tuple[int, float | None, tuple[float, ...]]]:
+    """(direction, stop, exact values) of every walk that is wanted: as set, or from "both" towards the goals."""
+    until, at = goals
+    if settings.directions != "both" or (until is None and not at):
+        signs = {"both": (1, -1), "forward": (1,), "backward": (-1,), "away": (away,)}.get(settings.directions)
+        if signs is None:
+            raise InputError(f"directions: must be both, forward, backward or away, got {settings.directions!r}")
+        yield from ((sign, until, at) for sign in signs)
+        return
+    for sign in (1, -1):
+        wanted = [value for value in at if sign * (value - origin.value) > 0]
+        if until is not None and sign * (until - origin.value) > 0:
+            inside = tuple(value for value in wanted if sign * (until - value) > 0)
+            yield sign, until, inside
+        elif wanted and until is None:
+            last = max(wanted, key=lambda value: sign * value)
+            yield sign, last, tuple(value for value in wanted if value != last)
+
+
+def _finish(
+    folder: Path,
+    journal: Journal,
+    curve: Curve,
+    settings: FamilySettings,
+    goals: tuple[float | None, tuple[float, ...]],
+    progress: Progress | None,
+) -> Family:
+    """Walk what is left in each direction, journalling every step."""
+    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
+    check = closure_check(curve.propagator.model) if settings.certify else None
+    batches = list(journal.batches)
+    for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1))):
+        done, end = journal.steps(sign), journal.end(sign)
+        if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
+            continue
+        if any(one.end is not None and one.end.kind == "returned" for one in batches):
+            break  # a closed family has one direction
+        try:
+            for batch in follow(Walk(curve, settings, sign, origin, check, stop, exact), done):
+                batch = batch_certified(curve, batch) if settings.certify else batch
+                append(folder, batch)
+                batches.append(batch)
+                limit.note(f"{len(batches)} steps are kept in {folder}; the same command goes on from there")
+                if progress:
+                    progress(batch)
+                if len(batches) % SAVE_EVERY == 0:
+                    save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+        except LimitError:
+            save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+            raise
+    family = assemble(Journal(journal.header, tuple(batches)))
+    if settings.certify:
+        first, *rest = family.points
+        ends = (certified(curve, first), *rest[:-1], *(certified(curve, one) for one in rest[-1:]))
+        family = replace(family, points=ends)
+    save_family(family, folder)
+    return family

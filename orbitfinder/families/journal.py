@@ -1,0 +1,376 @@
+"""A family on disk: a journal that survives being killed, and family.json + family.npz made from it.
+
+`family.jsonl` holds a header line and then one line per step with everything that the step added,
+flushed to the disk before the next step begins. Every line ends with a digest of itself: a last line that was
+cut short by a kill is dropped, so a step is there completely or not at all, and the walk resumes from the last
+one; any other line that is not what was written is an error. family.json carries the digest of its own entries
+(`record`) and of the arrays beside it (`dense`). Files of 0.1.0 have no digests and are read without.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import logging
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.point import Batch, End, Event, Family, FamilyPoint
+from orbitfinder.records.orbit import write_atomically
+from orbitfinder.records.reading import arrays, content_digest, file_lines, json_document, json_file, read_as, typed
+
+FORMAT, VERSION = "orbitfinder/family", 1
+JOURNAL = "family.jsonl"
+COMPLEX = ("floquet_multipliers", "indices")
+DENSE = ("nodes", "mesh", "tangent")
+"""What goes into family.npz instead of family.json."""
+SEAL = "digest"
+"""The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
+SEAL_DIGITS = 16
+AGAIN = "continue the family again"
+
+
+@dataclass(frozen=True)
+class Journal:
+    """What a journal says: its header and the complete batches, in the order they were computed."""
+
+    header: Mapping[str, Any]
+    batches: tuple[Batch, ...]
+    sealed: bool = True
+    """False when it was written without digests"""
+
+    def steps(self, direction: int) -> list[FamilyPoint]:
+        """The steps already taken in one direction."""
+        points = [p for batch in self.batches if batch.direction == direction for p in batch.points]
+        return [point for point in points if point.role == "step"]
+
+    def end(self, direction: int) -> End | None:
+        """The last reason for ending in one direction."""
+        ends = [batch.end for batch in self.batches if batch.direction == direction and batch.end is not None]
+        return ends[-1] if ends else None
+
+
+def plain(value: Any) -> Any:
+    """JSON-ready: arrays as lists, complex numbers as [re, im]."""
+    if isinstance(value, np.ndarray):
+        return [[float(z.real), float(z.imag)] for z in value] if np.iscomplexobj(value) else value.tolist()
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any], where: str = "") -> Any:
+    """A FamilyPoint or an Event out of what `plain` made of it; `ValueError` names the entry that is wrong."""
+    found = typed(kind, document, where)
+    named = [name for name in COMPLEX if hasattr(found, name)]
+    one = replace(found, **{name: _as_complex(getattr(found, name), f"{where}.{name}") for name in named})
+    size = one.state.size
+    if one.state.ndim != 1 or size < 2 or size % 2 or not one.period > 0:
+        raise ValueError(f"{where}: state of {size} numbers, period {one.period}: no orbit")
+    if one.nodes.size and (one.nodes.shape[1:] != (size,) or not _fits(one.mesh, len(one.nodes))):
+        raise ValueError(f"{where}.nodes: do not fit the state or the mesh")
+    return one
+
+
+def _as_complex(pairs: np.ndarray, where: str) -> np.ndarray:
+    if pairs.size and pairs.shape[1:] != (2,):
+        raise ValueError(f"{where}: expected a list of [re, im]")
+    return np.asarray([complex(*pair) for pair in pairs], complex)
+
+
+def _fits(mesh: np.ndarray, pieces: int) -> bool:
+    """Whether a mesh has the same number of rising steps in each of the pieces."""
+    rising = mesh.ndim == 1 and mesh.size > pieces and bool(np.all(np.diff(mesh) > 0))
+    return rising and (mesh.size - 1) % pieces == 0
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A line of a journal."""
+
+    direction: int
+    points: tuple[Mapping[str, Any], ...]
+    events: tuple[Mapping[str, Any], ...]
+    end: End | None = None
+
+
+@dataclass(frozen=True)
+class _Header:
+    """The first line of a journal."""
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    origin: Mapping[str, Any]
+    curve: Mapping[str, Any]
+    request: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    away: int = 1
+
+
+@dataclass(frozen=True)
+class _Document:
+    """A family.json."""
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    points: tuple[Mapping[str, Any], ...]
+    events: tuple[Mapping[str, Any], ...]
+    ends: tuple[End, ...]
+    curve: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    dense: str = ""
+
+
+def _batch(document: Mapping[str, Any]) -> Batch:
+    step = typed(_Step, document, "")
+    return Batch(step.direction, _restored(FamilyPoint, step.points, "points"),
+                 _restored(Event, step.events, "events"), step.end)  # fmt: skip
+
+
+def _restored(kind: Any, entries: Sequence[Mapping[str, Any]], where: str) -> tuple[Any, ...]:
+    return tuple(restored(kind, entry, f"{where}[{k}]") for k, entry in enumerate(entries))
+
+
+def start_journal(folder: Path, header: Mapping[str, Any]) -> None:
+    """A fresh journal with its header, replacing an older one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / JOURNAL, _line(header))
+    _sync_folder(folder)
+
+
+def append(folder: Path, batch: Batch) -> None:
+    """One batch as one line, on the disk when this returns."""
+    with open(folder / JOURNAL, "ab") as stream:
+        stream.write(_line(plain(batch)))
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _line(document: Mapping[str, Any]) -> bytes:
+    entries = plain(document)
+    return (json.dumps(entries | {SEAL: _seal(entries)}, separators=(",", ":"), allow_nan=False) + "\n").encode()
+
+
+def _seal(entries: Mapping[str, Any]) -> str:
+    return content_digest(entries)[:SEAL_DIGITS]
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def read_journal(folder: Path) -> Journal | None:
+    """The journal of a folder, a damaged last line cut off the file; None when there is none to read.
+
+    Raises `InputError` about any other line that is not as it was written.
+    """
+    path = folder / JOURNAL
+    if not path.exists():
+        return None
+    found = list(_entries(path))
+    if found and isinstance(found[-1], InputError):
+        logging.getLogger(__name__).warning("%s: the last line was cut short and is computed again", found.pop())
+        _cut(path, len(found))
+    for one in found:
+        if isinstance(one, InputError):
+            raise one
+    entries = [one for one in found if not isinstance(one, InputError)]
+    return _journal(path, [{k: v for k, v in one.items() if k != SEAL} for one in entries],
+                    all(SEAL in one for one in entries))  # fmt: skip
+
+
+def _entries(path: Path) -> Iterator[dict[str, Any] | InputError]:
+    """What each line of a journal says, or what is wrong with it."""
+    sealed = False
+    for number, line in enumerate(file_lines(path, "family.jsonl"), start=1):
+        try:
+            entries = json_document(line, f"{path}: line {number}", "restore a copy, or delete the file to start again")
+            check_line(entries, line, sealed)
+            sealed = SEAL in entries
+            yield entries
+        except InputError as error:
+            yield error
+        except ValueError as error:
+            yield InputError(f"{path}: line {number}: {error}; restore a copy, or delete the file to start again")
+
+
+def check_line(entries: Any, line: bytes, sealed: bool) -> None:
+    """`ValueError` unless a line is complete and has its digest; one after no `sealed` line may be without."""
+    if not isinstance(entries, dict) or not line.endswith(b"\n"):
+        raise ValueError("incomplete")
+    if not sealed and SEAL not in entries:
+        return
+    if entries.get(SEAL) != _seal({key: value for key, value in entries.items() if key != SEAL}):
+        raise ValueError("not what was written, its digest is another (edited or damaged)")
+
+
+def _cut(path: Path, lines: int) -> None:
+    """Keep so many lines of a file."""
+    kept = sum(len(line) for _, line in zip(range(lines), file_lines(path), strict=False))
+    with open(path, "r+b") as stream:
+        stream.truncate(kept)
+        os.fsync(stream.fileno())
+
+
+def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> Journal | None:
+    if not entries:
+        return None
+    header, batches = entries[0], []
+    if header.get("format") != FORMAT or header.get("version") != VERSION:
+        raise InputError(f"{path}: format: expected {FORMAT!r} version {VERSION}; delete the file to start again")
+    for number, entry in enumerate(entries, start=1):
+        try:
+            if number == 1:
+                restored(FamilyPoint, typed(_Header, header, "").origin, "origin")
+            else:
+                batches.append(_batch(entry))
+        except ValueError as error:
+            raise InputError(f"{path}: line {number}: {error}; delete the file to start again") from error
+    return Journal(header, tuple(batches), sealed)
+
+
+def assemble(journal: Journal) -> Family:
+    """The family in order along the curve, points numbered from one end to the other."""
+    origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
+    points = [origin, *(point for batch in journal.batches for point in batch.points)]
+    points.sort(key=lambda point: point.arclength)
+    numbered = tuple(replace(point, index=k) for k, point in enumerate(points))
+    places = np.array([point.arclength for point in numbered])
+    events = sorted((event for batch in journal.batches for event in batch.events), key=lambda one: one.arclength)
+    indexed = tuple(replace(one, index=int(np.searchsorted(places, one.arclength)) - 1) for one in events)
+    ends = tuple(end for end in (journal.end(-1), journal.end(1)) if end is not None)
+    header = journal.header
+    about = header["curve"], header.get("source", {})
+    return Family(header["name"], header["system"], header["parameter"], numbered, indexed, ends, *about)
+
+
+def family_to_document(family: Family) -> dict[str, Any]:
+    """The contract of family.json; floats round-trip exactly."""
+    points = []
+    for point in family.points:
+        entry = {key: value for key, value in plain(point).items() if key not in DENSE}
+        also = {family.parameter: point.value} | dict(point.free)
+        points.append(entry | {key: value for key, value in also.items() if key not in entry})
+    events = [{k: v for k, v in plain(event).items() if k not in DENSE} for event in family.events]
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": family.name,
+        "system": dict(family.system),
+        "parameter": family.parameter,
+        "points": points,
+        "events": events,
+        "ends": [plain(end) for end in family.ends],
+        "curve": plain(family.curve),
+        "source": plain(family.source),
+    }
+
+
+def save_family(family: Family, folder: Path) -> Path:
+    """Write family.json and family.npz whole or not at all; returns the JSON's path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    dense: dict[str, np.ndarray] = {}
+    for kind, members in (("point", family.points), ("event", family.events)):
+        for name in DENSE:
+            pieces = [np.asarray(getattr(one, name), float).ravel() for one in members]  # type: ignore[attr-defined]
+            dense[f"{kind}_{name}"] = np.concatenate(pieces) if pieces else np.zeros(0)
+            dense[f"{kind}_{name}_sizes"] = np.array([piece.size for piece in pieces], int)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **dense)  # type: ignore[arg-type]
+    write_atomically(folder / "family.npz", buffer.getvalue())
+    document = family_to_document(family) | {"dense": _dense_digest(dense)}
+    document["record"] = content_digest(document)
+    write_atomically(folder / "family.json", (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+    return folder / "family.json"
+
+
+def _dense_digest(dense: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of the numbers of family.npz."""
+    found = hashlib.sha256()
+    for name in _dense_names():
+        found.update(f"{name} {dense[name].size} ".encode() + np.ascontiguousarray(dense[name], "<f8").tobytes())
+    return found.hexdigest()
+
+
+def _dense_names() -> list[str]:
+    return [f"{kind}_{name}{part}" for kind in ("point", "event") for name in DENSE for part in ("", "_sizes")]
+
+
+def load_family(path: str | Path) -> Family:
+    """Read family.json (and family.npz beside it). Raises `InputError` on anything unreadable, edited or damaged."""
+    source = Path(path)
+    document = json_file(source, "family.json", AGAIN)
+    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
+        raise InputError(f"{source}: format: expected {FORMAT!r} version {VERSION}; give a family.json")
+    record = document.pop("record", None)
+    if (record is not None or "dense" in document) and record != content_digest(document):
+        raise InputError(f"{source}: record: its digest is another, so the file was edited or damaged; {AGAIN}")
+    found = read_as(_Document, document, str(source), AGAIN)
+    if not found.points:
+        raise InputError(f"{source}: points: none; {AGAIN}")
+    dense = _read_dense(source.with_suffix(".npz"), found.dense)
+    try:
+        points = _with_dense(dense, "point", FamilyPoint, found.points)
+        events = _with_dense(dense, "event", Event, found.events)
+        if len({one.state.size for one in (*points, *events)}) > 1:
+            raise ValueError("state: not of one size in all points and events")
+    except ValueError as error:
+        raise InputError(f"{source}: {error}; {AGAIN}") from error
+    return Family(found.name, found.system, found.parameter, points, events, found.ends, found.curve, found.source)
+
+
+def _read_dense(path: Path, expected: str) -> dict[str, np.ndarray]:
+    """The arrays of family.npz, none where there is no such file: without it an orbit is its state and period."""
+    if not path.exists():
+        return {}
+    dense = arrays(path, _dense_names(), AGAIN)
+    if expected and expected != _dense_digest(dense):
+        raise InputError(f"{path}: its digest is not that in family.json, edited or damaged; {AGAIN}")
+    return dense
+
+
+def _with_dense(
+    dense: Mapping[str, np.ndarray], kind: str, type_: Any, entries: Sequence[Mapping[str, Any]]
+) -> tuple[Any, ...]:
+    """Points or events with the arrays of family.npz put back."""
+    split = {name: _pieces(dense, f"{kind}_{name}", len(entries)) for name in DENSE}
+    found = []
+    for k, entry in enumerate(entries):
+        numbers = {name: pieces[k] for name, pieces in split.items()}
+        size = len(entry["state"]) if isinstance(entry.get("state"), list) else 0
+        if not size or numbers["nodes"].size % size:
+            raise ValueError(f"{kind}s[{k}].state: missing, or its size does not divide the nodes")
+        numbers["nodes"] = numbers["nodes"].reshape(-1, size)
+        found.append(restored(type_, {**entry, **numbers}, f"{kind}s[{k}]"))
+    return tuple(found)
+
+
+def _pieces(dense: Mapping[str, np.ndarray], name: str, count: int) -> list[np.ndarray]:
+    """One array for each of `count` members; empty ones where there is no file."""
+    if not dense:
+        return [np.zeros(0)] * count
+    flat, sizes = dense[name], dense[f"{name}_sizes"]
+    counts = sizes.dtype.kind == "i" and sizes.shape == (count,) and bool(np.all(sizes >= 0))
+    if flat.ndim != 1 or not counts or sizes.sum() != flat.size:
+        raise ValueError(f"family.npz: {name}: does not fit the {count} entries of family.json")
+    return np.split(flat, np.cumsum(sizes)[:-1]) if count else []

@@ -1,0 +1,192 @@
+"""Harmonic balance by collocation for motions that start at rest and pass q = 0 after a quarter period.
+
+Such a motion is a series of odd cosines, q(t) = sum_j c_j cos((2 j + 1) w t), j = 0 .. N - 1. Asking for
+q'' = a(q, q') at the N times w t_k = (2 k + 1) pi / (4 N) and for one pin makes N n + 1 equations in
+(c, w). Nothing is integrated: a mode that is faster than the last harmonic is slaved to the slow
+ones, where shooting would follow hundreds of its oscillations. Source: Z. Yan, H. Dai, Q. Wang,
+S. N. Atluri, "Harmonic Balance Methods: A Review and Recent Developments", CMES 137 (2023)
+1419-1459 (the time-domain form, whose aliased solutions shooting must sort out afterwards).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, LinAlgWarning, solve
+
+from orbitfinder._runtime import limit
+
+Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""(q, v) -> a (n), da/dq, da/dv (n x n each)"""
+PinRow = Callable[[np.ndarray, float], tuple[float, np.ndarray, float]]
+"""(q(0), T) -> residual of the pin and its derivatives in q(0) (n) and in T, for a start at rest"""
+
+MOST_ITERATIONS = 8
+CONVERGED = 1e-9
+"""rad (or m) and rad/s: the last Newton step's size"""
+TAIL = 1e-3
+"""Harmonics are doubled until the last quarter of them is below this, rad (or m)"""
+FINE_TAIL = 1e-5
+MOST_UNKNOWNS = 3200
+"""N n stays below this: the dense matrix has its square of entries, 82 MB"""
+FEWEST = 6
+LARGEST_CORRECTION = 0.2
+"""A step is halved where Newton moves a coefficient further than this from the prediction"""
+SMALLEST_STEP, FIRST_STEP, LARGEST_STEP = 1e-3, 0.1, 0.5
+QUICK = 4
+"""Newton iterations up to which the next step is larger"""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Odd cosine coefficients (N x n, rad or m) and the frequency w (rad/s)."""
+
+    coefficients: np.ndarray
+    frequency: float
+
+    @property
+    def period(self) -> float:
+        """T = 2 pi / w in s."""
+        return 2 * np.pi / self.frequency
+
+    @property
+    def start(self) -> np.ndarray:
+        """q(0) (n), where the motion is at rest."""
+        return np.asarray(self.coefficients.sum(axis=0))
+
+    @property
+    def tail(self) -> float:
+        """Largest coefficient in the last quarter of the harmonics."""
+        count = len(self.coefficients)
+        return float(np.abs(self.coefficients[count - max(1, count // 4) :]).max())
+
+    def padded(self, count: int) -> Series:
+        """The same motion with `count` harmonics."""
+        more = np.zeros((count - len(self.coefficients), self.coefficients.shape[1]))
+        return Series(np.vstack([self.coefficients, more]), self.frequency)
+
+    def towards(self, other: Series, factor: float) -> Series:
+        """The point at `factor` on the straight line through this (0) and another (1)."""
+        count = max(len(self.coefficients), len(other.coefficients))
+        mine, its = self.padded(count), other.padded(count)
+        return Series(
+            mine.coefficients + factor * (its.coefficients - mine.coefficients),
+            mine.frequency + factor * (its.frequency - mine.frequency),
+        )
+
+
+def most_harmonics(coordinates: int) -> int:
+    """The largest N for n coordinates."""
+    return max(FEWEST, MOST_UNKNOWNS // coordinates)
+
+
+def correct(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[Series, int] | None:
+    """Newton's method from a prediction: the solution and its iterations, or None where it does not converge."""
+    found = series
+    for iteration in range(1, MOST_ITERATIONS + 1):
+        limit.check()
+        matrix, rows = _system(found, accelerations, pin)
+        if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(matrix))):
+            return None
+        try:
+            step = solve(matrix.T, -rows, overwrite_a=True, check_finite=False, transposed=True)
+        except (LinAlgError, LinAlgWarning):
+            return None
+        shape = found.coefficients.shape
+        found = Series(found.coefficients + step[:-1].reshape(shape), found.frequency + float(step[-1]))
+        size = float(np.abs(step).max())
+        if not size < np.pi or found.frequency <= 0:
+            return None
+        if size < CONVERGED:
+            return found, iteration
+    return None
+
+
+def _system(series: Series, accelerations: Accelerations, pin: PinRow) -> tuple[np.ndarray, np.ndarray]:
+    """The Newton matrix (N n + 1 square) and the residuals q'' - a(q, q') at the nodes, then the pin's."""
+    coefficients, w = series.coefficients, series.frequency
+    count, n = coefficients.shape
+    orders = 2 * np.arange(count) + 1
+    angles = np.outer(orders, orders) * np.pi / (4 * count)
+    cosines, sines = np.cos(angles), orders * np.sin(angles)
+    curvature = -(cosines * orders**2)
+    q, v, bend = cosines @ coefficients, -w * sines @ coefficients, curvature @ coefficients
+    matrix, rows = np.zeros((count * n + 1, count * n + 1)), np.zeros(count * n + 1)
+    blocks = matrix[:-1, :-1].reshape(count, n, count, n)
+    diagonal = np.arange(n)
+    for k in range(count):
+        a, by_place, by_rate = accelerations(q[k], v[k])
+        rows[k * n : (k + 1) * n] = w**2 * bend[k] - a
+        for j in range(count):
+            block = blocks[k, :, j, :]
+            block[...] = w * sines[k, j] * by_rate - cosines[k, j] * by_place
+            block[diagonal, diagonal] += w**2 * curvature[k, j]
+        matrix[k * n : (k + 1) * n, -1] = 2 * w * bend[k] - by_rate @ v[k] / w
+    rows[-1], by_start, by_period = pin(series.start, series.period)
+    matrix[-1, :-1] = np.tile(by_start, count)
+    matrix[-1, -1] = -by_period * series.period / w
+    return matrix, rows
+
+
+def resolved(series: Series, accelerations: Accelerations, pin: PinRow, tail: float) -> tuple[Series, int] | None:
+    """The solution with as many harmonics as its tail asks for (or the memory allows); iterations of the first."""
+    found = correct(series, accelerations, pin)
+    first = None if found is None else found[1]
+    most = most_harmonics(series.coefficients.shape[1])
+    while found is not None and found[0].tail > tail and len(found[0].coefficients) < most:
+        found = correct(found[0].padded(min(2 * len(found[0].coefficients), most)), accelerations, pin)
+    return None if found is None or first is None else (found[0], first)
+
+
+def follow(
+    start: Series,
+    accelerations: Accelerations,
+    pin: Callable[[float], PinRow],
+    report: Callable[[float, Series], None],
+    growth: float,
+) -> Series | None:
+    """The solution at the full pin, pin(1), from a small one predicted at pin(FIRST_STEP); None where it is lost.
+
+    Steps in the fraction of the pin grow by `growth` while Newton is quick and are halved where it is slow or
+    goes far from its prediction, the secant through the last two solutions. Internal resonances on
+    the way, where the family is a gap of exponentially small width, are stepped over.
+    """
+    known: list[tuple[float, Series]] = []
+    fraction, step, guess = FIRST_STEP, FIRST_STEP, start.padded(max(FEWEST, len(start.coefficients)))
+    while step > SMALLEST_STEP:
+        found = resolved(guess, accelerations, pin(fraction), TAIL)
+        if found is not None and near(guess, found[0]):
+            report(fraction, found[0])
+            if fraction >= 1.0:
+                return _finer(found[0], accelerations, pin(1.0))
+            known = [*known[-1:], (fraction, found[0])]
+            step = min(step * growth, LARGEST_STEP) if found[1] <= QUICK else step
+        elif not known:
+            return None
+        else:
+            step /= 2
+        fraction = min(1.0, known[-1][0] + step)
+        guess = _predicted(known, fraction)
+    return None
+
+
+def _finer(series: Series, accelerations: Accelerations, pin: PinRow) -> Series:
+    """The same solution with a finer tail, itself where that fails."""
+    found = resolved(series, accelerations, pin, FINE_TAIL)
+    return series if found is None else found[0]
+
+
+def near(guess: Series, found: Series) -> bool:
+    """True when no coefficient is further than LARGEST_CORRECTION from its prediction."""
+    count = len(found.coefficients)
+    return bool(np.abs(found.coefficients - guess.padded(count).coefficients).max() < LARGEST_CORRECTION)
+
+
+def _predicted(known: list[tuple[float, Series]], fraction: float) -> Series:
+    if len(known) == 1:
+        at, series = known[0]
+        return Series(series.coefficients * (fraction / at), series.frequency)
+    (first, one), (second, other) = known
+    return one.towards(other, (fraction - first) / (second - first))

@@ -1,0 +1,147 @@
+"""Guesses out of motion that somebody already has: close returns of a trajectory, and sums of normal modes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.guesses.modes import normal_mode, normal_modes
+from orbitfinder.integrate.cvodes import build_flow, sample
+from orbitfinder.loops.problem import Guess
+from orbitfinder.mechanics.model import Model
+
+MOST_SAMPLES = 3000
+"""Samples of a trajectory that are compared with each other, in all pairs."""
+AWAY = 0.25
+"""A return counts when the motion went at least this far away in between, relative to its extent."""
+SAME_PERIOD = 0.02
+"""Of returns whose periods differ by less than this, relative, only the closest is kept."""
+MOST_MODES_PERIODS = 12
+
+
+@dataclass(frozen=True)
+class CloseReturn:
+    """x(t + period) came within `distance` (relative to the motion's extent) of x(t) = state, t = `time`."""
+
+    state: np.ndarray
+    period: float
+    distance: float
+    time: float
+    guess: Guess
+
+
+def close_returns(
+    times: np.ndarray, states: np.ndarray, angles: Sequence[bool] = (), count: int = 10, longest: float | None = None
+) -> list[CloseReturn]:
+    """The closest returns of a trajectory (k times, k x 2n states) to itself, best first, one for each period.
+
+    Distances |x(t + T) - x(t)| are taken component by component relative to the trajectory's extent,
+    angles modulo 2 pi, and searched for local minima over t and T up to `longest` (default: half the
+    trajectory). Close returns as starting points: D. P. Lathrop, E. J. Kostelich, Physical Review A
+    40 (1989) 4028-4031. Raises `InputError` for fewer than 20 samples.
+    """
+    times, states = _regular(np.asarray(times, float), np.asarray(states, float))
+    step, n = float(times[1] - times[0]), states.shape[1] // 2
+    wrapping = np.zeros(2 * n, bool)
+    wrapping[: len(angles)] = angles
+    extent = np.maximum(np.ptp(states, axis=0), 1e-300)
+    extent = np.where(wrapping, np.minimum(extent, np.pi), extent)
+    span = times[-1] - times[0]
+    lags = np.arange(1, int(min(longest or span / 2, span / 2) / step) + 1)
+    starts = len(times) - lags[-1]
+    table = np.stack([_distance(states[lag : lag + starts], states[:starts], extent, wrapping) for lag in lags])
+    found: list[CloseReturn] = []
+    rows, columns = _local_minima(table)
+    for k in np.argsort(table[rows, columns]):
+        row, column = int(rows[k]), int(columns[k])
+        if table[: row + 1, column].max() < max(AWAY, 3 * table[row, column]):
+            continue
+        one = _close_return(times, states, column, lags[row] * step, float(table[row, column]))
+        if all(abs(one.period / other.period - 1) > SAME_PERIOD for other in found):
+            found.append(one)
+        if len(found) == count:
+            break
+    return found
+
+
+def recurrences(
+    model: Model, state: Sequence[float] | np.ndarray, duration: float, count: int = 10, longest: float | None = None
+) -> list[CloseReturn]:
+    """Close returns of the motion from `state` over `duration` (s), simulated by CVODES."""
+    if not (np.isfinite(duration) and duration > 0):
+        raise InputError(f"guess.duration: must be positive and finite, got {duration}; give a time in s")
+    start = np.asarray(state, float)
+    if start.shape != (len(model.state_names),):
+        raise InputError(f"guess.state: {start.size} numbers; give {len(model.state_names)}")
+    states = sample(build_flow(model), start, float(duration), MOST_SAMPLES)
+    times = np.linspace(0.0, duration, len(states))
+    found = close_returns(times, states, model.angles, count, longest)
+    if model.forcing_period is None:
+        return found
+    return [_on_the_beat(one, times, states, float(model.forcing_period(model.parameter_values))) for one in found]
+
+
+def normal_mode_sum(
+    model: Model,
+    modes: Sequence[int],
+    amplitudes: Sequence[float],
+    equilibrium: Sequence[float] | np.ndarray | None = None,
+) -> Guess:
+    """Guess from several linear normal modes together, all at their turning points (amplitudes may be negative).
+
+    The period is the multiple k <= 12 of the first mode's after which the others are nearest to
+    their starts, sum a_j^2 (1 - cos(w_j T)) at its least.
+    """
+    if len(modes) != len(amplitudes) or not modes:
+        raise InputError(f"guess.amplitude: {len(amplitudes)} numbers for {len(modes)} modes; give one per mode")
+    parts = [normal_mode(model, mode, abs(a), equilibrium) for mode, a in zip(modes, amplitudes, strict=True)]
+    n = model.degrees_of_freedom
+    place = np.zeros(2 * n)
+    place[:n] = 0.0 if equilibrium is None else np.asarray(equilibrium, float)
+    state = place + sum(np.sign(a) * (part.state - place) for a, part in zip(amplitudes, parts, strict=True))
+    frequencies = np.sqrt(normal_modes(model, equilibrium)[0][[mode - 1 for mode in modes]])
+    periods = parts[0].period * np.arange(1, MOST_MODES_PERIODS + 1)
+    mismatch = (1 - np.cos(np.outer(periods, frequencies))) @ np.square(amplitudes)
+    # a longer period has to earn its length
+    best = int(np.argmin(mismatch * np.arange(1, MOST_MODES_PERIODS + 1) + 1e-12 * periods))
+    return Guess(state, float(periods[best]))
+
+
+def _regular(times: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The trajectory at no more than `MOST_SAMPLES` equal times."""
+    if times.size < 20 or states.shape[0] != times.size:
+        raise InputError(f"trajectory: {times.size} times for {states.shape[0]} states; give at least 20 of both")
+    count = min(max(times.size, 400), MOST_SAMPLES)
+    grid = np.linspace(times[0], times[-1], count)
+    return grid, np.stack([np.interp(grid, times, column) for column in states.T], axis=1)
+
+
+def _distance(after: np.ndarray, before: np.ndarray, extent: np.ndarray, wrapping: np.ndarray) -> np.ndarray:
+    gaps = after - before
+    gaps = np.where(wrapping, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+    return np.asarray(np.abs(gaps / extent).max(axis=1))
+
+
+def _local_minima(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of entries that are not above their neighbours in the row's direction."""
+    inner = table[1:-1]
+    rows, columns = np.nonzero((inner <= table[:-2]) & (inner <= table[2:]))
+    return rows + 1, columns
+
+
+def _on_the_beat(one: CloseReturn, times: np.ndarray, states: np.ndarray, clock: float) -> CloseReturn:
+    """The same return of a forced motion from the next whole period of the forcing, where t = 0 belongs."""
+    period = max(1, round(one.period / clock)) * clock
+    moment = float(np.ceil(one.time / clock) * clock)
+    state = np.array([np.interp(moment, times, column) for column in states.T])
+    return CloseReturn(state, period, one.distance, moment, Guess(state, period))
+
+
+def _close_return(times: np.ndarray, states: np.ndarray, start: int, period: float, distance: float) -> CloseReturn:
+    last = start + round(period / float(times[1] - times[0]))
+    lap = slice(start, last + 1)
+    guess = Guess(states[start], period, times[lap] - times[start], states[lap])
+    return CloseReturn(states[start], period, distance, float(times[start] - times[0]), guess)

@@ -1,0 +1,337 @@
+"""Integrate a Model and differentiate the result: CVODES on the variational equations.
+
+The state and its derivatives are one system of ordinary differential equations,
+
+    x' = f(t, x, s),    Phi' = (df/dx) Phi,    w_k' = (df/dx) w_k + df/ds_k,
+
+solved together under one error control (Adams, functional iteration), because the derivatives
+that CasADi makes of an integrator can be silently wrong (casadi issue 4383) and are slower.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime.arguments import check_fields
+from orbitfinder._runtime.limit import alarm
+from orbitfinder._runtime.quiet import captured
+from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.integrate.compiled import interpreted_seconds, mode, with_derivatives
+from orbitfinder.integrate.rk8 import variational_field
+from orbitfinder.mechanics.model import Invariant, Model, check_state
+
+EVALUATIONS = 20_000
+"""About how often one search for an orbit evaluates the variational equations."""
+SMALL = 16
+"""State size up to which two flows are remembered, at 2 to 25 MB; beyond it one (10 links 42 MB, 20 links 290)"""
+
+
+@dataclass(frozen=True)
+class IntegratorSettings:
+    """Tolerances of CVODES; the one place where they are defaulted."""
+
+    relative_tolerance: float = 1e-13
+    absolute_tolerance: float = 1e-13
+    max_steps: int = 50_000
+    """internal steps in one segment after which the integration is given up"""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        check_tolerances(self.relative_tolerance, self.absolute_tolerance, self.max_steps)
+
+    def options(self) -> dict[str, Any]:
+        """The same in CasADi's words."""
+        return {
+            "reltol": self.relative_tolerance,
+            "abstol": self.absolute_tolerance,
+            "max_num_steps": self.max_steps,
+            "linear_multistep_method": "adams",
+            "nonlinear_solver_iteration": "functional",
+        }
+
+
+def check_tolerances(relative: float, absolute: float, steps: int) -> None:
+    """`InputError` unless an integrator can work with these."""
+    if not (0 < relative < 1 and 0 < absolute < np.inf and steps >= 1):
+        raise InputError(
+            f"relative_tolerance, absolute_tolerance, max_steps: must be positive, the first below 1, got {relative}, "
+            f"{absolute} and {steps}; the defaults are near what double precision can do"
+        )
+
+
+@dataclass(frozen=True)
+class Flow:
+    """The flow of a Model with unfolding parameters s and freed physical parameters.
+
+    `field(t, x, s, free)` -> f; `end(t0, x0, duration, s, free)` -> x(t0 + duration), which
+    carries its own Jacobian; `derivatives(t0, x0, duration, s, free)` -> (x, [Phi | dx/ds | dx/dfree]).
+    """
+
+    model: Model
+    settings: IntegratorSettings
+    free: tuple[str, ...]
+    unfolded: tuple[Invariant, ...]
+    field: ca.Function
+    units: tuple[float, ...] = ()
+    """what CVODES measures the state (2n) in, so that its tolerances fit; () is 1 everywhere"""
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """The variational integrator; built when first asked for, since it is large for long chains."""
+        names, inputs = self._inputs()
+        outputs = _variational(self.field, self.settings, inputs, self.units)
+        return ca.Function("flow_derivatives", inputs, outputs, names, ["xf", "sensitivity"])
+
+    @cached_property
+    def end(self) -> ca.Function:
+        """The state integrator with the variational equations as its custom Jacobian."""
+        names, inputs = self._inputs()
+        jacobian = custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
+        options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
+        end = _plain(self.field, self.settings, inputs, self.units)
+        return ca.Function("flow_end", inputs, [end], names, ["xf"], options)
+
+    def _inputs(self) -> tuple[list[str], list[ca.MX]]:
+        names = ["t0", "x0", "duration", "s", "free"]
+        sizes = [1, self.field.size1_in(1), 1, len(self.unfolded), len(self.free)]
+        return names, [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+
+
+def build_flow(
+    model: Model,
+    free: Sequence[str] = (),
+    unfolded: Sequence[Invariant] = (),
+    settings: IntegratorSettings | None = None,
+    units: tuple[float, ...] = (),
+) -> Flow:
+    """Flow of a Model; `free` names physical parameters kept variable, `unfolded` the invariants
+    whose unfolding acceleration s_k u_k(q, v) is added to the equations of motion.
+
+    The last few are remembered: a second search on the same Model builds no integrator anew.
+    """
+    return remembered(Flow, model, free, unfolded, settings, units)
+
+
+def remembered(
+    kind: type[Flow],
+    model: Model,
+    free: Sequence[str],
+    unfolded: Sequence[Invariant],
+    settings: IntegratorSettings | None,
+    units: tuple[float, ...] = (),
+) -> Flow:
+    """The Flow of this kind that was built last from the same things, or a new one."""
+    kept = _small if 2 * model.degrees_of_freedom <= SMALL else _large
+    conditions = (mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))  # what decides on compiling
+    return kept(
+        Same(kind), Same(model), model.parameter_values.tobytes(), tuple(free), tuple(map(Same, unfolded)),
+        settings or IntegratorSettings(), conditions, units,
+    )  # fmt: skip
+
+
+class Same:
+    """Something as a key of a cache, equal to nothing but itself."""
+
+    def __init__(self, thing: Any) -> None:
+        self.thing = thing
+
+    def __hash__(self) -> int:
+        return id(self.thing)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and other.thing is self.thing
+
+
+def _built(
+    kind: Same,
+    model: Same,
+    _values: bytes,
+    free: tuple[str, ...],
+    unfolded: tuple[Same, ...],
+    settings: IntegratorSettings,
+    _conditions: tuple[str | None, ...],
+    units: tuple[float, ...],
+) -> Flow:
+    invariants = tuple(one.thing for one in unfolded)
+    field = vector_field(model.thing, free, invariants)
+    found: Flow = kind.thing(model.thing, settings, free, invariants, field, units)
+    return found
+
+
+_small, _large = lru_cache(maxsize=2)(_built), lru_cache(maxsize=1)(_built)
+
+
+def vector_field(model: Model, free: Sequence[str], unfolded: Sequence[Invariant]) -> ca.Function:
+    """f(t, x, s, free) = (v, a(t, q, v, p) + sum_k s_k u_k(q, v, p))."""
+    n = model.degrees_of_freedom
+    symbol: Any = ca.SX.sym if model.acceleration.is_a("SXFunction") else ca.MX.sym
+    t, x = symbol("t"), symbol("x", 2 * n)
+    s, chosen = symbol("s", len(unfolded)), symbol("free", len(free))
+    parameters = model.parameters(free, chosen)
+    acceleration = model.acceleration(t, x[:n], x[n:], parameters)
+    for k, invariant in enumerate(unfolded):
+        acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
+    return ca.Function("field", [t, x, s, chosen], [ca.vertcat(x[n:], acceleration)])
+
+
+def _integrator(name: str, ode: tuple[Any, Any, Any, Any], settings: IntegratorSettings) -> ca.Function:
+    clock, state, parameters, rate = ode
+    problem = {"t": clock, "x": state, "p": parameters, "ode": rate}
+    return ca.integrator(name, "cvodes", problem, 0, 1, settings.options())
+
+
+def _symbols(field: ca.Function) -> tuple[Any, ...]:
+    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
+    clock, t0, duration = symbol("clock"), symbol("t0"), symbol("duration")
+    x, s, free = (symbol(f"a{k}", field.size1_in(k)) for k in (1, 2, 3))
+    return symbol, clock, t0, duration, x, s, free
+
+
+def _in_units(field: ca.Function, units: tuple[float, ...]) -> ca.Function:
+    """The field of x / units."""
+    if not units:
+        return field
+    symbol: Any = ca.SX.sym if field.is_a("SXFunction") else ca.MX.sym
+    t, y, s, free = (symbol(f"a{k}", field.size1_in(k)) for k in range(4))
+    sizes = ca.DM(units)
+    return ca.Function("field", [t, y, s, free], [field(t, sizes * y, s, free) / sizes])
+
+
+def _plain(
+    field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX], units: tuple[float, ...] = ()
+) -> ca.MX:
+    """x at the end of a segment; time is scaled to [0, 1] so that the duration is a parameter."""
+    field, sizes = _in_units(field, units), ca.DM(units) if units else 1.0
+    _, clock, t0, duration, x, s, free = _symbols(field)
+    rate = duration * field(t0 + clock * duration, x, s, free)
+    packed = ca.vertcat(t0, duration, s, free)
+    solver = _integrator("state", (clock, x, packed, rate), settings)
+    return sizes * solver(x0=inputs[1] / sizes, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
+
+
+def _variational(
+    field: ca.Function, settings: IntegratorSettings, inputs: list[ca.MX], units: tuple[float, ...] = ()
+) -> list[ca.MX]:
+    """End state and sensitivities; the right-hand side is compiled where the work to be expected pays for it."""
+    field, sizes = _in_units(field, units), ca.DM(units) if units else ca.DM.ones(field.size1_in(1))
+    size, extra = field.size1_in(1), field.size1_in(2) + field.size1_in(3)
+    clock, t0, duration = ca.MX.sym("clock"), ca.MX.sym("t0"), ca.MX.sym("duration")
+    s, free = ca.MX.sym("s", field.size1_in(2)), ca.MX.sym("free", field.size1_in(3))
+    whole, varied = ca.MX.sym("whole", size * (1 + size + extra)), variational_field(field)
+    varied = with_derivatives(varied, effort=interpreted_seconds(varied, EVALUATIONS))
+    rate = duration * varied(t0 + clock * duration, whole, s, free)
+    solver = _integrator("variational", (clock, whole, ca.vertcat(t0, duration, s, free), rate), settings)
+    start = ca.vertcat(inputs[1] / sizes, ca.vec(ca.MX(ca.DM.eye(size))), ca.MX(ca.DM.zeros(size * extra)))
+    end = solver(x0=start, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
+    columns = ca.DM(np.outer(sizes.full().ravel(), np.append(1 / sizes.full().ravel(), np.ones(extra))))
+    return [sizes * end[:size], columns * ca.reshape(end[size:], size, size + extra)]
+
+
+def custom_jacobian(
+    field: ca.Function, derivatives: ca.Function, inputs: list[ca.MX], names: list[str], forced: bool
+) -> ca.Function:
+    """Jacobian blocks of `end` from the variational equations.
+
+    Starting later by dt at the same state and duration changes the end by
+    (f(t0 + duration, end) - Phi f(t0, start)) dt, which is zero for autonomous equations.
+    """
+    t0, start, duration, s, free = inputs
+    size = field.size1_in(1)
+    end, sensitivity = derivatives(*inputs)
+    later = ca.MX(size, 1)
+    if forced:
+        later = field(t0 + duration, end, s, free) - sensitivity[:, :size] @ field(t0, start, s, free)
+    blocks = [
+        later,
+        sensitivity[:, :size],
+        field(t0 + duration, end, s, free),
+        sensitivity[:, size : size + s.numel()],
+        sensitivity[:, size + s.numel() :],
+    ]
+    outputs = [f"jac_xf_{name}" for name in names]
+    ignored = ca.MX.sym("out_xf", size)
+    return ca.Function("jac_flow_end", [*inputs, ignored], blocks, [*names, "out_xf"], outputs)
+
+
+def end_state(flow: Flow, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray:
+    """x(start + duration) from x(start) = state (2n); duration in s. Raises `IntegrationError`."""
+    return np.asarray(_call(flow, flow.end, state, duration, start)[0])
+
+
+def transition(
+    flow: Flow, state: np.ndarray, duration: float, start: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """End state (2n) and state-transition matrix dx(end)/dx(start) (2n x 2n)."""
+    end, sensitivity = _call(flow, flow.derivatives, state, duration, start)
+    return np.asarray(end), np.asarray(sensitivity)[:, : end.size]
+
+
+def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float, start: float) -> list[Any]:
+    state = check_state(flow.model, state)
+    free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
+    error: Exception | None = None
+    with captured() as output, alarm():
+        try:
+            result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
+        except RuntimeError as failure:
+            error = failure
+    if error is not None:
+        raise integration_error(f"{output.text}\n{error}", state, start, duration)
+    numbers = [value.full().squeeze() if value.shape[1] == 1 else value.full() for value in result]
+    if not all(np.all(np.isfinite(number)) for number in numbers):
+        raise integration_error("the state is not finite", state, start, duration)
+    return numbers
+
+
+def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: float = 0.0) -> np.ndarray:
+    """States (count x 2n) at `count` equal times from 0 to `duration` inclusive, by CVODES."""
+    state = check_state(flow.model, state)
+    if count < 2:
+        raise InputError(f"count: must be at least 2, the start and the end, got {count}")
+    _, clock, t0, span, x, s, free = _symbols(flow.field)
+    rate = span * flow.field(t0 + clock * span, x, s, free)
+    problem = {"t": clock, "x": x, "p": ca.vertcat(t0, span, s, free), "ode": rate}
+    grid = list(np.linspace(0.0, 1.0, count))
+    steps = dict(flow.settings.options(), max_num_steps=20 * flow.settings.max_steps)
+    chosen = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
+    packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), ca.vec(chosen))
+    error: Exception | None = None
+    with captured() as output, alarm():
+        try:
+            solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
+            states = solver(x0=state, p=packed)["xf"].full().T
+        except RuntimeError as failure:
+            error = failure
+    if error is not None:
+        raise integration_error(f"{output.text}\n{error}", state, start, duration)
+    return np.asarray(states)
+
+
+def integration_error(
+    text: str, state: np.ndarray, start: float, duration: float, segment: int | None = None
+) -> IntegrationError:
+    """One typed error out of what SUNDIALS printed; the time is read from its message if it is there."""
+    found = re.search(r"[Aa]t t = ([-+0-9.eE]+)", text)
+    time = start + (float(found.group(1)) if found else 0.0) * duration
+    causes = {
+        r"NaN detected": "the equations of motion are not finite there (0 / 0, the root of a negative number, or a "
+        "motion that has run off to infinity); write them so that they are smooth along the motion",
+        r"mxstep|TOO_MUCH_WORK": f"too many internal steps in {duration:.4g} s; that is too long for one segment, or "
+        "the motion too fast: take more segments or a shorter period",
+        r"not finite|nan|NaN": "the equations of motion are not finite there",
+        r"hmin|ERR_FAILURE|error test failures": "the step size fell to nothing; the motion is singular there",
+        r"CONV_FAILURE|convergence test": "the corrector does not converge; the motion is singular there",
+        r"too much accuracy|TOO_MUCH_ACC": "the tolerance asked for is below round-off; loosen it",
+        r"tout too close|TOO_CLOSE": "the time span is too short to integrate",
+    }
+    reason = next((said for pattern, said in causes.items() if re.search(pattern, text)), None)
+    last = text.strip().splitlines()[-1][:200] if text.strip() else "no message"
+    return IntegrationError(reason or last, segment=segment, time=time, state=np.asarray(state))

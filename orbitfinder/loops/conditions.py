@@ -1,0 +1,164 @@
+"""The conditions that single out one orbit: closure with its symmetry, phase, pins.
+
+`transcribe` in `shooting.py` asks this module for rows; nothing here integrates anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import Invariant, Model
+
+
+@dataclass(frozen=True)
+class Pin:
+    """One prescribed number: `energy` (J), `period` (s), another invariant, or a state component at t = 0."""
+
+    name: str
+    value: float
+
+
+def pin(**quantities: float) -> tuple[Pin, ...]:
+    """Pins by name: `pin(energy=-38.35)`, `pin(period=1.7)`, `pin(theta1=0.1)`.
+
+    One pin selects one orbit of a family; more than one is right only with freed physical
+    parameters or further invariants, and `Problem.count()` says so. Raises `InputError`.
+    """
+    pins = tuple(Pin(name, float(value)) for name, value in quantities.items())
+    for one in pins:
+        if not np.isfinite(one.value):
+            raise InputError(f"pin: {one.name} must be finite, got {one.value}; give a number")
+        if one.name == "period" and one.value <= 0:
+            raise InputError(f"pin: period must be positive, got {one.value:g}; give the period in s")
+    return pins
+
+
+def nearest() -> tuple[Pin, ...]:
+    """No pin: among all orbits, the one at the least weighted distance from the guess."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """A boundary condition on a part of the period, and what it makes superfluous.
+
+    `fraction` of the period is integrated. An invariant needs its unfolding only where the
+    boundary rows contain it twice, and a phase condition is needed only where a shift keeps
+    the rows.
+    """
+
+    name: str
+    fraction: float
+    unfold_energy: bool
+    unfold_others: bool
+    time_phase: bool
+    other_phases: bool
+
+
+SYMMETRIES: Mapping[str, Symmetry] = {
+    one.name: one
+    for one in (
+        Symmetry("none", 1.0, True, True, True, True),
+        Symmetry("reflection", 0.5, True, False, True, False),
+        Symmetry("brake", 0.5, False, True, False, True),
+        Symmetry("reversal", 0.5, False, False, False, False),
+        Symmetry("brake+reflection", 0.25, False, False, False, False),
+    )
+}
+
+
+def unfolded_invariants(model: Model, symmetry: Symmetry) -> tuple[Invariant, ...]:
+    """The invariants whose closure equation is redundant, each to be unfolded by one parameter."""
+    return tuple(
+        one
+        for one in model.invariants
+        if (symmetry.unfold_energy if one.generator is None else symmetry.unfold_others)
+    )
+
+
+def boundary_rows(symmetry: Symmetry, start: Any, end: Any, shift: np.ndarray) -> Any:
+    """The rows (2n) that join the end of the horizon to its start.
+
+    none: x(T) - x(0) - shift; reflection: x(T/2) + x(0) - shift; brake: v(0), v(T/2);
+    brake+reflection: v(0), q(T/4) - shift/2, where `shift` (n) holds multiples of 2 pi; reversal:
+    q(0) - shift[:n], q(T/2) - shift[n:], where it (2n) holds multiples of pi.
+    """
+    n = start.numel() // 2
+    if symmetry.name == "none":
+        return end - start - ca.vertcat(shift, np.zeros(n))
+    if symmetry.name == "reflection":
+        return end + start - ca.vertcat(shift, np.zeros(n))
+    if symmetry.name == "brake":
+        return ca.vertcat(start[n:], end[n:])
+    if symmetry.name == "reversal":
+        return ca.vertcat(start[:n] - shift[:n], end[:n] - shift[n:])
+    return ca.vertcat(start[n:], end[:n] - shift / 2)
+
+
+def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, basis: np.ndarray) -> Any:
+    """The rows (2n) of a brake orbit under m constraints: v(0), phi(q(0)), B^T v(T/2).
+
+    `basis` B (n x n-m) spans the velocities that the constraints allow at the guess's far rest; on the manifold
+    J v = 0 says the rest.
+    """
+    n = start.numel() // 2
+    assert model.native is not None
+    return ca.vertcat(start[n:], model.native.constraint(start[:n], parameters), basis.T @ end[n:])
+
+
+def pin_row(model: Model, one: Pin, state: Any, period: Any, parameters: Any) -> Any:
+    """The residual of one pin at the start of the orbit."""
+    return quantity(model, one.name, state, period, parameters) - one.value
+
+
+def quantity(model: Model, name: str, state: Any, period: Any, parameters: Any) -> Any:
+    """What pins and bounds name: the period, an invariant, the energy, or a state component at t = 0."""
+    n = model.degrees_of_freedom
+    if name == "period":
+        return period
+    for invariant in model.invariants:
+        if invariant.name == name:
+            return invariant.value(state[:n], state[n:], parameters)
+    if name == "energy":
+        return model.kinetic(state[:n], state[n:], parameters) + model.potential(state[:n], parameters)
+    return state[model.state_index(name)]
+
+
+def check_pin(model: Model, one: Pin) -> None:
+    """`InputError` when a pin names nothing of this model or an energy that it cannot have."""
+    known = ["energy", "period", *(i.name for i in model.invariants), *model.state_names]
+    if one.name not in known:
+        from orbitfinder._runtime.suggest import closest
+
+        names = ", ".join(dict.fromkeys(known))
+        raise InputError(f"pin: unknown quantity {one.name!r}{closest(one.name, known)}; use one of {names}")
+    floor = lowest_energy(model)
+    if one.name == "energy" and floor is not None and one.value <= floor:
+        raise InputError(
+            f"pin: energy {one.value:.9g} J cannot be reached, the lowest energy of this system is "
+            f"{floor:.9g} J (at rest); give a larger energy (potential zero at the fixed joint)"
+        )
+
+
+def lowest_energy(model: Model) -> float | None:
+    """The minimum of the potential energy in J where it is known in closed form, else None.
+
+    Each coordinate of a chain enters V as -c_i cos theta_i, so the minimum is at 0 or pi each.
+    """
+    if model.system.get("kind") != "chain":
+        return None
+    total = 0.0
+    n = model.degrees_of_freedom
+    values = model.parameter_values
+    rest = float(model.potential(np.zeros(n), values))
+    for i in range(n):
+        turned = np.zeros(n)
+        turned[i] = np.pi
+        total += min(0.0, float(model.potential(turned, values)) - rest)
+    return rest + total

@@ -1,0 +1,166 @@
+"""Why a search ended without an orbit, as one sentence that a person can act on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orbitfinder._runtime.limit import alarm
+from orbitfinder._runtime.quiet import captured
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.integrate.cvodes import integration_error
+from orbitfinder.loops.shooting import Shooting
+from orbitfinder.mechanics.model import energy
+
+REST = 1e-6
+"""Nodes whose rates and accelerations are all below this, relative to the guess's, are an equilibrium."""
+STEADY = 1e-6
+"""Rates that are this much, relative, beside the directions of the symmetries count as along them."""
+NO_UNFOLDING = 1e-6
+"""A fictitious damping (per period) above this says that the conserved quantities do not fit together."""
+
+
+def explain(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Exception:
+    """The error to raise for a decision vector at which IPOPT gave up with `status`, `text` its output."""
+    layout, problem = shooting.layout, shooting.problem
+    if not np.all(np.isfinite(w)):
+        return integration_error(text, layout.nodes(shooting.start)[0], 0.0, problem.guess.period)
+    try:
+        defects = worst_defects(shooting, w)
+    except IntegrationError as error:
+        return error
+    period, unfolding, _ = layout.tail(w)
+    worst = int(np.argmax(defects))
+    segment = period * problem.boundary.fraction / layout.segments
+    place = f"of segment {worst} (t = {(worst + 1) * segment:.4g} s)"
+    if worst == layout.segments - 1:
+        place += ", where the loop should close"
+    return ConvergenceError(
+        f"no orbit found ({status}): largest defect {defects[worst]:.3g} at the end {place}, "
+        f"period {period:.6g} s (guess {problem.guess.period:.6g} s), "
+        f"unfolding {np.max(np.abs(unfolding), initial=0.0):.2g}; {advice(shooting, w, defects)}"
+    )
+
+
+def refuse_equilibrium(shooting: Shooting, w: np.ndarray) -> None:
+    """`ConvergenceError` when what was found closes only because nothing moves."""
+    if at_rest(shooting, w):
+        state = np.array2string(shooting.layout.nodes(w)[0], precision=4, separator=", ")
+        raise ConvergenceError(
+            f"no orbit found: the search fell on an equilibrium, {state}; {_away_from_rest(shooting)}"
+        )
+
+
+def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
+    """What happened and what to try, the most telling sign first."""
+    layout, problem = shooting.layout, shooting.problem
+    period, unfolding, free = layout.tail(w)
+    place = layout.size * layout.segments
+    if at_rest(shooting, w):
+        return f"the search fell on an equilibrium; {_away_from_rest(shooting)}"
+    if turning := _turning(shooting, w):
+        return (
+            f"the motion only turns along the symmetry of {turning} (a relative equilibrium), where energy and "
+            "momentum say the same and a pin is one condition too many; leave the pin out"
+        )
+    low, high = layout.physical(shooting.lower), layout.physical(shooting.upper)
+    if period < 1.05 * low[place]:
+        return "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
+    if period > 0.95 * high[place]:
+        return "the period ran away upwards, as near a separatrix; lower guess.period or pin another energy"
+    after = place + 1 + layout.unfolding
+    bounds = zip(problem.free, free, low[after:], high[after:], strict=True)
+    for name, value, lowest, highest in bounds:
+        if min(value - lowest, highest - value) < 1e-3 * (highest - lowest):
+            return f"{name} ran to the end of its range ({value:.4g}); give a guess nearer to an orbit or free another"
+    if _energy_gap(shooting):
+        return _energy_gap(shooting)
+    if defects.max() < 1e-6 and period * np.max(np.abs(unfolding), initial=0.0) > NO_UNFOLDING:
+        return (
+            "it closes only with the fictitious damping of the unfolding, so no such orbit exists at this pin near "
+            "the guess; pin another value"
+        )
+    if layout.segments == 1:
+        return "one segment amplifies every error; use more segments, or a guess nearer to an orbit"
+    return "try a guess nearer to an orbit, more segments, or another pin"
+
+
+def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
+    """True when no node moves, compared with the guess."""
+    nodes, given = shooting.layout.nodes(w), shooting.layout.nodes(shooting.start)
+    if shooting.problem.model.forced:  # at rest although pushed: every node is the same
+        return len(nodes) > 1 and bool(np.ptp(nodes, axis=0).max() < REST * max(np.ptp(given, axis=0).max(), REST))
+    return _speed(shooting, w) < REST * max(_speed(shooting, shooting.start), REST)
+
+
+def _turning(shooting: Shooting, w: np.ndarray) -> str:
+    """Invariants along whose symmetries all motion goes, x' = sum_k c_k generator_k(x) at every node, or nothing."""
+    layout, model, n = shooting.layout, shooting.problem.model, shooting.layout.size // 2
+    _, unfolding, free = layout.tail(w)
+    turns = [one for one in model.invariants if one.generator is not None]
+    p = model.parameter_values.copy()
+    p[[model.parameter_index(name) for name in shooting.problem.free]] = free
+    left = 1.0 if not turns else 0.0
+    for node in layout.nodes(w) if turns else ():
+        along = np.column_stack([one.generator(node[:n], node[n:], p).full() for one in turns])  # type: ignore[misc]
+        rate = shooting.flow.field(0.0, node, 0 * unfolding, free).full().ravel()
+        missed = rate - along @ np.linalg.lstsq(along, rate, rcond=None)[0]
+        left = max(left, float(np.abs(missed).max() / max(np.abs(rate).max(), 1e-300)))
+    return " and ".join(one.name for one in turns) if left < STEADY else ""
+
+
+def _speed(shooting: Shooting, w: np.ndarray) -> float:
+    """Largest rate or acceleration over the nodes, in units of the period."""
+    _, unfolding, free = shooting.layout.tail(w)
+    clock = shooting.problem.guess.period / (2 * np.pi)
+    n = shooting.layout.size // 2
+    scale = np.concatenate([np.full(n, clock), np.full(n, clock**2)])
+    rates = [
+        shooting.flow.field(0.0, node, unfolding, free).full().ravel() * scale for node in shooting.layout.nodes(w)
+    ]
+    return float(np.abs(rates).max())
+
+
+def _away_from_rest(shooting: Shooting) -> str:
+    if shooting.problem.model.conservative:
+        return "pin a larger energy, or start further from rest"
+    return "start further from rest, nearer to the cycle"
+
+
+def _energy_gap(shooting: Shooting) -> str:
+    """A remark when the pinned energy is far from the guess's own, else nothing."""
+    problem = shooting.problem
+    pinned = [one.value for one in problem.pin if one.name == "energy"]
+    if not pinned:
+        return ""
+    own = energy(problem.model, problem.guess.state)
+    n = problem.model.degrees_of_freedom
+    state = np.asarray(problem.guess.state, float)
+    potential = [energy(problem.model, np.concatenate([q, np.zeros(n)])) for q in (state[:n], np.zeros(n))]
+    size = max(abs(own - min(potential)), abs(pinned[0] - min(potential)))
+    if abs(own - pinned[0]) < 0.3 * size:
+        return ""
+    return (
+        f"the guess has energy {own:.6g} J and the pin asks for {pinned[0]:.6g} J; follow the family there in smaller "
+        "steps, or scale the guess to that energy"
+    )
+
+
+def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """Largest gap at the end of each segment (N) of a decision vector; `IntegrationError` names its segment."""
+    layout, problem = shooting.layout, shooting.problem
+    nodes, (period, unfolding, free) = layout.nodes(w), layout.tail(w)
+    duration = period * problem.boundary.fraction / layout.segments
+    ends = []
+    for k, node in enumerate(nodes):
+        with captured() as output, alarm():
+            try:
+                ends.append(shooting.flow.end(k * duration, node, duration, unfolding, free).full().ravel())
+            except RuntimeError as error:
+                text = str(error)
+        if len(ends) <= k:
+            raise integration_error(f"{output.text}\n{text}", node, k * duration, duration, segment=k)
+    reached = np.asarray(ends)
+    gaps = np.abs(reached[:-1] - nodes[1:]).max(axis=1)
+    rows = shooting.rows(w, reached.T).full().ravel()
+    boundary = rows[layout.size * (layout.segments - 1) : layout.size * layout.segments]
+    return np.append(gaps, float(np.abs(boundary).max()))

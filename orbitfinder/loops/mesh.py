@@ -1,0 +1,157 @@
+"""The mesh of a family: where the Runge-Kutta steps and the shooting nodes are, moved as the orbit changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.loops.continued import Aim, Curve, Place, Solution, correct
+from orbitfinder.loops.graded import rates, step_errors, variation_errors
+
+STEP_ERROR = 5e-13
+"""Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is some 100 times smaller."""
+COARSE = 10.0
+"""A mesh is kept until some step's estimate is this many times as large."""
+VARIATION_ERROR = 2e-10
+"""Estimated error of a step's state-transition matrix on a fresh mesh; the true one is some 100 times smaller."""
+SPARE = 5.0
+"""A mesh is looked at again when the motion alone would do with this many times fewer steps."""
+STALE = 5.0
+"""A mesh is graded anew for the orbits to come when some step's estimate is this many times as large."""
+UNEVEN = 1.4
+"""... unless a segment needs this many times the steps of an average one."""
+SAMPLED = 3
+"""One in so many steps is asked for the error of its state-transition matrix, and whether the mesh still fits."""
+WIDENED = 3
+"""Steps over which the density of a fresh mesh is spread."""
+GROWTH = 30.0
+"""Segments are added until each one's state-transition matrix is below this."""
+STEEPEST = 3000.0
+"""... which is done when one has grown to this: with the segments moved at every orbit no predictor would hold."""
+MOST_SEGMENTS = 60
+MOST_STEPS = 6000
+"""A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
+
+
+def needs_mesh(curve: Curve, found: Solution) -> bool:
+    """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
+    some, growths = _errors(curve, found, SAMPLED), _growths(curve, found)
+    if some.max() > COARSE * STEP_ERROR or growths.max() > STEEPEST:
+        return True
+    if not _density(some).sum() * SPARE < some.size:
+        return False
+    errors = _errors(curve, found)
+    return bool(wanted_steps(curve, found, errors).sum() < 0.5 * errors.size)
+
+
+def _errors(curve: Curve, found: Solution, every: int = 1) -> np.ndarray:
+    """Estimated errors of all steps, or of one in so many."""
+    place = found.place
+    asked = np.arange(0, place.mesh.size - 1, every)
+    return step_errors(curve.propagator, found.march.states, place.mesh, place.tail, asked)
+
+
+def _growths(curve: Curve, found: Solution) -> np.ndarray:
+    size = curve.propagator.size
+    clock = np.sqrt(curve.weights[:size])
+    blocks = [block[:, :size] * clock[:, None] / clock[None, :] for block in found.march.sensitivities]
+    if not np.all(np.isfinite(blocks)):
+        raise IntegrationError("the variations of the motion overflow; give a state and a period that fit each other")
+    return np.array([np.linalg.norm(block, 2) for block in blocks])
+
+
+def _density(errors: np.ndarray, allowed: float = STEP_ERROR) -> np.ndarray:
+    """(error / allowed)^(1/8), the number of steps that each present step should become."""
+    return np.asarray((errors / allowed) ** 0.125)
+
+
+def wanted_steps(curve: Curve, found: Solution, errors: np.ndarray) -> np.ndarray:
+    """The same (M) for the motion, whose `errors` are known, and its variations, of which every third step is asked."""
+    place, states, p = found.place, found.march.states, curve.propagator
+    asked = np.arange(0, errors.size, SAMPLED)
+    varied = variation_errors(p, states, place.mesh, place.tail, curve.weights, asked)
+    return np.maximum(_density(errors), np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size])
+
+
+def _spread(density: np.ndarray) -> np.ndarray:
+    """The density widened to its neighbours, so that the mesh still fits when the motion has moved a little."""
+    return np.asarray(uniform_filter1d(maximum_filter1d(density, WIDENED, mode="nearest"), WIDENED, mode="nearest"))
+
+
+def remeshed(curve: Curve, found: Solution) -> Place:
+    """The place on a mesh that spreads the error estimate evenly, with as many segments as the growth asks for.
+
+    Nodes are interpolated and must be corrected again.
+    """
+    place, states = found.place, found.march.states
+    density = _spread(np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15))
+    growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
+    least = 2 if curve.propagator.symmetry.fraction == 1.0 else 1  # so that two processors share a whole period
+    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), least, MOST_SEGMENTS))
+    if not density.sum() < MOST_STEPS:
+        raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
+    each = _rounded(density.sum() / count)
+    work = np.concatenate([[0.0], np.cumsum(density)])
+    mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
+    slopes = rates(curve.propagator, states, place.tail) * place.period
+    nodes = CubicHermiteSpline(place.mesh, states, slopes)(mesh[:-1:each])
+    return replace(place, nodes=np.vstack([place.nodes[:1], nodes[1:]]), mesh=mesh)
+
+
+def _rounded(steps: float) -> int:
+    """A tenth more than so many steps, and one of few distinct numbers, so that compiled marches are used again."""
+    each = int(np.ceil(1.1 * steps)) + 2
+    return each + -each % 4
+
+
+def regraded(curve: Curve, found: Solution) -> np.ndarray:
+    """The mesh of an orbit, its steps moved inside their segments to where they are needed.
+
+    Nodes, and with them the equations, stay as they are: Newton's method can do so on its way.
+    """
+    place, errors = found.place, _errors(curve, found)
+    if errors.max() < STALE * STEP_ERROR:
+        return place.mesh
+    density = _spread(np.maximum(wanted_steps(curve, found, errors), 0.15)).reshape(len(place.nodes), -1)
+    needed = density.sum(axis=1)
+    if not needed.max() < min(UNEVEN * needed.mean(), MOST_STEPS / len(needed)):
+        return place.mesh  # the segments themselves are in the wrong place, which `settled` sees in time
+    each, old = _rounded(needed.max()), density.shape[1]
+    pieces = []
+    for k, part in enumerate(density):
+        work = np.concatenate([[0.0], np.cumsum(part)])
+        edges = place.mesh[k * old : (k + 1) * old + 1]
+        pieces.append(np.interp(np.linspace(0.0, work[-1], each + 1), work, edges)[:-1])
+        pieces[-1][0] = edges[0]
+    return np.append(np.concatenate(pieces), place.mesh[-1])
+
+
+def refined(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
+    """The same orbit with half as many steps again in every segment, for one whose shear amplifies their errors."""
+    place = found.place
+    count = len(place.nodes)
+    steps = (place.mesh.size - 1) // count
+    more = 4 * int(np.ceil(1.5 * steps / 4))
+    old, new = np.arange(place.mesh.size), np.linspace(0.0, place.mesh.size - 1, count * more + 1)
+    finer = replace(place, mesh=np.interp(new, old, place.mesh))
+    return correct(curve, finer, Aim(float(normal @ place.head), normal), place)
+
+
+def settled(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
+    """The same orbit on a fitting mesh, held in the hyperplane through it with this normal.
+
+    Segments stay where they are if they can, for the predictor of the next orbit looks back over them.
+    """
+    for _ in range(4):
+        if not needs_mesh(curve, found):
+            break
+        aim, mesh = Aim(float(normal @ found.place.head), normal), found.place.mesh
+        if _growths(curve, found).max() <= STEEPEST:
+            mesh = regraded(curve, found)
+        place = remeshed(curve, found) if mesh is found.place.mesh else replace(found.place, mesh=mesh)
+        found = correct(curve, place, aim, found.place)
+    return found

@@ -1,0 +1,287 @@
+"""A Problem: a Model, a guess and the conditions that single out one orbit, counted before solving."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime.arguments import check, check_fields
+from orbitfinder._runtime.suggest import closest
+from orbitfinder.errors import CountError, InputError
+from orbitfinder.integrate.idas import check_consistent
+from orbitfinder.loops.conditions import SYMMETRIES, Pin, Symmetry, check_pin, unfolded_invariants
+from orbitfinder.loops.freedom import Constraint, Expression, check_bounds, check_constraint
+from orbitfinder.loops.symmetry import check_symmetry, time_dependent
+from orbitfinder.mechanics.constrained import ConstrainedModel
+from orbitfinder.mechanics.model import Model
+
+CLOSURE_TOLERANCE = 1e-12
+"""Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
+PEAKS = ("max_amplitude", "min_peak_rate")
+"""Objectives about the largest value along the orbit of one coordinate or its rate."""
+OBJECTIVES = ("nearest", "min_instability", *PEAKS)
+LARGEST_TOLERANCE = 1e-6
+"""A looser closure than this is not called one, whatever a problem or a file asks for."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A starting point: state (2n) at t = 0 and period T in s; optionally a whole trajectory.
+
+    `times` (k, from 0 to T) and `states` (k x 2n) give the trajectory when there is one;
+    without it the start is simulated from `state`. Raises `InputError`.
+    """
+
+    state: Any
+    period: float
+    times: np.ndarray | None = None
+    states: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        check("guess.state", "Sequence[float]", self.state)
+        check("guess.period", "float", self.period)
+        check_fields(self)
+        if not np.isfinite(self.period) or self.period <= 0:
+            raise InputError(f"guess.period: must be positive and finite, got {self.period}; give a period in s")
+
+
+@dataclass(frozen=True)
+class Count:
+    """Equations against unknowns of a Problem, by name."""
+
+    equations: Mapping[str, int]
+    unknowns: Mapping[str, int]
+
+    @property
+    def freedom(self) -> int:
+        """Unknowns minus equations: 0 is square, positive leaves room for an objective."""
+        return sum(self.unknowns.values()) - sum(self.equations.values())
+
+    def __str__(self) -> str:
+        def listed(parts: Mapping[str, int]) -> str:
+            return " + ".join(f"{number} {name}" for name, number in parts.items() if number)
+
+        return (
+            f"{sum(self.equations.values())} equations ({listed(self.equations)}) "
+            f"in {sum(self.unknowns.values())} unknowns ({listed(self.unknowns)})"
+        )
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What to find. `pin=()` takes the orbit nearest to the guess; a ConstrainedModel is taken in its reduced form.
+
+    `symmetry` is none | brake | reflection | reversal | brake+reflection; `winding` the whole turns of each
+    coordinate in one period; `segments` the shooting intervals of the horizon (None: chosen from
+    the instability of the guess); `tolerance` the closure that the certificate asks for; `free`
+    physical parameters the solver may change; `expected` {"period": (value, tolerance)} that the
+    result must agree with.
+
+    What the count leaves free is chosen by `objective`: "nearest" to the guess, "min_instability",
+    "max_amplitude" or "min_peak_rate" (of `coordinate`, default the one that moves most), or a callable
+    that makes a CasADi expression of `Variables` (a vector r stands for |r|^2 / 2). `bounds` are ranges
+    of the period, invariants, freed parameters and state components at t = 0; `constraints` any other;
+    `phase_condition` an expression to be 0 at t = 0 instead of the hyperplane through the guess.
+    """
+
+    model: Model
+    guess: Guess
+    pin: tuple[Pin, ...] = ()
+    symmetry: str = "none"
+    winding: tuple[int, ...] | None = None
+    segments: int | None = None
+    tolerance: float = CLOSURE_TOLERANCE
+    free: tuple[str, ...] = ()
+    expected: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    name: str = "orbit"
+    title: str = ""
+    source: str = ""
+    objective: str | Expression = "nearest"
+    coordinate: str | None = None
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    constraints: tuple[Constraint, ...] = ()
+    phase_condition: Expression | None = None
+
+    def __post_init__(self) -> None:
+        given: Any = self.model
+        if isinstance(given, ConstrainedModel):
+            object.__setattr__(self, "model", given.as_model())
+        check_fields(self)
+        _check(self)
+
+    @property
+    def boundary(self) -> Symmetry:
+        """The symmetry as a boundary condition."""
+        return SYMMETRIES[self.symmetry]
+
+    @property
+    def forcing_cycles(self) -> int:
+        """Periods of the forcing in one period of the orbit: the whole number nearest to the guess's; 0 unforced."""
+        return self.model.forcing_cycles(self.guess.period)
+
+    @property
+    def turns(self) -> np.ndarray:
+        """Whole turns of each coordinate in one period (n)."""
+        n = self.model.degrees_of_freedom
+        return np.zeros(n, int) if self.winding is None else np.asarray(self.winding, int)
+
+    def count(self, segments: int | None = None) -> Count:
+        """Equations and unknowns of the shooting system with this many segments."""
+        intervals = segments or self.segments or 1
+        size, symmetry = len(self.model.state_names), self.boundary
+        others = sum(one.generator is not None for one in self.model.invariants)
+        equations = {
+            "defects": size * (intervals - 1),
+            "boundary": size,
+            "phase conditions": int(symmetry.time_phase and not self.model.forced) + others * symmetry.other_phases,
+            "forcing period": int(self.model.forced),
+            "pins": len(self.pin),
+            "constraints": sum(one.rows for one in self.constraints if one.equation),
+        }
+        unknowns = {
+            "node states": size * intervals,
+            "period": 1,
+            "unfolding": len(unfolded_invariants(self.model, symmetry)),
+            "freed parameters": len(self.free),
+        }
+        return Count(equations, unknowns)
+
+    def check_count(self) -> Count:
+        """The count of a solvable problem; `CountError` with count and reason otherwise."""
+        count = self.count()
+        if count.freedom < 0:
+            room = len(self.pin) + count.freedom
+            isolated = "" if self.model.invariants else " (nothing is conserved, so its orbits stand alone)"
+            raise CountError(
+                f"pin: over-determined, {count}: {len(self.pin)} pins where the family has room for "
+                f"{room}{isolated}; remove {-count.freedom} or free as many physical parameters"
+            )
+        if self.objective != "nearest":
+            return self._check_choice(count)
+        if self.pin and not self.free and not self.constraints and count.freedom > 0:
+            names = ", ".join(one.name for one in self.model.invariants)
+            raise CountError(
+                f"pin: under-determined, {count}: orbits of this system come in "
+                f"{count.freedom + len(self.pin)}-parameter families (invariants: {names}); add "
+                f"{count.freedom} pins, or give none for the nearest orbit"
+            )
+        return count
+
+    @property
+    def choice(self) -> bool:
+        """True when the least unstable of isolated orbits is asked for, which no solver from one guess can tell."""
+        return self.objective == "min_instability" and self.count().freedom == 0 and "period" in self.bounds
+
+    def _check_choice(self, count: Count) -> Count:
+        if count.freedom == 0 and not self.choice:
+            raise CountError(
+                f"objective: nothing is left to choose, {count}; remove a pin, free a physical parameter, or for "
+                "min_instability give the range of periods in bounds to choose among separate orbits"
+            )
+        return count
+
+
+def _check(problem: Problem) -> None:
+    model, guess = problem.model, problem.guess
+    state = np.asarray(guess.state, float)
+    size = len(model.state_names)
+    if state.shape != (size,):
+        raise InputError(
+            f"guess.state: {state.size} numbers for {size // 2} coordinates; give {size} "
+            f"({', '.join(model.state_names)})"
+        )
+    if not np.all(np.isfinite(state)):
+        raise InputError(f"guess.state: must be finite, got {state.tolist()}; replace NaN and infinity by numbers")
+    if problem.symmetry not in SYMMETRIES:
+        raise InputError(f"symmetry: unknown {problem.symmetry!r}; use one of {', '.join(SYMMETRIES)}")
+    _check_winding(problem)
+    if problem.segments is not None and problem.segments < 1:
+        raise InputError(f"segments: must be at least 1, got {problem.segments}; leave it out for the default")
+    if not 0 < problem.tolerance <= LARGEST_TOLERANCE:
+        raise InputError(
+            f"tolerance: must be positive and at most {LARGEST_TOLERANCE:g}, got {problem.tolerance}; "
+            f"the default is {CLOSURE_TOLERANCE:g}"
+        )
+    for name in problem.free:
+        model.parameter_index(name)
+    for one in problem.pin:
+        check_pin(model, one)
+        if problem.symmetry == "reversal" and one.name in model.state_names[: size // 2]:
+            raise InputError(
+                f"pin: {one.name} is a multiple of pi, or 0, where a reversal orbit starts; pin its rate, the energy "
+                "or the period"
+            )
+    check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
+    for condition in problem.constraints:
+        check_constraint(condition)
+    _check_objective(problem)
+    if not model.conservative and "energy" in {one.name for one in problem.pin}:
+        raise InputError(
+            "pin: energy is not conserved by this system; leave the pin out, or free a parameter and pin the "
+            "period or a state component"
+        )
+    if not model.conservative:
+        _check_forcing(problem)
+    if model.native is not None:
+        check_consistent(replace(model.native, parameter_values=model.parameter_values), state)
+    check_symmetry(model, state, problem.symmetry, problem.forcing_cycles)
+
+
+def _check_objective(problem: Problem) -> None:
+    named, symmetry = problem.objective, problem.boundary
+    if isinstance(named, str) and named not in OBJECTIVES:
+        raise InputError(
+            f"objective: unknown {named!r}{closest(named, OBJECTIVES)}; use one of {', '.join(OBJECTIVES)}, or in "
+            "Python a callable"
+        )
+    if problem.coordinate is not None:
+        n = problem.model.degrees_of_freedom
+        if named not in PEAKS:
+            raise InputError(f"coordinate: goes with the objectives {' and '.join(PEAKS)}; leave it out")
+        if problem.coordinate not in problem.model.state_names[:n]:
+            known = ", ".join(problem.model.state_names[:n])
+            raise InputError(f"coordinate: unknown {problem.coordinate!r}; this system has {known}")
+    phased = symmetry.time_phase and not problem.model.forced
+    if not phased and (named == "min_peak_rate" or problem.phase_condition is not None):
+        raise InputError(
+            f"objective: needs the freedom to choose t = 0, which symmetry = {problem.symmetry!r}"
+            f"{' and the forcing do' if problem.model.forced else ' does'} not leave; use symmetry none or reflection"
+        )
+    if problem.model.forced and named == "max_amplitude":
+        raise InputError("objective: max_amplitude needs the freedom to choose t = 0, which a forcing does not leave")
+
+
+def _check_forcing(problem: Problem) -> None:
+    model = problem.model
+    if model.forcing_period is None:
+        if time_dependent(model):
+            raise InputError(
+                "system: its equations depend on time; declare the period of that, Symbols(..., forcing_period=...)"
+            )
+        return
+    clock = float(model.forcing_period(model.parameter_values))
+    if not (np.isfinite(clock) and clock > 0):
+        raise InputError(f"forcing_period: must be positive and finite, got {clock}; check the forcing's frequency")
+    if "period" in {one.name for one in problem.pin}:
+        raise InputError(
+            f"pin: the forcing prescribes the period, a multiple of {clock:.9g} s (guess.period chooses which, now "
+            f"{problem.forcing_cycles}); leave period out"
+        )
+
+
+def _check_winding(problem: Problem) -> None:
+    if problem.winding is None:
+        return
+    n = problem.model.degrees_of_freedom
+    if len(problem.winding) != n:
+        raise InputError(f"winding: {len(problem.winding)} numbers for {n} coordinates; give one per coordinate")
+    if any(k and not angle for k, angle in zip(problem.winding, problem.model.angles or (False,) * n, strict=True)):
+        raise InputError(f"winding: {list(problem.winding)} turns a coordinate that is not an angle; set it to 0")
+    if any(problem.winding) and problem.symmetry not in ("none", "reversal"):
+        raise InputError(
+            f"winding: a {problem.symmetry} orbit comes back, so {list(problem.winding)} cannot hold; "
+            "use symmetry = 'none' or 'reversal' for running orbits"
+        )

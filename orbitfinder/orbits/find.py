@@ -1,0 +1,312 @@
+"""From a Problem to a certified Orbit: shoot with IPOPT, polish, reduce the period, measure, certify."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.limit import limited
+from orbitfinder._runtime.threads import one_thread
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
+from orbitfinder.guesses.balanced import balanced_guess
+from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
+from orbitfinder.loops.conditions import Pin, unfolded_invariants
+from orbitfinder.loops.dae_segments import build_dae_flow
+from orbitfinder.loops.ipopt import Callback as Callback
+from orbitfinder.loops.ipopt import Progress as Progress
+from orbitfinder.loops.ipopt import SolveSettings as SolveSettings
+from orbitfinder.loops.newton import polish
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.shooting import Shooting, transcribe, units_of
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits import hints
+from orbitfinder.orbits.certify import certified
+from orbitfinder.orbits.evidence import extents_of, relative_gap
+from orbitfinder.orbits.measure import dense, measure
+from orbitfinder.orbits.objectives import chosen
+from orbitfinder.orbits.prepare import at_forcing_period, at_section, check_invariants, winding_of
+from orbitfinder.records.orbit import Orbit
+
+NEAR_BOUND = 1e-6
+"""A quantity this near to the end of its range, relative, is held there by it."""
+
+DEPENDENT = 1e-6
+"""Unfoldings whose forces along the orbit agree to this, relative, cannot be told apart."""
+
+
+@one_thread()
+def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress: Callback | None = None) -> Orbit:
+    """The periodic orbit that a Problem singles out, with its certificate.
+
+    Multiple shooting solved by IPOPT with an explicit Hessian (so that a square problem is solved
+    by Newton's method), two or more Newton steps on the residual of a high-order integrator, the
+    minimal period. Symmetric modes of chains of 11 links and more are found by `long_chain` instead.
+    Raises `CountError` before solving an over- or under-determined problem,
+    `ConvergenceError` with a sentence to act on, `IntegrationError` when a segment cannot be
+    integrated from the guess, `LimitError` after `settings.limit` s. The result may still fail its certificate: look at
+    `orbit.certificate.passed`.
+    """
+    settings = settings or SolveSettings()
+    with limited(settings.limit):
+        return _found(problem, settings, progress)
+
+
+def _found(problem: Problem, settings: SolveSettings, progress: Callback | None) -> Orbit:
+    from orbitfinder.orbits.long_chain import find_long_chain, suits
+
+    began = time.perf_counter()
+    problem.check_count()
+    if settings.with_certificate:
+        _certifiable(problem.model)
+    hints.say(hints.of_degrees(problem))
+    if suits(problem):
+        return find_long_chain(problem, settings, progress)
+    check_invariants(problem)
+    problem = at_forcing_period(problem)
+    unfolded = unfolded_invariants(problem.model, problem.boundary)
+    if problem.model.native is None:
+        flow = build_flow(problem.model, problem.free, unfolded, settings.integrator, units_of(problem))
+    else:
+        flow = build_dae_flow(problem.model, problem.free, unfolded, settings.integrator)
+    problem = at_section(problem, flow)
+    said: dict[str, Any] = {}
+    try:
+        refined, w = _shot(problem, flow, settings, _reporter(progress, began))
+    except (ConvergenceError, IntegrationError) as error:
+        refined, w = _shot_again(problem, flow, settings, _reporter(progress, began), error)
+        said = {"start": "harmonic balance along the family of the guess's linear mode"}
+    period, unfolding = refined.layout.tail(w)[:2]
+    unfolding = acting(refined.flow, refined.layout.nodes(w), unfolding)
+    orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), period, unfolding)
+    _within(problem, orbit)
+    said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
+    orbit = replace(orbit, provenance=said)
+    if settings.with_certificate:
+        orbit = certified(orbit, refined.problem.model)
+        hints.say(hints.of_invariants(problem, orbit))
+    if progress:
+        progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
+    return orbit
+
+
+def _certifiable(model: Model) -> None:
+    """`InputError` for what no certificate is made of, before anything is solved."""
+    if model.native is not None and not model.conservative:
+        raise InputError(
+            "system: under constraints only conservative systems are certified, and forces or time act on this one; "
+            "describe it in minimal coordinates (lagrange), or solve it with SolveSettings(with_certificate=False)"
+        )
+
+
+def acting(flow: Flow, nodes: np.ndarray, unfolding: np.ndarray) -> np.ndarray:
+    """The smallest s with the same fictitious forces sum_k s_k u_k(q, v) at all nodes.
+
+    On a relative equilibrium (a conical pendulum) the velocity is the direction of a symmetry, so that the energy's
+    unfolding and the momentum's are one, and Newton's method leaves any amount of one against the other.
+    """
+    n, p = flow.model.degrees_of_freedom, flow.model.parameter_values
+    if len(unfolding) < 2:
+        return unfolding
+    columns = [[one.unfolding(x[:n], x[n:], p).full().ravel() for x in nodes] for one in flow.unfolded]
+    forces = np.asarray(columns).reshape(len(unfolding), -1).T
+    sizes = np.linalg.norm(forces, axis=0)
+    sizes[sizes == 0] = 1.0
+    scaled = forces / sizes
+    return np.asarray(np.linalg.pinv(scaled, rcond=DEPENDENT) @ (scaled @ (sizes * unfolding))) / sizes
+
+
+def _shot(
+    problem: Problem, flow: Flow, settings: SolveSettings, report: Callback | None
+) -> tuple[Shooting, np.ndarray]:
+    """The polished loop over its minimal period."""
+    nodes = initial_nodes(problem, flow, settings)
+    if problem.winding is None:
+        problem = replace(problem, winding=winding_of(problem, flow, nodes))
+    return _minimal(*_polished(*chosen(problem, nodes, flow, settings, report)), settings)
+
+
+def _shot_again(
+    problem: Problem, flow: Flow, settings: SolveSettings, report: Callback | None, error: OrbitfinderError
+) -> tuple[Shooting, np.ndarray]:
+    """The same from a better guess, where there is one; raises the first error where there is none."""
+    interrupt.check()  # CasADi makes a failed search of Ctrl-C
+    guess = balanced_guess(problem)
+    if guess is None:
+        raise error
+    try:
+        return _shot(replace(problem, guess=guess), flow, settings, report)
+    except (ConvergenceError, IntegrationError):
+        raise error from None
+
+
+def _within(problem: Problem, orbit: Orbit) -> None:
+    """`ConvergenceError` when the minimal period is no longer in the range asked for."""
+    low, high = problem.bounds.get("period", (0.0, np.inf))
+    if not low * (1 - NEAR_BOUND) <= orbit.period <= high * (1 + NEAR_BOUND):
+        raise ConvergenceError(
+            f"no orbit found: the search went round an orbit of period {orbit.period:.6g} s several times, which is "
+            f"outside bounds.period [{low:g}, {high:g}]; start nearer to an orbit of that period"
+        )
+
+
+def _choice(problem: Problem, model: Model) -> dict[str, Any]:
+    """What was left to choose and what came of it, for the provenance."""
+    found = {name: float(model.parameter_values[model.parameter_index(name)]) for name in problem.free}
+    said: dict[str, Any] = {"free": found} if found else {}
+    if problem.objective != "nearest":
+        said["objective"] = problem.objective if isinstance(problem.objective, str) else "callable"
+    if problem.bounds:
+        said["bounds"] = {name: [float(end) for end in ends] for name, ends in problem.bounds.items()}
+    return said
+
+
+def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.ndarray:
+    """Node states (N x 2n) of the guess: sampled from its trajectory, else simulated from its state."""
+    guess, horizon = problem.guess, problem.boundary.fraction * problem.guess.period
+    count = problem.segments or _segments_needed(problem, flow, horizon, settings)
+    moments = np.arange(count) * horizon / count
+    if guess.times is not None and guess.states is not None:
+        return np.stack([np.interp(moments, guess.times, column) for column in guess.states.T], axis=1)
+    nodes = [np.asarray(guess.state, float)]
+    for k in range(1, count):
+        try:
+            nodes.append(end_state(flow, nodes[-1], horizon / count, moments[k - 1]))
+        except IntegrationError as error:
+            raise IntegrationError(error.reason, segment=k - 1, time=error.time, state=nodes[-1]) from None
+    return np.asarray(nodes)
+
+
+def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: SolveSettings) -> int:
+    """As many segments as keep each state-transition matrix below `growth_per_segment`."""
+    state = np.asarray(problem.guess.state, float)
+    clock = np.concatenate([np.ones(state.size // 2), np.full(state.size // 2, problem.guess.period / (2 * np.pi))])
+    matrix = transition(flow, state, horizon)[1]
+    growth = float(np.linalg.norm(matrix * clock[:, None] / clock[None, :], 2))
+    needed = int(np.ceil(np.log(max(growth, 2.0)) / np.log(settings.growth_per_segment)))
+    fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
+    return min(max(needed, fewest), settings.most_segments)
+
+
+def _reporter(progress: Callback | None, began: float) -> Callback | None:
+    if progress is None:
+        return None
+    return lambda event: progress(replace(event, elapsed=time.perf_counter() - began))
+
+
+def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
+    """Newton on the high-order residual; freed parameters are then written into the model.
+
+    A problem with an objective is first made square by holding its place in the family.
+    """
+    problem, layout = shooting.problem, shooting.layout
+    square = shooting.square
+    if square:
+        w = polish(shooting, w)
+    if square and not problem.free and not problem.constraints:
+        return shooting, w
+    period, unfolding, free = layout.tail(w)
+    nodes = layout.nodes(w)
+    values = {name: _snapped(problem, name, float(value)) for name, value in zip(problem.free, free, strict=True)}
+    model = with_parameters(problem.model, values)
+    settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
+    if model.invariants:
+        settled = replace(settled, pin=problem.pin[:1] or _held(problem, natural_pin(settled, nodes[0]), period))
+    held = transcribe(settled, nodes, None if problem.free else shooting.flow)
+    return held, polish(held, held.layout.join(nodes, period, np.zeros(0), unfolding))
+
+
+def _snapped(problem: Problem, name: str, value: float) -> float:
+    """A value, or the end of its range that an inequality holds it at."""
+    for end in problem.bounds.get(name, ()):
+        if abs(value - end) <= NEAR_BOUND * max(1.0, abs(end)):
+            return float(end)
+    return value
+
+
+def _held(problem: Problem, natural: tuple[Pin, ...], period: float) -> tuple[Pin, ...]:
+    """The pin at which an orbit is polished: the range's end where one holds it, else its own energy."""
+    held = _snapped(problem, "period", period)
+    if held in problem.bounds.get("period", ()):
+        return (Pin("period", held),)
+    return tuple(Pin(one.name, _snapped(problem, one.name, one.value)) for one in natural)
+
+
+def without_choice(problem: Problem) -> Problem:
+    """The same Problem with nothing left to choose: no freed parameters, objective, bounds, constraints or pins."""
+    return replace(
+        problem, free=(), pin=(), objective="nearest", coordinate=None, bounds={}, constraints=(), phase_condition=None
+    )
+
+
+def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
+    """The pin that holds an orbit where it is in its family: its energy; nothing where none is conserved."""
+    n = problem.model.degrees_of_freedom
+    values = problem.model.parameter_values
+    first = problem.model.invariants[:1]
+    return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in first)
+
+
+def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
+    """The same orbit over its minimal period, when the solver went round it several times."""
+    problem, layout = shooting.problem, shooting.layout
+    if problem.symmetry != "none":
+        return shooting, w
+    cover = cover_of(shooting, w)
+    if cover == 1:
+        return shooting, w
+    period = layout.tail(w)[0] / cover
+    count = max(1, layout.segments // cover)
+    state = layout.nodes(w)[0]
+    turns = tuple(int(k) for k in problem.turns // cover)
+    pins = natural_pin(problem, state)
+    shorter = replace(problem, guess=Guess(state, period), pin=pins, segments=count, winding=turns)
+    shot = transcribe(shorter, initial_nodes(shorter, shooting.flow, settings), shooting.flow)
+    return shot, polish(shot, shot.start)
+
+
+def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float = 1e-5) -> int:
+    """The largest k <= `most` for which x(T/k) = x(0), the winding divided by k."""
+    layout, problem = shooting.layout, shooting.problem
+    period, nodes = layout.tail(w)[0], layout.nodes(w)
+    times, states = dense(shooting.flow, nodes, period)
+    n = problem.model.degrees_of_freedom
+    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
+    units = extents_of(problem.model, states, period)
+    for cover in range(most, 1, -1):
+        if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
+            continue
+        reached = np.concatenate([spline(period / cover), spline(period / cover, 1)])
+        if relative_gap(states[0], reached, problem.turns // cover, units) < tolerance:
+            return cover
+    return 1
+
+
+def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[str, Any]:
+    """Versions, tolerances, wall time and guess: enough to repeat the search."""
+    import platform
+
+    import scipy
+
+    from orbitfinder._runtime.version import __version__
+
+    return {
+        "orbitfinder": __version__,
+        "casadi": ca.__version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "python": platform.python_version(),
+        "relative_tolerance": settings.integrator.relative_tolerance,
+        "absolute_tolerance": settings.integrator.absolute_tolerance,
+        "ipopt_tolerance": settings.ipopt_tolerance,
+        "guess": {"state": [float(x) for x in problem.guess.state], "period": float(problem.guess.period)},
+        "pin": {one.name: one.value for one in problem.pin},
+        "invariants": [one.name for one in problem.model.invariants],
+        "wall_time": round(time.perf_counter() - began, 3),
+    }

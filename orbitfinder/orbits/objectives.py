@@ -1,0 +1,253 @@
+"""The named objectives: what they minimise, and where along the orbit t = 0 has to be for that.
+
+The largest value along an orbit is not a smooth function of its nodes. With t = 0 at a peak of the
+coordinate (or of its rate) it is: the phase condition becomes v_i(0) = 0 (or a_i(0) = 0), and the
+peak is x_i(0). Which of several peaks is the largest is looked up afterwards, and the search goes on
+from there when it was another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, CountError, InputError
+from orbitfinder.integrate.cvodes import Flow, build_flow
+from orbitfinder.loops.freedom import Constraint, Variables
+from orbitfinder.loops.ipopt import Callback, SolveSettings, solve_nlp
+from orbitfinder.loops.problem import PEAKS, Guess, Problem
+from orbitfinder.loops.shooting import Shooting, transcribe
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.orbits.instability import instability, trivial_count
+from orbitfinder.orbits.measure import dense, full_period
+
+ROUNDS = 6
+"""Peaks that are tried before two of them are said to compete."""
+LARGEST_BOX, SMALLEST_BOX, MOST_BOXES = 0.3, 0.004, 60
+"""Steps along the family, relative to the motion's extent, and how many of them."""
+COARSE_BOX = 0.05
+"""The smallest step where a kink is the usual reason for failing: it is looked for next."""
+PEAK_TOLERANCE = 1e-6
+"""A peak is another's equal when it is higher by less than this, relative."""
+
+
+class StalledError(ConvergenceError):
+    """The objective cannot be followed further than `w`, the decision vector of an orbit."""
+
+    def __init__(self, message: str, w: np.ndarray) -> None:
+        super().__init__(message)
+        self.w = w
+
+
+def chosen(
+    problem: Problem, nodes: np.ndarray, flow: Flow, settings: SolveSettings, report: Callback | None = None
+) -> tuple[Shooting, np.ndarray]:
+    """The solved nonlinear program of a Problem; its objective, where it has a name, made explicit first.
+
+    Any objective but the distance is followed from the nearest orbit within the bounds, because an
+    approximate Hessian far from all orbits leads astray.
+    """
+    if problem.choice:
+        raise CountError(
+            "objective: with nothing free the orbits stand alone, and the least unstable of them is a choice among "
+            "many searches; use orbitfinder.least_unstable(problem) or a problem file"
+        )
+    stability = problem.objective == "min_instability"
+    if stability:
+        if problem.model.native is not None:
+            raise InputError("objective: min_instability needs minimal coordinates; see minimal_linkage")
+        problem = replace(problem, objective=instability(problem.model))
+    first = transcribe(replace(problem, objective="nearest", coordinate=None), nodes, flow)
+    w = solve_nlp(first, settings, report)
+    if problem.objective == "nearest":
+        return first, w
+    if problem.objective in PEAKS:
+        return _peak(problem, (first, w), settings, report)
+    shooting = transcribe(problem, nodes, flow)
+    try:
+        return shooting, followed(shooting, settings, report, w, COARSE_BOX if stability else SMALLEST_BOX)
+    except StalledError as stalled:
+        if not stability:
+            raise
+        return _crossing(shooting, nodes, stalled, settings, report)
+
+
+def _crossing(
+    shooting: Shooting, nodes: np.ndarray, stalled: StalledError, settings: SolveSettings, report: Callback | None
+) -> tuple[Shooting, np.ndarray]:
+    """Where the larger of two stability indices is smallest because there they are opposite, k1 = -k2.
+
+    That is the usual optimum with two pairs of multipliers, and a kink: found as an equation, k1 + k2 =
+    trace Phi(T) less the trivial ones = 0. Raises the error of the search that stalled where it is none.
+    """
+    problem, flow = shooting.problem, shooting.flow
+    trivial = trivial_count(problem.model)
+    if not problem.model.conservative or 2 * problem.model.degrees_of_freedom - trivial != 4:
+        raise stalled
+    opposite = Constraint(lambda known: ca.trace(known.monodromy) - trivial, name="opposite indices")
+    single = problem.count().freedom == 1
+    wanted = replace(
+        problem, constraints=(*problem.constraints, opposite), objective="nearest" if single else problem.objective
+    )
+    crossed = transcribe(wanted, nodes, flow)
+    solved = solve_nlp if single else followed
+    try:
+        w = solved(crossed, settings, report, stalled.w)
+    except ConvergenceError as error:
+        raise stalled from error
+    if not _least(shooting, stalled.w, w):
+        raise stalled
+    return crossed, w
+
+
+def _least(shooting: Shooting, before: np.ndarray, w: np.ndarray) -> bool:
+    """True when the objective at w is below that of another orbit, and grows to both sides along the orbits."""
+    value = ca.Function("value", [shooting.variables], [shooting.objective])
+    _, singular, rows = np.linalg.svd(shooting.jacobian(w).full())
+    if w.size - int(np.sum(singular > 1e-9 * singular[0])) != 1:
+        return float(value(w)) <= float(value(before)) + 1e-9
+    step = 1e-4 * rows[-1]
+    here = float(value(w))
+    return here <= float(value(before)) + 1e-9 and min(float(value(w + step)), float(value(w - step))) > here
+
+
+def followed(
+    shooting: Shooting, settings: SolveSettings, report: Callback | None, start: np.ndarray,
+    smallest: float = SMALLEST_BOX,
+) -> np.ndarray:  # fmt: skip
+    """The optimum reached from an orbit through boxes of a fraction of its extent, each solved by IPOPT.
+
+    A quasi-Newton step can be of any length, and the orbit's equations have many solutions: the boxes keep the
+    search on the family that it started on. A box that fails is made smaller.
+    """
+    w, size = start, LARGEST_BOX
+    for _ in range(MOST_BOXES):
+        reach = size * _extents(shooting, w)
+        lower, upper = np.maximum(shooting.lower, w - reach), np.minimum(shooting.upper, w + reach)
+        try:
+            found = solve_nlp(replace(shooting, lower=lower, upper=upper), settings, report, w)
+        except ConvergenceError as error:
+            size /= 4
+            if size < smallest:
+                raise StalledError(_stopped(shooting, w), w) from error
+            continue
+        w, edge = found, 1e-4 * reach
+        inside = ((w > lower + edge) | (lower == shooting.lower)) & ((w < upper - edge) | (upper == shooting.upper))
+        if np.all(inside):
+            return w
+        size = min(LARGEST_BOX, 2 * size)
+    raise ConvergenceError(
+        f"no orbit found: the objective still improves after {MOST_BOXES} steps along the family; give bounds, or a "
+        "guess nearer to the optimum"
+    )
+
+
+def _stopped(shooting: Shooting, w: np.ndarray) -> str:
+    """Where the search along the family came to a halt, and what that may mean."""
+    period, _, free = shooting.layout.tail(w)
+    place = "".join(f", {name} {value:.6g}" for name, value in zip(shooting.problem.free, free, strict=True))
+    return (
+        f"no orbit found: the objective cannot be followed beyond the orbit of period {period:.6g} s{place}; it has a "
+        "kink there, or the family ends or branches; give bounds that keep away from it, or start on its other side"
+    )
+
+
+def _extents(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """How far each unknown may sensibly move: the motion's extents, the period, the parameters' own sizes."""
+    layout = shooting.layout
+    nodes, (period, unfolding, free) = layout.nodes(w), layout.tail(w)
+    n = layout.size // 2
+    parts = (nodes[:, :n], nodes[:, n:])
+    largest = [max(float(np.ptp(part, axis=0).max()), float(np.abs(part).max()) / 2) for part in parts]
+    node = np.concatenate([np.full(n, largest[0]), np.full(n, max(largest[1], largest[0] / period))])
+    return layout.join(
+        np.tile(node, layout.segments), period, np.maximum(np.abs(free), 1e-3), np.full(unfolding.size, np.inf)
+    )
+
+
+def _peak(
+    problem: Problem, near: tuple[Shooting, np.ndarray], settings: SolveSettings, report: Callback | None
+) -> tuple[Shooting, np.ndarray]:
+    """max_amplitude or min_peak_rate, solved again from the true peak until it is at t = 0."""
+    flow, count, free = near[0].flow, near[0].layout.segments, near[0].layout.tail(near[1])[2]
+    times, states = _orbit(*near)
+    place = _component(problem, states)
+    if problem.objective == "max_amplitude" and problem.turns[place]:
+        raise InputError(
+            f"coordinate: {problem.model.state_names[place]} turns over and over and has no amplitude; choose another"
+        )
+    heights: list[float] = []
+    for _ in range(ROUNDS):
+        ready = _at_peak(problem, place, times, states)
+        shooting = transcribe(ready, _nodes(ready, count), flow)
+        start = shooting.layout.join(_nodes(ready, count), ready.guess.period, free)
+        w = followed(shooting, settings, report, start)
+        free = shooting.layout.tail(w)[2]
+        times, states = _orbit(shooting, w)
+        heights.append(float(np.abs(states[:, place]).max()))
+        if heights[-1] <= (1 + PEAK_TOLERANCE) * abs(states[0, place]):
+            return shooting, w
+    name = problem.model.state_names[place]
+    if not problem.boundary.time_phase:
+        raise ConvergenceError(
+            f"no orbit found: {name} is largest away from rest ({heights[-1]:.6g} against {abs(states[0, place]):.6g} "
+            "there), and t = 0 of a brake orbit is at rest; use symmetry none"
+        )
+    raise ConvergenceError(
+        f"no orbit found: several peaks of {name} compete ({heights[-2]:.6g} and {heights[-1]:.6g} in turn), so its "
+        "largest value has no smooth optimum here; choose another coordinate"
+    )
+
+
+def _component(problem: Problem, states: np.ndarray) -> int:
+    """Position in the state of the coordinate, or of its rate, that the objective is about."""
+    n = problem.model.degrees_of_freedom
+    rates = n * (problem.objective == "min_peak_rate")
+    if problem.coordinate is not None:
+        return rates + problem.model.state_index(problem.coordinate)
+    return rates + int(np.abs(states[:, rates : rates + n]).max(axis=0).argmax())
+
+
+def _at_peak(problem: Problem, place: int, times: np.ndarray, states: np.ndarray) -> Problem:
+    """The Problem with t = 0 of its guess at the peak of a state component, and the objective about that."""
+    n = problem.model.degrees_of_freedom
+    top = int(np.abs(states[:-1, place]).argmax())
+    resting = not problem.boundary.time_phase
+    if resting:  # t = 0 stays at rest, at the end of the swing where the coordinate is larger
+        top = 0 if abs(states[0, place]) >= abs(states[len(states) // 2, place]) else len(states) // 2
+    moved = np.vstack([states[top:], states[1 : top + 1] + states[-1] - states[0]])
+    clock = np.concatenate([times[top:] - times[top], times[1 : top + 1] + times[-1] - times[top]])
+    return replace(
+        problem, guess=Guess(moved[0], float(times[-1]), clock, moved), coordinate=None,
+        objective=_aim(place, n, float(np.sign(moved[0, place]))), phase_condition=None if resting else _flat(place, n),
+    )  # fmt: skip
+
+
+def _aim(place: int, n: int, sign: float) -> Callable[[Variables], object]:
+    """Minus the size of a coordinate at t = 0, or the size of a rate."""
+    return lambda variables: (-sign if place < n else sign) * variables.start[place]
+
+
+def _flat(place: int, n: int) -> Callable[[Variables], object]:
+    """The time derivative of a state component at t = 0."""
+    return lambda variables: variables.start[place + n] if place < n else variables.acceleration[place - n]
+
+
+def _nodes(problem: Problem, count: int) -> np.ndarray:
+    """Node states (count x 2n) from the guess's trajectory."""
+    guess = problem.guess
+    assert guess.times is not None and guess.states is not None
+    moments = np.arange(count) * problem.boundary.fraction * guess.period / count
+    return np.stack([np.interp(moments, guess.times, column) for column in guess.states.T], axis=1)
+
+
+def _orbit(shooting: Shooting, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states over the whole period of a solved program."""
+    problem, layout = shooting.problem, shooting.layout
+    period, _, free = layout.tail(w)
+    model = with_parameters(problem.model, dict(zip(problem.free, free, strict=True)))
+    flow = build_flow(model, (), shooting.flow.unfolded)
+    return dense(flow, full_period(replace(problem, model=model), flow, layout.nodes(w), period), period)

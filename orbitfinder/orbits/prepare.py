@@ -1,0 +1,114 @@
+"""What is found out about a Problem before it is solved: do its invariants hold, how often do angles turn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.integrate.cvodes import Flow, end_state
+from orbitfinder.integrate.cvodes import vector_field as equations_of_motion
+from orbitfinder.integrate.dop853 import SECOND, vector_field
+from orbitfinder.loops.newton import segment, tail_of
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.shooting import boundary_shift, far_end, half_turns, units_of
+from orbitfinder.orbits.evidence import integrate_in
+
+DRIFT = 1e-7
+"""An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
+WINDING_MARGIN = 0.25
+"""The guess's angles have turned a whole number of times when they are within this many turns of it."""
+SECTION = 1e-3
+"""Coordinates this near to where an odd motion starts are left to the solver."""
+DERIVED = ("chain", "linkage")
+"""Systems whose invariants this library derives; those of all others are tried on a simulation."""
+
+
+def check_invariants(problem: Problem) -> None:
+    """`InputError` naming a declared invariant that drifts along the guess's motion, and its drift.
+
+    The motion is integrated by DOP853 for the guess's period, from the guess pushed off any
+    equilibrium; the drift is compared with 1e-7 of the invariant's size, or of its variation
+    between neighbouring states.
+    """
+    model = problem.model
+    if not model.invariants or model.native is not None or model.system.get("kind") in DERIVED:
+        return
+    n, values = model.degrees_of_freedom, model.parameter_values
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * n)
+    field = vector_field(ca.Function("plain", [t, x], [equations_of_motion(model, (), ())(t, x, [], [])]))
+    units = np.asarray(units_of(problem) or np.ones(2 * n))
+    start = np.asarray(problem.guess.state, float) + 0.01 * units * np.random.default_rng(0).normal(size=2 * n)
+    try:
+        states = integrate_in(units, field, start, np.linspace(0.0, problem.guess.period, 9), SECOND)
+    except IntegrationError:
+        return  # the search itself will say where the motion cannot be integrated
+    for one in model.invariants:
+        found = np.array([float(one.value(state[:n], state[n:], values)) for state in states])
+        nearby = float(one.value(1.01 * start[:n], 1.01 * start[n:], values))
+        drift, size = float(np.abs(found - found[0]).max()), max(abs(found[0]), abs(nearby - found[0]), 1e-300)
+        if drift > DRIFT * size:
+            raise InputError(
+                f"invariants: {one.name!r} is not conserved, it drifts by {drift:.3g} from {found[0]:.6g} within "
+                f"{problem.guess.period:.4g} s along the guess's motion; leave it out of invariants=, or look for a "
+                "force that changes it"
+            )
+
+
+def at_forcing_period(problem: Problem) -> Problem:
+    """The Problem with its guess's period moved to the multiple of the forcing's that it must have."""
+    clock = problem.model.forcing_period
+    if clock is None:
+        return problem
+    period = problem.forcing_cycles * float(clock(problem.model.parameter_values))
+    guess = problem.guess
+    times = None if guess.times is None else guess.times * (period / guess.period)
+    return replace(problem, guess=replace(guess, period=period, times=times))
+
+
+def at_section(problem: Problem, flow: Flow) -> Problem:
+    """The Problem with its guess moved along its motion to where an odd motion starts; others are left alone.
+
+    That is the instant at which every angle is nearest to a multiple of pi and every other coordinate to 0.
+    """
+    guess, n = problem.guess, problem.model.degrees_of_freedom
+    if problem.symmetry != "reversal" or problem.model.forced:
+        return problem
+    try:
+        states = guess.states if guess.states is not None else segment(
+            flow, np.asarray(guess.state, float), (0.0, guess.period), tail_of(flow)
+        )  # fmt: skip
+    except IntegrationError:
+        return problem  # the search itself will say where
+    q = np.asarray(states, float)[:, :n]
+    away = np.abs(q - half_turns(np.asarray(problem.model.angles), q)).max(axis=1)
+    best = int(away.argmin())
+    if away[0] <= max(2 * away[best], SECTION) and guess.states is None:
+        return problem
+    return replace(problem, guess=Guess(np.asarray(states[best], float), guess.period))
+
+
+def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ...] | None:
+    """Whole turns of each angle over the guess's motion, or None when it does not come near a whole number."""
+    model, guess = problem.model, problem.guess
+    n = model.degrees_of_freedom
+    if problem.symmetry not in ("none", "reversal") or not any(model.angles):
+        return None
+    if problem.symmetry == "reversal":
+        shift = boundary_shift(problem, nodes, far_end(problem, nodes, flow))
+        return tuple(int(k) for k in np.round((shift[n:] - shift[:n]) / np.pi))
+    if guess.states is not None:
+        end = np.asarray(guess.states[-1], float)
+    else:
+        duration = guess.period / len(nodes)
+        try:
+            end = end_state(flow, nodes[-1], duration, guess.period - duration)
+        except IntegrationError:
+            return None
+    turned = np.where(model.angles, (end - nodes[0])[:n] / (2 * np.pi), 0.0)
+    whole = np.round(turned)
+    if np.any(np.abs(turned - whole) > WINDING_MARGIN):
+        return None
+    return tuple(int(k) for k in whole)

@@ -1,0 +1,247 @@
+"""The guesses that a problem file's system offers: normal modes, close returns of its motion, its own guess."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.mechanics.model import energy
+from orbitfinder.problemfile.read import ProblemFile
+
+if TYPE_CHECKING:
+    from orbitfinder.loops.problem import Guess
+
+AMPLITUDE = 0.1
+"""Largest angle (rad) or coordinate (m) of the modes that are proposed."""
+PERIODS = 12.0
+"""Close returns are looked for over this many periods of the guess."""
+MOST_COORDINATES = 60
+"""Modes of larger systems are not listed one by one."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A starting point: `name` (own, mode-2, return-1), period (s), energy (J, None where none is conserved).
+
+    `miss` is the largest gap after a period relative to the motion's extent (None: not simulated),
+    `details` what is special to the kind, `table` the `[guess]` that makes it.
+    """
+
+    name: str
+    period: float
+    energy: float | None
+    miss: float | None
+    state: tuple[float, ...]
+    table: Mapping[str, Any]
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """The entry of `--json`."""
+        return {
+            "name": self.name, "period": self.period, "energy": self.energy, "miss": self.miss,
+            "state": list(self.state), **self.details, "guess": dict(self.table),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """All starting points of a file and, for each kind that there is none of, the reason."""
+
+    name: str
+    state_names: Sequence[str]
+    found: Sequence[Proposal]
+    notes: Sequence[str]
+
+    def named(self, name: str | None) -> Proposal:
+        """The proposal of that name; the closest return, else the slowest mode, where none is given."""
+        if not self.found:
+            raise InputError("guess: nothing to propose; " + "; ".join(self.notes))
+        order = {"return": 0, "mode": 1, "own": 2}
+        if name is None:
+            return min(self.found, key=lambda one: order[one.name.split("-")[0]])
+        for one in self.found:
+            if one.name == name:
+                return one
+        raise InputError(f"--pick: there is no {name!r}; use one of {', '.join(one.name for one in self.found)}")
+
+
+def propose(
+    loaded: ProblemFile, duration: float | None = None, count: int = 8, amplitude: float = AMPLITUDE
+) -> Proposals:
+    """Every kind of starting point that a problem file allows. Raises `InputError` for wrong options."""
+    found: list[Proposal] = []
+    notes: list[str] = []
+    for kind, make in (
+        ("own guess", lambda: own(loaded)),
+        ("normal modes", lambda: modes(loaded, amplitude)),
+        ("close returns", lambda: returns(loaded, duration, count)),
+    ):
+        try:
+            found += make()
+        except OrbitfinderError as error:
+            notes.append(f"{kind}: {error}")
+    return Proposals(loaded.name, loaded.model.state_names, tuple(found), tuple(notes))
+
+
+def own(loaded: ProblemFile) -> list[Proposal]:
+    """What the file's `[guess]` stands for, and how far from closed it is."""
+    if loaded.problem is None:
+        raise InputError("the file has none")
+    guess = loaded.problem.guess
+    times, states = motion(loaded, guess)
+    table = loaded.document.get("guess", {})
+    details: dict[str, Any] = {"source": next(iter(table), "python")}
+    if _recorded(loaded, guess):
+        details |= {"samples": int(times.size)}
+    return [_proposal(loaded, "own", guess, missed(loaded, states), table, details)]
+
+
+def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
+    """The linear normal modes of the equilibrium at 0, or of a linkage's lowest one, slowest first."""
+    from orbitfinder.guesses.linkages import linkage_equilibrium, linkage_mode, linkage_modes
+    from orbitfinder.guesses.modes import normal_mode, normal_modes
+
+    model, native = loaded.model, loaded.model.native
+    if model.degrees_of_freedom > MOST_COORDINATES:
+        raise InputError(f"{model.degrees_of_freedom} coordinates; give mode and amplitude in [guess]")
+    if native is not None and model.system.get("kind") == "linkage":
+        place = linkage_equilibrium(native)
+        squared, shapes = linkage_modes(native, place)
+        made = [lambda k=k: linkage_mode(native, k, amplitude, place) for k in range(1, squared.size + 1)]
+    elif native is not None:
+        raise InputError("redundant coordinates; give a state and a period")
+    else:
+        squared, shapes = normal_modes(model)
+        made = [lambda k=k: normal_mode(model, k, amplitude) for k in range(1, squared.size + 1)]
+    found = []
+    for k, make in enumerate(made, start=1):
+        if squared[k - 1] > 0:
+            shape = shapes[:, k - 1] / shapes[np.abs(shapes[:, k - 1]).argmax(), k - 1]
+            details = {"frequency": float(np.sqrt(squared[k - 1]) / (2 * np.pi)), "shape": shape.tolist()}
+            found.append(
+                _proposal(loaded, f"mode-{k}", make(), None, {"mode": k, "amplitude": amplitude}, details)
+            )
+    if not found:
+        raise InputError("the equilibrium at 0 is not a stable one; give a state and a period")
+    return found
+
+
+def returns(loaded: ProblemFile, duration: float | None, count: int) -> list[Proposal]:
+    """Close returns of the file's recorded trajectory, or of the motion from its state, best first."""
+    from orbitfinder.guesses.returns import close_returns, recurrences
+
+    guess = None if loaded.problem is None else loaded.problem.guess
+    if guess is not None and _recorded(loaded, guess) and duration is None:
+        assert guess.times is not None and guess.states is not None
+        span = float(guess.times[-1])
+        found = close_returns(guess.times, guess.states, loaded.model.angles, count)
+        source = "trajectory"
+    else:
+        if loaded.start is None:
+            raise InputError("nothing to simulate from; give simulate.state or a [guess]")
+        span = duration if duration is not None else _span(loaded, guess)
+        found = recurrences(loaded.model, loaded.start, span, count)
+        source = "simulation"
+    if not found:
+        raise InputError(f"the motion never came back near itself in {span:g} s; simulate longer with --duration")
+    return [
+        _proposal(
+            loaded, f"return-{k}", one.guess, one.distance,
+            {"state": [float(x) for x in one.state], "period": float(one.period)},
+            {"time": one.time, "span": span, "source": source},
+        )
+        for k, one in enumerate(found, start=1)
+    ]  # fmt: skip
+
+
+def _recorded(loaded: ProblemFile, guess: Guess) -> bool:
+    """True when the guess is somebody's trajectory, not one that was simulated for it."""
+    table = loaded.document.get("guess", {})
+    return guess.times is not None and ("csv" in table or not table)
+
+
+def _span(loaded: ProblemFile, guess: Guess | None) -> float:
+    asked = loaded.document.get("simulate", {}).get("duration")
+    return float(asked) if asked else (PERIODS * guess.period if guess is not None else loaded.duration)
+
+
+def motion(loaded: ProblemFile, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states of a guess over its period: as recorded, else simulated."""
+    from orbitfinder.integrate.cvodes import build_flow, sample
+
+    if guess.times is not None and guess.states is not None:
+        return np.asarray(guess.times), np.asarray(guess.states)
+    states = sample(build_flow(loaded.model), np.asarray(guess.state, float), guess.period, 401)
+    return np.linspace(0.0, guess.period, 401), states
+
+
+def missed(loaded: ProblemFile, states: np.ndarray) -> float:
+    """The largest gap between end and start, each component relative to its extent, angles modulo 2 pi."""
+    n = loaded.model.degrees_of_freedom
+    gaps = states[-1] - states[0]
+    turning = np.concatenate([np.asarray(loaded.model.angles or (False,) * n, bool), np.zeros(n, bool)])
+    gaps = np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+    return float(np.abs(gaps / np.maximum(np.ptp(states, axis=0), 1e-12)).max())
+
+
+def _proposal(
+    loaded: ProblemFile, name: str, guess: Guess, miss: float | None, table: Mapping[str, Any],
+    details: Mapping[str, Any],
+) -> Proposal:  # fmt: skip
+    state = np.asarray(guess.state, float)
+    level = energy(loaded.model, state) if loaded.model.conservative else None
+    return Proposal(name, float(guess.period), level, miss, tuple(map(float, state)), table, details)
+
+
+def problem_text(loaded: ProblemFile, proposals: Proposals, chosen: Proposal, name: str) -> str:
+    """A problem file with the chosen `[guess]`, and the others as comments. Raises `InputError` for Python files."""
+    system = loaded.document.get("system")
+    if not isinstance(system, Mapping):
+        raise InputError(f"{loaded.path}: has no [system] table to copy; write its state and period into problem()")
+    lines = [f"name = {json.dumps(name)}", f'source = "orbitfinder guess, {chosen.name}"', "", "[system]"]
+    lines += [f"{key} = {toml(value)}" for key, value in system.items()]
+    lines += ["", f"[guess]  # {said(chosen)}", *_entries(chosen), ""]
+    for one in proposals.found:
+        if one is not chosen:
+            lines += [f"# [guess]  # {said(one)}", *(f"# {line}" for line in _entries(one)), ""]
+    return "\n".join(lines)
+
+
+def said(one: Proposal) -> str:
+    """A proposal in a few words."""
+    missing = "" if one.miss is None else f", misses itself by {one.miss:.2g} of its extent"
+    level = "" if one.energy is None else f", energy {one.energy:.6g} J"
+    return f"{one.name}: period {one.period:.6g} s{level}{missing}"
+
+
+def _entries(one: Proposal) -> list[str]:
+    return [f"{key} = {toml(value)}" for key, value in one.table.items()]
+
+
+def toml(value: Any) -> str:
+    """A plain value in TOML."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{json.dumps(key)} = {toml(entry)}" for key, entry in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return json.dumps(value) if isinstance(value, str) else repr(value)
+
+
+def write_problem(text: str, path: Path) -> Path:
+    """Write a new problem file; never over an existing one."""
+    try:
+        with path.open("x", encoding="utf-8") as stream:
+            stream.write(text)
+    except FileExistsError as error:
+        raise InputError(f"--out: {path} exists already and is left alone; choose another name") from error
+    except OSError as error:
+        raise InputError(f"--out: cannot write {path} ({error}); choose a folder that you can write to") from error
+    return path

@@ -1,0 +1,260 @@
+"""What a search returns: plain numbers that outlive CasADi, and their file."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime import notebook as display
+from orbitfinder.errors import InputError
+from orbitfinder.records.reading import arrays, content_digest, json_file
+
+FORMAT, VERSION = "orbitfinder/orbit", 1
+AGAIN = "run the problem again"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question asked of an orbit: the number found, the number allowed, the answer."""
+
+    name: str
+    value: float
+    tolerance: float
+    passed: bool
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Every check of one orbit; `passed` only when all of them did."""
+
+    checks: tuple[Check, ...]
+    scale: float = 1.0
+    """A, how many times round-off grows until the end of the period, at most 1e6: what tolerances were multiplied by"""
+    closure: float = float("nan")
+    """the largest component of the gap round the loop, in the model's units"""
+
+    @property
+    def passed(self) -> bool:
+        """True when every check passed."""
+        return all(check.passed for check in self.checks)
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Names of the checks that failed."""
+        return tuple(check.name for check in self.checks if not check.passed)
+
+    def _repr_html_(self) -> str | None:
+        """How a notebook shows it."""
+        return display.html(self)
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """A periodic orbit: state (2n) at t = 0, minimal period (s) and what follows from them.
+
+    `closure` is the largest gap round the loop by the independent integrator, `action` the
+    integral of momentum.dq over the loop (J s), `floquet_multipliers` the non-trivial ones
+    (complex), `pair_defect` max |mu_i mu_j - 1| over reciprocal pairs, their error bar.
+    `nodes` (N x 2n) are states at equal times over the period, `times` and `samples` a dense
+    picture of it. `system` rebuilds the model.
+    """
+
+    name: str
+    system: Mapping[str, Any]
+    state: np.ndarray
+    period: float
+    energy: float
+    action: float
+    closure: float
+    symmetry: str
+    winding: tuple[int, ...]
+    floquet_multipliers: np.ndarray
+    pair_defect: float
+    stability: str
+    unfolding: tuple[float, ...]
+    nodes: np.ndarray
+    times: np.ndarray
+    samples: np.ndarray
+    tolerance: float
+    expected: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    certificate: Certificate | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    title: str = ""
+    source: str = ""
+    record: str | None = None
+    """digest of the numbers as written, present on orbits read from a file"""
+
+    def _repr_html_(self) -> str | None:
+        """How a notebook shows it."""
+        return display.html(self)
+
+
+def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
+    """The JSON document of an orbit (the contract of orbit.json); floats round-trip exactly."""
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": orbit.name,
+        "title": orbit.title,
+        "source": orbit.source,
+        "system": dict(orbit.system),
+        "state": orbit.state.tolist(),
+        "period": orbit.period,
+        "energy": orbit.energy,
+        "action": orbit.action,
+        "closure": orbit.closure,
+        "symmetry": orbit.symmetry,
+        "winding": list(orbit.winding),
+        "floquet_multipliers": [[float(mu.real), float(mu.imag)] for mu in orbit.floquet_multipliers],
+        "pair_defect": orbit.pair_defect,
+        "stability": orbit.stability,
+        "unfolding": list(orbit.unfolding),
+        "tolerance": orbit.tolerance,
+        "nodes": orbit.nodes.tolist(),
+        "expected": {k: {"value": v[0], "tolerance": v[1]} for k, v in orbit.expected.items()},
+        "certificate": certificate_to_document(orbit.certificate),
+        "provenance": dict(orbit.provenance),
+    }
+    document["record"] = digest(document)
+    return document
+
+
+def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
+    """The `certificate` entry of orbit.json."""
+    if certificate is None:
+        return {"passed": False, "scale": 1.0, "checks": []}
+    # JSON has no infinity: a value that could not be computed is null
+    checks = [vars(one) | {"value": one.value if np.isfinite(one.value) else None} for one in certificate.checks]
+    return {"passed": certificate.passed, "scale": certificate.scale, "checks": checks}
+
+
+DIGESTED = (
+    "system", "state", "period", "energy", "action", "closure", "symmetry", "winding",
+    "floquet_multipliers", "pair_defect", "stability", "unfolding", "tolerance", "nodes", "expected",
+)  # fmt: skip
+
+
+def _with_number(check: Mapping[str, Any]) -> dict[str, Any]:
+    return dict(check) | {"value": float("nan") if check["value"] is None else float(check["value"])}
+
+
+def digest(document: Mapping[str, Any]) -> str:
+    """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
+    return content_digest({name: document.get(name) for name in DIGESTED})
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all: a temporary file beside it, then a rename."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def save_orbit(orbit: Orbit, path: str | Path) -> Path:
+    """Write orbit.json and, beside it, the dense samples in orbit.npz; returns the JSON's path."""
+    import io
+
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(orbit_to_document(orbit), indent=1, allow_nan=False)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, times=orbit.times, samples=orbit.samples)
+    write_atomically(target.with_suffix(".npz"), buffer.getvalue())
+    write_atomically(target, (text + "\n").encode())
+    return target
+
+
+def load_orbit(path: str | Path) -> Orbit:
+    """Read orbit.json (and orbit.npz if it is there). Raises `InputError` on anything unreadable."""
+    source = Path(path)
+    document = read_document(source)
+    return orbit_from_document(document, *dense_samples(source.with_suffix(".npz"), len(document["state"])))
+
+
+def dense_samples(path: Path, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times (s) and states (k x 2n) of an orbit.npz; none where there is no such file. Raises `InputError`."""
+    if not path.exists():
+        return np.zeros(0), np.zeros((0, size))
+    found = arrays(path, ("times", "samples"), AGAIN)
+    times, samples = found["times"].astype(float), found["samples"].astype(float)
+    if samples.shape != (*times.shape, size) or times.size == 1 or np.any(np.diff(times) <= 0):
+        raise InputError(f"{path}: damaged (its times and states do not fit together or the orbit); {AGAIN}")
+    return times, samples
+
+
+def read_document(source: Path) -> dict[str, Any]:
+    """The checked JSON document at a path."""
+    return check_document(json_file(source, "orbit.json", AGAIN), str(source))
+
+
+def check_document(document: Any, where: str) -> dict[str, Any]:
+    """An orbit document with every required entry of the right kind, or `InputError`."""
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: format: expected an object, got {type(document).__name__}; give an orbit.json")
+    if document.get("format") != FORMAT:
+        raise InputError(f"{where}: format: expected {FORMAT!r}, got {document.get('format')!r}; give an orbit.json")
+    if document.get("version") != VERSION:
+        raise InputError(
+            f"{where}: version: this orbitfinder reads {VERSION}, got {document.get('version')!r}; "
+            "use the orbitfinder that wrote it, or run the problem again"
+        )
+    kinds: dict[str, type | tuple[type, ...]] = {
+        "name": str, "system": dict, "state": list, "period": (int, float), "energy": (int, float),
+        "action": (int, float), "closure": (int, float), "symmetry": str, "stability": str,
+        "floquet_multipliers": list,
+    }  # fmt: skip
+    for name, kind in kinds.items():
+        if name not in document:
+            raise InputError(f"{where}: {name}: missing; the file is truncated, run the problem again")
+        if not isinstance(document[name], kind) or isinstance(document[name], bool):
+            raise InputError(f"{where}: {name}: has the wrong kind of value; run the problem again")
+    return document
+
+
+def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples: np.ndarray) -> Orbit:
+    """An Orbit out of a checked document."""
+    try:
+        state = np.asarray(document["state"], float)
+        multipliers = np.asarray([complex(re, im) for re, im in document["floquet_multipliers"]], complex)
+        entry = document.get("certificate") or {}
+        checks = tuple(Check(**_with_number(check)) for check in entry.get("checks", []))
+        certificate = Certificate(checks, float(entry.get("scale", 1.0))) if checks else None
+        expected = {
+            k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()
+        }
+        n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
+        described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
+        if not 0 < tolerance < 1 or not all({name, name.rstrip("0123456789")} & described for name in expected):
+            raise ValueError(f"tolerance {tolerance} not between 0 and 1, or expected of an unknown quantity")
+        return Orbit(
+            name=document["name"], system=document["system"], state=state,
+            period=float(document["period"]), energy=float(document["energy"]),
+            action=float(document["action"]), closure=float(document["closure"]),
+            symmetry=document["symmetry"],
+            winding=tuple(int(k) for k in document.get("winding") or [0] * n),
+            floquet_multipliers=multipliers, pair_defect=float(document.get("pair_defect", 0.0)),
+            stability=document["stability"], unfolding=tuple(float(s) for s in document.get("unfolding", ())),
+            nodes=np.asarray(document.get("nodes") or [document["state"]], float),
+            times=times, samples=samples, tolerance=tolerance,
+            expected=expected, certificate=certificate,
+            provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
+            source=str(document.get("source", "")), record=document.get("record"),
+        )  # fmt: skip
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
+        raise InputError(f"orbit document: malformed entry ({error}); run the problem again") from error

@@ -1,0 +1,185 @@
+"""The triple pendulum from horizontal rest by every method: the data of figures 2, 4, 5 and 6 to 8."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, sample, transition
+from orbitfinder.integrate.idas import DaeSettings, simulate_dae
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.constrained import Baumgarte
+from orbitfinder.mechanics.maximal import chain_dae, maximal_states, minimal_states
+from orbitfinder.mechanics.model import energies
+from orbitfinder.reproduce.facts import FIGURE_OF_METHOD, METHODS, TITLES, TOLERANCE
+from orbitfinder.reproduce.figures import save_both
+from orbitfinder.show.style import COLOURS, dress, new_figure
+
+HORIZONTAL_REST = np.array([np.pi / 2] * 3 + [0.0] * 3)
+ENERGY_SPAN, COMPARISON_SPAN = 10.0, 25.0
+SAMPLES_PER_SECOND = 100
+STABILISED = Baumgarte(alpha=20.0, beta=20.0)
+IDAS_TOLERANCE = 5e-15
+"""about the tightest at which IDAS still works here (2e-15 fails); at 1e-13 the energy drifts 7e-9 J in 10 s"""
+LYAPUNOV_SPAN = 400.0
+"""s over which the exponent is averaged"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Times (k), states in the angles (k x 2n), energy (k) and, for a DAE, |phi| and |phidot| (k)."""
+
+    times: np.ndarray
+    states: np.ndarray
+    energy: np.ndarray
+    phi: np.ndarray
+    phidot: np.ndarray
+
+    @property
+    def drift(self) -> float:
+        """Largest |E(t) - E(0)|, in J."""
+        return float(np.abs(self.energy - self.energy[0]).max())
+
+
+def simulate(method: str, span: float, baumgarte: Baumgarte | None = None) -> Run:
+    """The triple pendulum from horizontal rest by one method at the report's tolerance.
+
+    "dae" is integrated natively by IDAS in maximal coordinates, the others by CVODES in the angles.
+    """
+    count = round(span * SAMPLES_PER_SECOND) + 1
+    times = np.linspace(0.0, span, count)
+    if method == "dae":
+        model = chain_dae(3, baumgarte=baumgarte)
+        start = maximal_states(model, HORIZONTAL_REST)
+        result = simulate_dae(model, start, span, count, DaeSettings(IDAS_TOLERANCE, IDAS_TOLERANCE))
+        states = minimal_states(model, result.states)
+        return Run(times, states, result.energy, result.constraint_drift, result.rate_drift)
+    flow = build_flow(chain(3, formulation=method), settings=IntegratorSettings(TOLERANCE, TOLERANCE))
+    states = sample(flow, HORIZONTAL_REST, span, count)
+    kinetic, potential = energies(flow.model, states)
+    return Run(times, states, kinetic + potential, np.zeros(count), np.zeros(count))
+
+
+def energy_part(folder: Path) -> dict[str, Any]:
+    """Figures 2, 4, 5: energy of the triple pendulum by each method over 10 s, its drift, the DAE's phi."""
+    numbers: dict[str, Any] = {"span": ENERGY_SPAN, "start": "horizontal rest"}
+    runs = {method: simulate(method, ENERGY_SPAN) for method in METHODS}
+    runs["dae with Baumgarte"] = simulate("dae", ENERGY_SPAN, STABILISED)
+    for method, run in runs.items():
+        numbers[method] = {"drift": run.drift, "phi": float(run.phi.max()), "phidot": float(run.phidot.max())}
+    for method, number in FIGURE_OF_METHOD.items():
+        shown = {method: runs[method]}
+        if method == "dae":
+            shown["dae with Baumgarte"] = runs["dae with Baumgarte"]
+        title = f"Figure {number}. Triple pendulum energy, {TITLES[method]}"
+        save_both(energy_figure(shown, title), folder / f"figure-{number:02d}")
+    save_both(
+        energy_figure({"recursive": runs["recursive"]}, "Energy by the O(n) recursion (ours)"),
+        folder / "energy-recursive",
+    )
+    return numbers
+
+
+def energy_figure(runs: dict[str, Run], title: str) -> Any:
+    """Kinetic, potential and total energy above, the drift of the total below."""
+    figure = new_figure(6.4, 4.6, title)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    first = next(iter(runs.values()))
+    upper.plot(first.times, first.energy, color="black", linewidth=1.5, label="total")
+    upper.axhline(0.0, color="0.7", linewidth=0.6)
+    kinetic, potential = energies(chain(first.states.shape[1] // 2), first.states)
+    upper.plot(first.times, kinetic, color=COLOURS[0], linewidth=1.0, label="kinetic")
+    upper.plot(first.times, potential, color=COLOURS[1], linewidth=1.0, linestyle="--", label="potential")
+    for k, (name, run) in enumerate(runs.items()):
+        lower.plot(run.times, run.energy - run.energy[0], color=COLOURS[2 + k], linewidth=0.9, label=name)
+    dress(upper, "", "energy (J)")
+    dress(lower, "time (s)", "E(t) \N{MINUS SIGN} E(0) (J)")
+    lower.set_xlim(0, first.times[-1])
+    upper.legend(ncols=3, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.1, fontsize=9)
+    if len(runs) > 1:
+        lower.legend(frameon=False, fontsize=9, loc="best")
+    return figure
+
+
+PAIRS = (("lagrange", "newton-euler", 6), ("lagrange", "dae", 7), ("dae", "newton-euler", 8))
+
+
+def difference_part(folder: Path) -> dict[str, Any]:
+    """Figures 6 to 8: how the methods separate over 25 s, and the Lyapunov exponent that explains it."""
+    runs = {method: simulate(method, COMPARISON_SPAN) for method in ("lagrange", "newton-euler", "dae")}
+    exponent = lyapunov(LYAPUNOV_SPAN)
+    numbers: dict[str, Any] = {"span": COMPARISON_SPAN, "lyapunov": exponent, "lyapunov_span": LYAPUNOV_SPAN}
+    for first, second, number in PAIRS:
+        distance = np.abs(runs[first].states[:, :3] - runs[second].states[:, :3])
+        times = runs[first].times
+        largest = distance.max(axis=1)
+        rate, level = growth(times, largest)
+        above = times[largest > 1.0]
+        numbers[f"{first} - {second}"] = {
+            "figure": number,
+            "rate": rate,
+            "largest_to_12_s": float(largest[times <= 12.0].max()),
+            "first_above_1_rad": float(above[0]) if above.size else None,
+        }
+        figure = difference_figure(
+            times, distance, (rate, level), exponent, f"Figure {number}. {TITLES[first]} against {TITLES[second]}"
+        )
+        save_both(figure, folder / f"figure-{number:02d}")
+    return numbers
+
+
+def growth(times: np.ndarray, distance: np.ndarray) -> tuple[float, float]:
+    """Least-squares fit log(distance) = level + rate t while the distance is in (1e-13, 1e-1)."""
+    running = np.maximum.accumulate(distance)
+    fitted = (running > 1e-13) & (running < 1e-1) & (times > 0.5)
+    rate, level = np.polyfit(times[fitted], np.log(running[fitted]), 1)
+    return float(rate), float(level)
+
+
+def lyapunov(span: float, interval: float = 1.0) -> float:
+    """Maximal Lyapunov exponent (1/s) along the motion from horizontal rest.
+
+    Mean rate of log-growth of a tangent vector, renormalised every `interval`: G. Benettin,
+    L. Galgani, A. Giorgilli, J.-M. Strelcyn, Meccanica 15 (1980) 9-20.
+    """
+    flow = build_flow(chain(3), settings=IntegratorSettings(1e-10, 1e-10))
+    state, tangent, total = HORIZONTAL_REST, np.ones(6) / np.sqrt(6.0), 0.0
+    for _ in range(round(span / interval)):
+        state, matrix = transition(flow, state, interval)
+        tangent = matrix @ tangent
+        length = float(np.linalg.norm(tangent))
+        total += np.log(length)
+        tangent /= length
+    return total / span
+
+
+def difference_figure(
+    times: np.ndarray, distance: np.ndarray, fit: tuple[float, float], exponent: float, title: str
+) -> Any:
+    """Absolute differences of the three angles on a log scale, with the fitted e-folding."""
+    figure = new_figure(6.4, 3.8, title)
+    axes = figure.subplots()
+    for i in range(distance.shape[1]):
+        axes.semilogy(
+            times,
+            np.maximum(distance[:, i], 1e-17),
+            color=COLOURS[i],
+            linewidth=0.8,
+            label=rf"$|\Delta\theta_{i + 1}|$",
+        )
+    rate, level = fit
+    line = np.exp(level + rate * times)
+    shown = (line < 10) & (line > 1e-16)
+    axes.semilogy(times[shown], line[shown], color="black", linestyle="--", linewidth=1.2,
+                  label=f"fit: e-folding in {1 / rate:.2f} s")  # fmt: skip
+    axes.axvline(17.0, color="0.5", linestyle=":", linewidth=1.0)
+    axes.annotate("17 s", (17.0, 2e-16), xytext=(3, 0), textcoords="offset points", fontsize=8, color="0.35")
+    dress(axes, "time (s)", "absolute difference (rad)")
+    axes.set_ylim(1e-16, 1e3)
+    axes.set_xlim(0, times[-1])
+    axes.set_title(f"maximal Lyapunov exponent {exponent:.2f} 1/s, fitted rate {rate:.2f} 1/s", fontsize=9)
+    axes.legend(frameon=False, fontsize=8, loc="upper left", ncols=4)
+    return figure

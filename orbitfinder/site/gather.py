@@ -1,0 +1,184 @@
+"""From paths to what they hold: orbits, families and atlases, checked, in a reproducible order."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.journal import FORMAT as FAMILY
+from orbitfinder.families.journal import family_to_document, load_family
+from orbitfinder.families.point import Family
+from orbitfinder.records.orbit import AGAIN, check_document, dense_samples, orbit_from_document
+from orbitfinder.records.orbit import FORMAT as ORBIT
+from orbitfinder.records.reading import file_head, json_file
+
+MOST_ITEMS = 500
+"""Orbits of an atlas that are shown, evenly chosen in order of energy."""
+DATABASES = (".sqlite", ".sqlite3", ".db")
+NAMES = ("orbit.json", "family.json")
+OURS = re.compile(rb'\s*\{\s*"format"\s*:\s*"orbitfinder/(orbit|family)"')
+
+
+@dataclass(frozen=True)
+class OrbitFile:
+    """A checked orbit document, its file's text compactly, and its dense samples where they are kept."""
+
+    document: Mapping[str, Any]
+    text: str
+    dense: tuple[np.ndarray, np.ndarray] | None = None
+
+
+@dataclass(frozen=True)
+class AtlasFile:
+    """An atlas: how many orbits it holds, and those to be shown with their numbers in order of energy."""
+
+    name: str
+    total: int
+    orbits: tuple[tuple[int, OrbitFile], ...]
+
+
+@dataclass
+class Gathered:
+    """Everything that the paths hold."""
+
+    orbits: list[OrbitFile] = field(default_factory=list)
+    families: list[Mapping[str, Any]] = field(default_factory=list)
+    atlases: list[AtlasFile] = field(default_factory=list)
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """At most `most` of the indices below `count`, both ends among them."""
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
+
+
+def gather(paths: Sequence[Path]) -> Gathered:
+    """Read orbit.json, family.json, atlas exports and atlas databases, or folders of them.
+
+    Of a folder every orbit, family and *.sqlite below it is taken, in alphabetical order; what `run` wrote as
+    rejected.json is left out.
+    Raises `InputError`.
+    """
+    found, seen = Gathered(), set()
+    for path in paths:
+        files = _below(path) if path.is_dir() else [path]
+        for file in files:
+            if (place := file.resolve()) not in seen:
+                seen.add(place)
+                _take(file, found)
+    found.orbits = _distinct(found.orbits)
+    return found
+
+
+def _distinct(orbits: Sequence[OrbitFile]) -> list[OrbitFile]:
+    """The orbits without copies of the same record; of copies the one that carries a proof is kept."""
+    kept: dict[object, OrbitFile] = {}
+    for one in orbits:
+        key = (one.document["name"], one.document.get("record") or id(one))
+        if key not in kept or ("proof" in one.document and "proof" not in kept[key].document):
+            kept[key] = one
+    return list(kept.values())
+
+
+def _below(folder: Path) -> list[Path]:
+    files = sorted(file for file in folder.rglob("*") if file.is_file() and _holds_results(file))
+    if not files:
+        raise InputError(
+            f"{folder}: no orbit.json, family.json or atlas (*.sqlite) below this folder; run `orbitfinder run`, "
+            "`continue` or `search` first, or name the files"
+        )
+    return files
+
+
+def _holds_results(file: Path) -> bool:
+    """Whether a file below a folder is meant: by its name, or as a single orbit or family under another name."""
+    if file.name in NAMES or file.suffix in DATABASES:
+        return True
+    if file.suffix != ".json" or file.name.startswith("rejected"):
+        return False
+    return OURS.match(file_head(file, 400)) is not None
+
+
+def _take(file: Path, found: Gathered) -> None:
+    if file.suffix in DATABASES:
+        found.atlases.append(_from_database(file))
+        return
+    document = json_file(file, "result file", AGAIN)
+    if isinstance(document, list):
+        found.atlases.append(_from_export(document, file))
+    elif isinstance(document, dict) and document.get("format") == FAMILY:
+        found.families.append(_with_nodes(load_family(file)))
+    elif isinstance(document, dict) and document.get("format") == ORBIT:
+        orbit = _orbit(document, str(file))
+        times, samples = dense_samples(file.with_suffix(".npz"), len(document["state"]))
+        found.orbits.append(OrbitFile(orbit.document, orbit.text, (times, samples) if times.size else None))
+    else:
+        given = document.get("format") if isinstance(document, dict) else type(document).__name__
+        raise InputError(
+            f"{file}: format: {given!r} is not an orbit, a family or an atlas export; give orbit.json, "
+            "family.json, the JSON of `orbitfinder atlas export`, or an atlas database"
+        )
+
+
+def _orbit(document: Any, where: str) -> OrbitFile:
+    """One orbit document, checked by building an Orbit from it."""
+    checked = check_document(document, where)
+    try:
+        orbit = orbit_from_document(checked, np.zeros(0), np.zeros((0, len(checked["state"]))))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    if orbit.state.ndim != 1 or orbit.state.size < 2 or orbit.state.size % 2:
+        raise InputError(f"{where}: state: {orbit.state.size} numbers; coordinates and then as many velocities")
+    numbers = [orbit.period, orbit.energy, *orbit.state]
+    if not np.all(np.isfinite(numbers)) or orbit.period <= 0:
+        raise InputError(f"{where}: period, energy or state is not finite or not positive; run the problem again")
+    try:
+        return OrbitFile(checked, json.dumps(checked, separators=(",", ":"), allow_nan=False))
+    except ValueError as error:
+        raise InputError(f"{where}: holds a number that is not finite; run the problem again") from error
+
+
+def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
+    """The atlas of a JSON list of orbit documents."""
+    orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
+    orbits.sort(key=_order)
+    chosen = tuple((k + 1, orbits[k]) for k in evenly(len(orbits), MOST_ITEMS))
+    return AtlasFile(file.stem, len(orbits), chosen)
+
+
+def _order(one: OrbitFile) -> tuple[float, float]:
+    """Energy, its last digits (those of a search at one energy) left out, then period."""
+    return float(f"{one.document['energy']:.9g}"), float(one.document["period"])
+
+
+def _with_nodes(family: Family) -> dict[str, Any]:
+    """The document of a family with its shooting nodes, where they are known, in `nodes` and `edges`.
+
+    `edges` are the times of the nodes and of the end of the last segment, in periods.
+    """
+    document = family_to_document(family)
+    for entries, members in ((document["points"], family.points), (document["events"], family.events)):
+        for entry, one in zip(entries, members, strict=True):
+            if one.nodes.size:  # type: ignore[attr-defined]
+                every = (one.mesh.size - 1) // len(one.nodes)  # type: ignore[attr-defined]
+                entry |= {"nodes": one.nodes, "edges": one.mesh[::every]}  # type: ignore[attr-defined]
+    return document
+
+
+def _from_database(file: Path) -> AtlasFile:
+    """The atlas of a database. Raises `InputError`."""
+    from orbitfinder.atlas.store import Atlas
+
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; check the path")
+    with Atlas(file) as atlas:
+        rows = sorted(atlas.rows(), key=lambda row: (float(f"{row.energy:.9g}"), row.period))
+        chosen = [(k + 1, rows[k].id) for k in evenly(len(rows), MOST_ITEMS)]
+        orbits = tuple((k, _orbit(atlas.document(number), f"{file}: orbit {number}")) for k, number in chosen)
+    return AtlasFile(file.stem, len(rows), orbits)

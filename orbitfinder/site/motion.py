@@ -1,0 +1,306 @@
+"""The motion of an orbit for the eye: states at equal times over one period, and positions of its points.
+
+Positions are quantised to 16 bits and interpolated by the page; their number follows from the error of
+that interpolation (half a per cent of the picture, about one pixel of a gallery card).
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from orbitfinder.errors import IntegrationError, OrbitfinderError
+from orbitfinder.integrate.cvodes import vector_field
+from orbitfinder.integrate.rk8 import march
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.model import Model
+
+COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480)
+"""Samples a period that are tried in turn."""
+FIRST = 48
+"""Samples from whose error the number needed is estimated."""
+INTERPOLATION = 0.005
+"""Largest error of the page's interpolation, relative to the extent of the picture."""
+SHARES = {"none": 1.0, "brake": 0.5, "reflection": 0.5, "reversal": 0.5, "brake+reflection": 0.25}
+"""The part of a period that each symmetry of a family leaves free."""
+STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
+ENDS = 1e-7
+"""Agreement of two step sizes that is enough for a picture."""
+GAP = 1e-2
+"""Largest jump between pieces of a motion that is still shown, relative to its extent."""
+SMOOTH = 0.004
+LEVELS = 32767
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One period: `states` (k+1 x 2n) at `times` (s), with the names and kinds of the n coordinates.
+
+    `points` (m x 2 x j, x down and y right, m) are at m equal times, the end left out; `drawn` says
+    what they are: "mechanism", or "plane" where the system declares no points.
+    """
+
+    period: float
+    times: np.ndarray
+    states: np.ndarray
+    names: tuple[str, ...]
+    angles: tuple[bool, ...]
+    points: np.ndarray
+    drawn: str
+
+    def at(self, count: int, endpoint: bool = False) -> np.ndarray:
+        """States at `count` equal times over the period."""
+        return resampled(self.times, self.states, self.period, count, endpoint)
+
+
+def resampled(times: np.ndarray, states: np.ndarray, period: float, count: int, endpoint: bool = False) -> np.ndarray:
+    """States at `count` equal times, coordinates by their cubic Hermite spline, velocities by its derivative."""
+    n = states.shape[1] // 2
+    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
+    moments = np.linspace(0.0, period, count, endpoint=endpoint)
+    return np.hstack([spline(moments), spline(moments, 1)])
+
+
+class Films:
+    """Motions of orbits; models and their equations are built once per system and parameters."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[Model, Any] | None] = {}
+
+    def model(self, system: Mapping[str, Any], free: Mapping[str, float] | None = None) -> tuple[Model, Any] | None:
+        """The Model of a description and its field f(t, x, s, p), or None where no file describes it."""
+        key = repr((sorted(system.items()), sorted((free or {}).items())))
+        if key not in self._known:
+            try:
+                built = build_model(system)
+                built = with_parameters(built, free) if free else built
+                self._known[key] = (built, vector_field(built, (), ()))
+            except OrbitfinderError:
+                self._known[key] = None
+        return self._known[key]
+
+    def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Motion | None:
+        """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
+        found, period = self.model(document["system"]), float(document["period"])
+        if found is None:
+            return None if dense is None else _without_model(document, *dense)
+        model, field = found
+        nodes = np.asarray(document.get("nodes") or [document["state"]], float)
+        if nodes.ndim != 2 or nodes.shape[1] != len(model.state_names):
+            return None
+        path = _pieces(field, nodes, np.linspace(0.0, period, len(nodes) + 1)) or dense
+        if path is None or not _closes(path[1]):
+            return None
+        return _motion(model, *path, period)
+
+    def member(self, system: Mapping[str, Any], entry: Mapping[str, Any]) -> Motion | None:
+        """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry."""
+        found, period = self.model(system, entry.get("free") or None), float(entry["period"])
+        if found is None or len(entry["state"]) != len(found[0].state_names):
+            return None
+        model, field = found
+        symmetry = str(entry.get("symmetry", "none"))
+        if symmetry not in SHARES:
+            return None
+        nodes = np.asarray(entry.get("nodes", [entry["state"]]), float)
+        edges = np.asarray(entry.get("edges", [0.0, SHARES[symmetry]]), float) * period
+        path = _pieces(field, nodes, edges)
+        if path is None or not _joins(path[1], symmetry, np.array(model.angles or (True,) * model.degrees_of_freedom)):
+            return None
+        return _motion(model, *path_completed(*path, symmetry), period)
+
+
+def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray | None:
+    """States at equal times: steps are halved until the end moves by less than ENDS.
+
+    Where it never does, because the motion amplifies round-off, those of the smallest steps; whether these are
+    good enough shows where the pieces join. None when the motion cannot be integrated.
+    """
+    states = before = None
+    for steps in STEPS:
+        try:
+            states = march(field, state, duration, steps, np.zeros(0), start)
+        except IntegrationError:
+            states = before = None
+            continue
+        if before is not None and np.abs(states[-1] - before).max() <= ENDS * max(1.0, np.abs(states[-1]).max()):
+            return np.asarray(states)
+        before = states[-1]
+    return None if states is None else np.asarray(states)
+
+
+def _pieces(field: Any, nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times and states from the first of the `edges` (N + 1 times, s) to the last.
+
+    Each segment starts at its own node, so that instability does not show.
+    """
+    times, states = [edges[:1]], [nodes[:1]]
+    for k, node in enumerate(nodes):
+        path = _path(field, node, edges[k + 1] - edges[k], edges[k])
+        if path is None:
+            return None
+        times.append(np.linspace(edges[k], edges[k + 1], len(path))[1:])
+        states.append(path[1:])
+        if k + 1 < len(nodes):
+            states[-1][-1] = nodes[k + 1]
+    return np.concatenate(times), np.vstack(states)
+
+
+def path_completed(times: np.ndarray, states: np.ndarray, symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states over a whole period from those over the part that a symmetry leaves free."""
+    end = times[-1]
+    if symmetry == "reflection":
+        times = np.concatenate([times, end + times[1:]])
+    elif symmetry in ("brake", "reversal", "brake+reflection"):
+        times = np.concatenate([times, 2 * end - times[-2::-1]])
+    if symmetry == "brake+reflection":
+        times = np.concatenate([times, 4 * end - times[-2::-1]])
+    return times, completed(states, symmetry)
+
+
+def completed(states: np.ndarray, symmetry: str) -> np.ndarray:
+    """States over a whole period from those over the part that a symmetry leaves free (see `families`).
+
+    brake: q(T-t) = q(t); reflection: q(t+T/2) = q(0) + q(T/2) - q(t); reversal: q(T-t) = 2 q(T/2) - q(t);
+    brake+reflection: q(T/2-t) = 2 q(T/4) - q(t), then brake. Velocities are their derivatives.
+    """
+    n = states.shape[1] // 2
+    q, v = states[:, :n], states[:, n:]
+    if symmetry == "brake":
+        return np.vstack([states, np.hstack([q, -v])[-2::-1]])
+    if symmetry == "reflection":
+        return np.vstack([states, np.hstack([q[0] + q[-1] - q, -v])[1:]])
+    if symmetry == "reversal":
+        return np.vstack([states, np.hstack([2 * q[-1] - q, v])[-2::-1]])
+    if symmetry == "brake+reflection":
+        half = np.vstack([states, np.hstack([2 * q[-1] - q, v])[-2::-1]])
+        return completed(half, "brake")
+    return states
+
+
+def _closes(states: np.ndarray) -> bool:
+    """True when the velocities return; the coordinates may have turned by whole turns."""
+    return _joins(states, "none", np.ones(states.shape[1] // 2, bool))
+
+
+def _joins(states: np.ndarray, symmetry: str, angles: np.ndarray) -> bool:
+    """Whether the end of the part that a symmetry leaves free meets the part that follows, to GAP of the extent.
+
+    Velocities return (none), vanish (brake) or are reversed (reflection); coordinates are at 0, angles at 0 or pi
+    (reversal, brake+reflection).
+    """
+    n = states.shape[1] // 2
+    first, last = states[0], states[-1]
+    if symmetry in ("reversal", "brake+reflection"):
+        q = last[:n]
+        gap, extent = np.where(angles, (2 * q + np.pi) % (2 * np.pi) - np.pi, 2 * q) / 2, states[:, :n]
+    else:
+        sign = {"none": -1.0, "brake": 0.0, "reflection": 1.0}[symmetry]
+        gap, extent = last[n:] + sign * first[n:], states[:, n:]
+    return bool(np.abs(gap).max() <= GAP * max(float(np.ptp(extent, axis=0).max()), 1e-12))
+
+
+def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
+    n = model.degrees_of_freedom
+    angles = model.angles or (True,) * n
+
+    def seen(count: int) -> np.ndarray:
+        chosen = resampled(times, states, period, count)
+        return _positions(model, chosen) if model.points is not None else _plane(chosen)
+
+    drawn = "mechanism" if model.points is not None else "plane"
+    return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn)
+
+
+def _positions(model: Model, states: np.ndarray) -> np.ndarray:
+    """`of.positions` of many states in one call: (k, 2, j)."""
+    assert model.points is not None
+    count, n = len(states), model.degrees_of_freedom
+    values = np.tile(model.parameter_values[:, None], (1, count))
+    wide = model.points.map(count)(states[:, :n].T, values).full()
+    return np.asarray(wide.reshape(2, count, -1).transpose(1, 0, 2))
+
+
+def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.ndarray) -> Motion:
+    n = states.shape[1] // 2
+    names = tuple(f"q{i + 1}" for i in range(n)) + tuple(f"q{i + 1}dot" for i in range(n))
+    period = float(document["period"])
+    points = _fewest(lambda count: _plane(resampled(times, states, period, count)))
+    return Motion(period, times, states, names, (False,) * n, points, "plane")
+
+
+def _plane(states: np.ndarray) -> np.ndarray:
+    """One point in a plane for systems without a picture: the first two coordinates, or one and its rate."""
+    n = states.shape[1] // 2
+    second = states[:, 1] if n > 1 else states[:, n]
+    return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
+
+
+def _fewest(seen: Any) -> np.ndarray:
+    """Positions at the fewest equal times whose interpolation is good enough, at most the largest of COUNTS."""
+    wanted = 0.9 * FIRST * (_between(seen(2 * FIRST))[1] / INTERPOLATION) ** 0.25  # the error is of fourth order
+    for count in (*(one for one in COUNTS[:-1] if one >= wanted), COUNTS[-1]):
+        coarse, error = _between(seen(2 * count))
+        if error <= INTERPOLATION:
+            break
+    return coarse
+
+
+def _between(fine: np.ndarray) -> tuple[np.ndarray, float]:
+    """Every other of some positions, and how far interpolation between these misses the rest, over the extent."""
+    coarse, between = fine[::2], fine[1::2]
+    # Catmull-Rom half way between samples, as in assets/core.js
+    guessed = (9 * (coarse + np.roll(coarse, -1, 0)) - np.roll(coarse, 1, 0) - np.roll(coarse, -2, 0)) / 16
+    extent = max(float(np.ptp(coarse, axis=(0, 2)).max()), 1e-12)
+    return np.asarray(coarse), float(np.abs(guessed - between).max()) / extent
+
+
+def packed(motion: Motion) -> dict[str, Any]:
+    """Positions for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
+
+    Channel c is x of point c for c < j, and y of point c - j after that; a value is centre + half * int / 32767.
+    """
+    count, _, many = motion.points.shape
+    channels = motion.points.reshape(count, 2 * many).T
+    low, high = motion.points.min(axis=(0, 2)), motion.points.max(axis=(0, 2))
+    centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-12)
+    moving = [c for c in range(2 * many) if np.ptp(channels[c]) > 1e-9 * half]
+    middle = np.repeat(centre, many)
+    numbers = np.rint((channels - middle[:, None]) / half * LEVELS)
+    still = {str(c): float(round(channels[c, 0], 9)) for c in range(2 * many) if c not in moving}
+    return {
+        "count": count,
+        "points": many,
+        "period": motion.period,
+        "centre": [float(x) for x in centre],
+        "half": half,
+        "moving": moving,
+        "still": still,
+        "data": base64.b64encode(numbers[moving].astype("<i2").tobytes()).decode(),
+        "drawn": motion.drawn,
+    }
+
+
+def histories(motion: Motion) -> dict[str, Any]:
+    """States at equal times, end included, as little-endian float32 in base64, component by component.
+
+    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960.
+    """
+    n = motion.states.shape[1] // 2
+    extent = np.ptp(motion.states, axis=0)
+    # a component that stands still must not have its round-off sampled
+    extent = np.maximum(extent, 1e-3 * np.repeat([extent[:n].max(), extent[n:].max()], n) + 1e-12)
+    for count in (240, 360, 480, 960):
+        states = motion.at(2 * count + 1, endpoint=True)
+        turned = states[-1] - states[0]  # whole turns of running orbits
+        inner = np.vstack([states[-3] - turned, states[::2], states[2] + turned])
+        curved = (9 * (inner[1:-2] + inner[2:-1]) - inner[:-3] - inner[3:]) / 16
+        if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * extent):
+            break
+    data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
+    return {"count": count + 1, "data": data}
