@@ -184,7 +184,8 @@ def table(results: dict[str, dict[str, Row]]) -> list[str]:
                 continue
             shown = [row.seconds, min(row.times), max(row.times)]
             lines.append(
-                f"| {name} | {method} | " + " | ".join(milliseconds(one) for one in shown)
+                f"| {name} | {method} | "
+                + " | ".join(milliseconds(one) for one in shown)
                 + f" | {len(row.times)} | {row.closure:.1e} | {row.seconds / rows[OURS].seconds:.3g} |"
             )
     return lines
@@ -266,9 +267,7 @@ def main() -> int:
         print(f"{available()[1]}; nothing to compare", file=sys.stderr)
         return 1
     built: dict[int, Taylor | str] = {}
-    results = {
-        task.name: compare(task, built, arguments.repeats, not arguments.without_octave) for task in tasks()
-    }
+    results = {task.name: compare(task, built, arguments.repeats, not arguments.without_octave) for task in tasks()}
     cold = {task.name: builds(task) for task in tasks()}
     arguments.out.mkdir(parents=True, exist_ok=True)
     text = report(results, built, cold)

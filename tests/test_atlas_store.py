@@ -84,9 +84,11 @@ def test_filters_and_order(book, triples):
     with Atlas(book) as atlas:
         assert [row.id for row in atlas.rows(Filter(period=(2, 3)))] == [2]
         assert [row.id for row in atlas.rows(Filter(energy=(-38.4, -38.3)))] == [1]
-        assert len(atlas.rows(Filter(stability=triples[0].stability))) == len(
-            atlas.rows(Filter(stability=(triples[0].stability,)))
-        ) >= 1
+        assert (
+            len(atlas.rows(Filter(stability=triples[0].stability)))
+            == len(atlas.rows(Filter(stability=(triples[0].stability,))))
+            >= 1
+        )
         assert {row.id for row in atlas.rows(Filter(symmetry=(triples[0].symmetry, triples[1].symmetry)))} == {1, 2}
         assert [row.id for row in atlas.rows(order="period DESC")] == [2, 1]
         with pytest.raises(InputError, match=r"order: unknown 'period; drop'; use columns among id, energy"):

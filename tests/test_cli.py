@@ -216,7 +216,7 @@ def test_commands_run_foreign_systems_only_with_trust(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(FOREIGN)
     text = (
         '[system]\nkind = "python"\nmodule = "mine"\nfunction = "make"\narguments = { cubic = 1.0 }\n'
-        '[guess]\nstate = [1.0, 0.0]\nperiod = 4.8\n[find]\npin = { x = 1.0 }\n'
+        "[guess]\nstate = [1.0, 0.0]\nperiod = 4.8\n[find]\npin = { x = 1.0 }\n"
     )
     done = invoke("run", problem(tmp_path, text), "--trust", "--out", tmp_path / "out", "--no-figures")
     assert done.exit_code == 0, done.output

@@ -49,6 +49,7 @@ def effective(model, theta1, branch=1):
 
 def rocking_period(model, level, inside, points=200):
     """2 int dtheta sqrt(m / 2 (E - V)) between the turning points, by Gauss-Chebyshev quadrature."""
+
     def room(angle):
         return level - effective(model, angle)[1]
 

@@ -53,9 +53,11 @@ def test_triple_1_by_commands_alone(second_mode, tmp_path):
     assert family.source["kind"] == "branch" and family.source["family"] == "triple-mode-2"
     # the same command again finds its journal and adds nothing
     again = invoke("continue", second_mode, *options)
-    assert again.exit_code == 0 and load_family(tmp_path / "triple-mode-2-2-1" / "family.json").values(
-        "period"
-    ).tolist() == family.values("period").tolist()
+    assert (
+        again.exit_code == 0
+        and load_family(tmp_path / "triple-mode-2-2-1" / "family.json").values("period").tolist()
+        == family.values("period").tolist()
+    )
 
 
 @pytest.mark.parametrize(

@@ -203,9 +203,7 @@ def test_a_swing_about_the_upright_position_is_found_in_every_formulation(symmet
     """With gravity reversed the pendulum swings about pi; symmetric rows are shifted there, the period is the same."""
     exact, level = pendulum_period(1.0), -4.9 * np.cos(1.0)
     state = [np.pi, np.sqrt(6 * (level + 4.9))] if symmetry == "reflection" else [np.pi + 1.0, 0.0]
-    problem = Problem(
-        chain(1, gravity=-9.8), Guess(state, 1.02 * exact), pin=pin(energy=level), symmetry=symmetry
-    )
+    problem = Problem(chain(1, gravity=-9.8), Guess(state, 1.02 * exact), pin=pin(energy=level), symmetry=symmetry)
     orbit = find_orbit(problem)
     assert orbit.period == pytest.approx(exact, rel=1e-12)
     assert orbit.certificate.failures == () and orbit.symmetry == "brake+reflection"

@@ -123,9 +123,7 @@ def test_conservative_verdicts(multipliers, verdict):
     while k < len(multipliers):
         mu = complex(multipliers[k])
         width = 2 if mu.imag else 1
-        blocks[k : k + width, k : k + width] = (
-            [[mu.real, mu.imag], [-mu.imag, mu.real]] if mu.imag else mu.real
-        )
+        blocks[k : k + width, k : k + width] = [[mu.real, mu.imag], [-mu.imag, mu.real]] if mu.imag else mu.real
         k += width
     assert analyse(blocks).stability == verdict
 

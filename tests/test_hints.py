@@ -11,9 +11,7 @@ from orbitfinder.errors import ConvergenceError, Hint, InputError
 def spherical_pendulum():
     q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
     kinetic = (v[0] ** 2 + ca.sin(q[0]) ** 2 * v[1] ** 2) / 2
-    return of.lagrange(
-        kinetic, -9.81 * ca.cos(q[0]), of.Symbols(q, v), names=["theta", "phi"], angles=[True, True]
-    )
+    return of.lagrange(kinetic, -9.81 * ca.cos(q[0]), of.Symbols(q, v), names=["theta", "phi"], angles=[True, True])
 
 
 def conical(angle=0.6):

@@ -55,6 +55,6 @@ def test_quoted_commands_exist():
 def test_ci_runs_the_readme_test_command():
     """.ci/run and the README install the same extras and call the same test runner."""
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    for part in ("pip\" install -q -e '.[test]'", "python\" -m pytest"):
+    for part in ("pip\" install -q -e '.[test]'", 'python" -m pytest'):
         assert part in script
     assert ".venv/bin/pip install -q -e '.[test]' && .venv/bin/python -m pytest" in README

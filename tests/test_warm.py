@@ -72,9 +72,7 @@ def test_every_formulation_has_the_exact_period(symmetry, segments):
     """The single pendulum at 2 rad, by the elliptic integral."""
     exact, level = pendulum_period(2.0), -4.9 * np.cos(2.0)
     state = [0.0, np.sqrt(6 * (level + 4.9))] if symmetry in ("reflection", "reversal") else [2.0, 0.0]
-    problem = Problem(
-        chain(1), Guess(state, 1.02 * exact), pin=pin(energy=level), symmetry=symmetry, segments=segments
-    )
+    problem = Problem(chain(1), Guess(state, 1.02 * exact), pin=pin(energy=level), symmetry=symmetry, segments=segments)
     found = Refiner(problem).refine()
     assert abs(found.period - exact) < 1e-13 and found.nodes.shape == (segments, 2)
 

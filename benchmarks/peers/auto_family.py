@@ -191,8 +191,13 @@ class AutoFamily:
 
 
 def auto_runs(
-    folder: Path, start: Start, asked: tuple[int, float], meshes: Sequence[tuple[int, int]], closure: float,
-    repeats: int, clock: Clock,
+    folder: Path,
+    start: Start,
+    asked: tuple[int, float],
+    meshes: Sequence[tuple[int, int]],
+    closure: float,
+    repeats: int,
+    clock: Clock,
 ) -> dict[str, Run]:
     """AUTO on its coarsest mesh ("coarse"), on the first that closes as asked for ("auto"), and there with events.
 

@@ -101,9 +101,7 @@ def rebuildable(model: Model, task: Task) -> None:
         raise InputError("workers: the description of this system makes another one elsewhere; use workers=0")
 
 
-def check_request(
-    shells: Sequence[float], starts: int | None, budget: float | None, seed: int, workers: int
-) -> None:
+def check_request(shells: Sequence[float], starts: int | None, budget: float | None, seed: int, workers: int) -> None:
     """`InputError` for limits that mean nothing."""
     if not shells:
         raise InputError("energy: missing; give at least one, in J")

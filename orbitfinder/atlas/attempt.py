@@ -168,9 +168,7 @@ def solved(one: Bench, problem: Problem, path: Path, settings: QuickSettings) ->
     return Loop(problem, found, nodes, times, states, action(one.model, times, states))
 
 
-def whole_period(
-    one: Bench, problem: Problem, path: Path, steps: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def whole_period(one: Bench, problem: Problem, path: Path, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes of one period from those of a part of it; equal times over it and the states there, to round-off."""
     nodes = full_period(problem, one.flows[problem.symmetry], path.nodes, path.period)
     duration, march = path.period / len(nodes), one.marches["none"]

@@ -18,9 +18,7 @@ from orbitfinder.families.start import begin
 from orbitfinder.records.orbit import Orbit, orbit_from_document
 
 CONTINUATION = "continuation"
-SETTINGS = FamilySettings(
-    points=40, first_step=0.1, longest_step=0.6, events=False, certify=False, longest_period=4.0
-)
+SETTINGS = FamilySettings(points=40, first_step=0.1, longest_step=0.6, events=False, certify=False, longest_period=4.0)
 """A family is left when it takes longer than this to reach the energy, or slows down too much."""
 
 

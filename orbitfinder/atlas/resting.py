@@ -27,9 +27,7 @@ def resting_place(model: Model, energy: float) -> np.ndarray:
     lowest = potential(place)
     if energy <= lowest:
         shown = 0.0 if abs(lowest) < FLAT * abs(energy) else lowest
-        raise InputError(
-            f"energy: {energy:.9g} J is not above {shown:.9g} J, the system at rest; give a larger energy"
-        )
+        raise InputError(f"energy: {energy:.9g} J is not above {shown:.9g} J, the system at rest; give a larger energy")
     return place
 
 

@@ -204,5 +204,3 @@ def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None
             [search, attempt.index, attempt.strategy, outcome, attempt.reason, number, attempt.seconds],
         )
         return outcome, number
-
-

@@ -105,9 +105,7 @@ def shot(march: March, step: float, state: np.ndarray, horizon: float, count: in
     return states[:-1:steps], states[-1]
 
 
-def system(
-    problem: Problem, motion: tuple[March, float], nodes: np.ndarray, periods: tuple[float, float]
-) -> System:
+def system(problem: Problem, motion: tuple[March, float], nodes: np.ndarray, periods: tuple[float, float]) -> System:
     """Scales and references of one start, taken from its guess."""
     n, count = problem.model.degrees_of_freedom, len(nodes)
     rate = max(float(np.sqrt(np.mean(nodes[:, n:] ** 2))), 2 * np.pi / problem.guess.period)
@@ -260,9 +258,7 @@ def polished(one: System, path: Path, jacobian: np.ndarray, settings: QuickSetti
     """The path to round-off, by chord Newton steps with an accurate residual, and the steps that a segment needs."""
     inverse = np.linalg.pinv(jacobian, rcond=1e-13)
     duration = path.period * one.problem.boundary.fraction / len(path.nodes)
-    ends, steps = refined_ends(
-        one.march, path.nodes, duration, rounded(FINER * duration / one.step), path.unfolding
-    )
+    ends, steps = refined_ends(one.march, path.nodes, duration, rounded(FINER * duration / one.step), path.unfolding)
     residual = rows(one, path, ends) / one.rows
     best = float(np.abs(residual).max())
     for _ in range(settings.polish_steps):

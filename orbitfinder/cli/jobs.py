@@ -72,9 +72,7 @@ class Outcome:
         return asdict(self) | {"failures": list(self.failures), "written": list(self.written)}
 
 
-def prepare(
-    files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None
-) -> list[Job]:
+def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None) -> list[Job]:
     """Jobs for problem files, everything that can be checked before computing checked."""
     from orbitfinder.problemfile.read import load_problem
 

@@ -144,9 +144,7 @@ def _boundary(source: Source) -> str:
         lines += [*body, f"FI({k}) = dot_product(along, U - UOLD)"]
     turns = [2 * np.pi * k for k in source.orbit.winding] + [0.0] * n
     loop = [f"FB({i}) = U1({i}) - U0({i}) - ({fortran_number(turn)})" for i, turn in enumerate(turns, start=1)]
-    return BOUNDARY.format(
-        loop=_parameters_in_par(loop), work=work, size=2 * n, phases=_parameters_in_par(lines)
-    )
+    return BOUNDARY.format(loop=_parameters_in_par(loop), work=work, size=2 * n, phases=_parameters_in_par(lines))
 
 
 def _legend(source: Source) -> list[str]:

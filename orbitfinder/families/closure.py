@@ -33,8 +33,13 @@ class ClosureCheck:
         self._field, self._momentum = _hamiltonian(model)
 
     def __call__(
-        self, state: np.ndarray, period: float, turns: np.ndarray, allowed: float = 0.0,
-        free: Mapping[str, float] | None = None, units: np.ndarray | float = 1.0,
+        self,
+        state: np.ndarray,
+        period: float,
+        turns: np.ndarray,
+        allowed: float = 0.0,
+        free: Mapping[str, float] | None = None,
+        units: np.ndarray | float = 1.0,
     ) -> float:
         """The largest gap round the loop of an orbit, in `units` (2n); `allowed` is what will be asked of it."""
         n, gap = state.size // 2, np.inf
@@ -46,9 +51,7 @@ class ClosureCheck:
                 break
         return gap
 
-    def ends(
-        self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None
-    ) -> np.ndarray:
+    def ends(self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
         """Where each piece of an orbit ends (N x 2n) that begins at a node (N x 2n) and lasts so long (s)."""
         pieces = zip(nodes, durations, strict=True)
         return np.stack([self._end(node, duration, 1 / PIECE_STEPS, free) for node, duration in pieces])

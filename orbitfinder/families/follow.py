@@ -223,5 +223,3 @@ def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:
 
 def _placed(event: Event, at: float, walk: Walk, stand: Stand) -> Event:
     return replace(event, index=stand.point.index, arclength=stand.point.arclength + walk.direction * at)
-
-

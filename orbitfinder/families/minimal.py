@@ -99,9 +99,7 @@ def _autonomous(model: Model) -> Any:
     return type(field)("autonomous", [t, x], [field(t, x, s, free)])
 
 
-def bar_states(
-    system: Mapping[str, Any], states: np.ndarray, free: Mapping[str, float] | None = None
-) -> np.ndarray:
+def bar_states(system: Mapping[str, Any], states: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
     """States (k x 2 bars) of all bars, angles then rates, from minimal ones (k x 2 (bars - 2)) of a family's system.
 
     `free` are the values that a point has of freed parameters.
@@ -130,9 +128,7 @@ def dead_point(system: Mapping[str, Any], states: np.ndarray, free: Mapping[str,
     return f"bars {i + 1} and {j + 1} come into line (a dead point)" if sine < LEAST_SINE else ""
 
 
-def native_state(
-    system: Mapping[str, Any], state: np.ndarray, free: Mapping[str, float] | None = None
-) -> np.ndarray:
+def native_state(system: Mapping[str, Any], state: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
     """The state of the linkage as a native DAE (6 a bar) that a minimal state of a family stands for."""
     angles, rates = np.split(bar_states(system, state, free)[0], 2)
     return linkage_state(_native(system, free), angles, rates)

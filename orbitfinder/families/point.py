@@ -191,8 +191,13 @@ def parameter_value(curve: Curve, place: Place, name: str) -> float:
 
 
 def make_point(
-    curve: Curve, found: Solution, along: np.ndarray, parameter: str, check: Check | None,
-    about: Spectrum | None = None, **where: Any
+    curve: Curve,
+    found: Solution,
+    along: np.ndarray,
+    parameter: str,
+    check: Check | None,
+    about: Spectrum | None = None,
+    **where: Any,
 ) -> tuple[FamilyPoint, Spectrum]:
     """The FamilyPoint of a corrected place; `where` gives index, arclength, step, role, indices.
 
@@ -205,9 +210,7 @@ def make_point(
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
     free = dict(zip(p.free, map(float, place.free), strict=True))
-    closure = 0.0 if check is None else check(
-        place.nodes[0], place.period, winding(curve), allowed, free, units
-    )
+    closure = 0.0 if check is None else check(place.nodes[0], place.period, winding(curve), allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
     defect = closure
@@ -241,9 +244,7 @@ def make_point(
     return point, about
 
 
-def piecewise_defect(
-    curve: Curve, found: Solution, check: Check, free: Mapping[str, float]
-) -> tuple[float, float]:
+def piecewise_defect(curve: Curve, found: Solution, check: Check, free: Mapping[str, float]) -> tuple[float, float]:
     """The largest gap between the pieces of an orbit, the boundary's included, and the largest growth.
 
     Both relative to the motion; the growth of a piece is the 2-norm of its state-transition matrix.

@@ -102,9 +102,7 @@ def rates(one: March, states: np.ndarray, s: np.ndarray) -> np.ndarray:
     return _rates(one.field, len(states))(0.0, states, s, 0.0)[0]
 
 
-def refined_ends(
-    one: March, nodes: np.ndarray, duration: float, least: int, s: np.ndarray
-) -> tuple[np.ndarray, int]:
+def refined_ends(one: March, nodes: np.ndarray, duration: float, least: int, s: np.ndarray) -> tuple[np.ndarray, int]:
     """End states (N x 2n) with 2 least, 4 least, ... steps, the first that half as many confirm; how many those are."""
     steps = least
     coarse = ends(one, nodes, duration, steps, s)

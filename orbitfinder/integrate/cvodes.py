@@ -266,9 +266,7 @@ def end_state(flow: Flow, state: np.ndarray, duration: float, start: float = 0.0
     return np.asarray(_call(flow, flow.end, state, duration, start)[0])
 
 
-def transition(
-    flow: Flow, state: np.ndarray, duration: float, start: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+def transition(flow: Flow, state: np.ndarray, duration: float, start: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """End state (2n) and state-transition matrix dx(end)/dx(start) (2n x 2n)."""
     end, sensitivity = _call(flow, flow.derivatives, state, duration, start)
     return np.asarray(end), np.asarray(sensitivity)[:, : end.size]

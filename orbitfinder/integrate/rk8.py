@@ -84,7 +84,12 @@ def agree(coarse: np.ndarray, fine: np.ndarray, units: tuple[float, ...] = ()) -
 
 
 def refined_march(
-    field: ca.Function, state: np.ndarray, duration: float, least: int, tail: np.ndarray, start: float = 0.0,
+    field: ca.Function,
+    state: np.ndarray,
+    duration: float,
+    least: int,
+    tail: np.ndarray,
+    start: float = 0.0,
     units: tuple[float, ...] = (),
 ) -> np.ndarray:
     """States (k + 1 x 2n) with k = 2 least, 4 least, ...: the first whose end k / 2 steps confirm.

@@ -76,9 +76,7 @@ SYMMETRIES: Mapping[str, Symmetry] = {
 def unfolded_invariants(model: Model, symmetry: Symmetry) -> tuple[Invariant, ...]:
     """The invariants whose closure equation is redundant, each to be unfolded by one parameter."""
     return tuple(
-        one
-        for one in model.invariants
-        if (symmetry.unfold_energy if one.generator is None else symmetry.unfold_others)
+        one for one in model.invariants if (symmetry.unfold_energy if one.generator is None else symmetry.unfold_others)
     )
 
 

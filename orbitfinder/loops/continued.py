@@ -95,7 +95,10 @@ class Solution:
 
 
 def make_curve(
-    propagator: Propagator, constant: np.ndarray, head: np.ndarray, held: tuple[tuple[int, float], ...] = (),
+    propagator: Propagator,
+    constant: np.ndarray,
+    head: np.ndarray,
+    held: tuple[tuple[int, float], ...] = (),
     unit: float = 1.0,
 ) -> Curve:
     """The curve through (or near) a head; its metric is fixed there once for the whole family.
@@ -208,9 +211,7 @@ def _moved(place: Place, step: np.ndarray) -> Place:
     )
 
 
-def _approached(
-    curve: Curve, guess: Place, aim: Aim, phases: np.ndarray, reference: Place, slope: np.ndarray
-) -> Place:
+def _approached(curve: Curve, guess: Place, aim: Aim, phases: np.ndarray, reference: Place, slope: np.ndarray) -> Place:
     """The guess improved by Broyden's method on marches of the state alone, in long steps, from the Jacobian `slope`.
 
     Stops where a step no longer helps.
@@ -240,8 +241,13 @@ def _approached(
 
 
 def correct(
-    curve: Curve, guess: Place, aim: Aim, reference: Place | None = None, reach: float = 1.0,
-    slope: np.ndarray | None = None, fit: Callable[[Curve, Solution], np.ndarray] | None = None,
+    curve: Curve,
+    guess: Place,
+    aim: Aim,
+    reference: Place | None = None,
+    reach: float = 1.0,
+    slope: np.ndarray | None = None,
+    fit: Callable[[Curve, Solution], np.ndarray] | None = None,
 ) -> Solution:
     """Newton from a guess onto the family where the aim is met.
 

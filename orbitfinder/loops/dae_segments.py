@@ -118,5 +118,3 @@ def forward_sensitivities(flow: DaeFlow, state: np.ndarray, duration: float) -> 
     columns = ca.jtimes(end, x0, ca.DM.eye(size))
     found = ca.Function("sensitivities", [x0], [end, columns])(state)
     return found[0].full().ravel(), found[1].full()
-
-

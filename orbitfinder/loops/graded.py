@@ -125,9 +125,7 @@ def rate_at(propagator: Propagator, x: np.ndarray, unfolding: np.ndarray, free: 
     return called(propagator.field, 0.0, x, unfolding, free)[0].ravel()
 
 
-def invariants_at(
-    propagator: Propagator, x: np.ndarray, free: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def invariants_at(propagator: Propagator, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Invariants, last the energy (k + 1), at one state, their derivatives by the state and by freed parameters."""
     values, slopes, by_free = called(propagator.quantities, x, free)
     return values.ravel(), slopes, by_free
@@ -198,7 +196,11 @@ def step_errors(
 
 
 def variation_errors(
-    propagator: Propagator, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, weights: np.ndarray,
+    propagator: Propagator,
+    states: np.ndarray,
+    mesh: np.ndarray,
+    tail: np.ndarray,
+    weights: np.ndarray,
     asked: np.ndarray,
 ) -> np.ndarray:
     """Estimated error of the state-transition matrix of each step `asked` for, in the units of the family's metric.

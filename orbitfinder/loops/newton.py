@@ -91,10 +91,7 @@ def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     tail = tail_of(shooting.flow, unfolding, free)
     least = least_steps(round(layout.segments / problem.boundary.fraction))
     spans = [(k * duration, (k + 1) * duration) for k in range(layout.segments)]
-    ends = [
-        end_of(shooting.flow, node, span, tail, least)
-        for node, span in zip(layout.nodes(w), spans, strict=True)
-    ]
+    ends = [end_of(shooting.flow, node, span, tail, least) for node, span in zip(layout.nodes(w), spans, strict=True)]
     return np.asarray(shooting.rows(w, np.asarray(ends).T).full().ravel())
 
 

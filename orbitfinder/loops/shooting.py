@@ -245,9 +245,7 @@ def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -
     return ca.horzcat(*[flow.end(k * duration, node, duration, s, free) for k, node in enumerate(parts)])
 
 
-def _rows(
-    problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | None], known: Variables
-) -> ca.MX:
+def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | None], known: Variables) -> ca.MX:
     """All rows of g: continuity, boundary, phase conditions, pins, equations; the guess's state, shift and far end."""
     state, shift, far = guess
     model, parts, ends = problem.model, known.nodes, known.ends

@@ -92,9 +92,7 @@ def per_link(name: str, value: Numbers, links: int, lowest: float, inclusive: bo
     if numbers.ndim == 0:
         numbers = np.full(links, float(numbers))
     if numbers.shape != (links,):
-        raise InputError(
-            f"{name}: {numbers.size} numbers for {links} links; give one number or one per link"
-        )
+        raise InputError(f"{name}: {numbers.size} numbers for {links} links; give one number or one per link")
     if not np.all(np.isfinite(numbers)):
         raise InputError(f"{name}: must be finite, got {value}; replace NaN and infinity by numbers")
     if np.any(numbers < lowest) or (not inclusive and np.any(numbers == lowest)):
@@ -213,9 +211,7 @@ def lagrange_chain(symbols: ChainSymbols, system: dict[str, Any]) -> Model:
     return lagrange(
         kinetic,
         potential,
-        Symbols(
-            symbols.angles, symbols.rates, symbols.parameters, symbols.names, tuple(symbols.values)
-        ),
+        Symbols(symbols.angles, symbols.rates, symbols.parameters, symbols.names, tuple(symbols.values)),
         names=[f"theta{i + 1}" for i in range(len(symbols.links))],
         angles=[True] * len(symbols.links),
         invariants=chain_invariants(symbols, kinetic, potential),
@@ -230,9 +226,7 @@ def recursive_chain(symbols: ChainSymbols, system: dict[str, Any]) -> Model:
     return model_from_acceleration(symbols, system, recursive_acceleration(symbols)[0])
 
 
-def model_from_acceleration(
-    symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.SX | ca.Function
-) -> Model:
+def model_from_acceleration(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.SX | ca.Function) -> Model:
     """A chain Model around accelerations (n, or a Function of t, q, v, p) derived without the energies."""
     q, v, p = symbols.angles, symbols.rates, symbols.parameters
     count = len(symbols.links)

@@ -132,7 +132,11 @@ def certified(orbit: Orbit, model: Model) -> Orbit:
 
 
 def gather(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray | None = None,
+    model: Model,
+    state: np.ndarray,
+    period: float,
+    turns: np.ndarray,
+    moments: np.ndarray | None = None,
     settings: ReferenceSettings = TIGHTEST,
 ) -> Evidence:
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
@@ -192,9 +196,7 @@ def _motion(evidence: Evidence, model: Model) -> float:
     n = model.degrees_of_freedom
     places, angular = evidence.states[:, :n], np.asarray(model.angles or (False,) * n)
     groups = [places[:, angular], places[:, ~angular]]
-    return max(
-        float(np.ptp(group, axis=0).max() / max(np.abs(group).max(), 1e-300)) for group in groups if group.size
-    )
+    return max(float(np.ptp(group, axis=0).max() / max(np.abs(group).max(), 1e-300)) for group in groups if group.size)
 
 
 def _forcing_check(orbit: Orbit, model: Model) -> Check | None:
@@ -258,9 +260,7 @@ def _pictured(orbit: Orbit) -> list[Picture]:
     return found
 
 
-def return_distances(
-    times: np.ndarray, states: np.ndarray, angles: np.ndarray, covers: Sequence[int]
-) -> list[float]:
+def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, covers: Sequence[int]) -> list[float]:
     """Distance of x(T/k) from x(0) for each k, angles modulo 2 pi, relative to the motion's extent: a first look.
 
     States between samples come from a periodic spline of the deviation; the certificate integrates to T/k.
@@ -287,9 +287,7 @@ def _picture_checks(pictured: Sequence[Picture], reached: np.ndarray, evidence: 
     return checks
 
 
-def _record_checks(
-    orbit: Orbit, evidence: Evidence, model: Model, allowed: Tolerances, scale: float
-) -> list[Check]:
+def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tolerances, scale: float) -> list[Check]:
     """What the record claims against what was recomputed; catches a file edited by hand."""
     bulk = max(abs(evidence.action), 1e-3 * evidence.exchanged * orbit.period)
     closure = abs(orbit.closure - evidence.closure) / float(evidence.extents.max())

@@ -28,7 +28,11 @@ PIECES_OF_HALF = 4
 
 
 def chain_motion(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray,
+    model: Model,
+    state: np.ndarray,
+    period: float,
+    turns: np.ndarray,
+    moments: np.ndarray,
     settings: ReferenceSettings = TIGHTEST,
 ) -> Motion:
     """The `Motion` of a state (2n) of a long chain, its canonical coordinates those of the linear modes.

@@ -52,9 +52,7 @@ def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: f
     return np.maximum(moved, lengths), np.maximum(rushed, lengths / clock)
 
 
-def closes(
-    gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None
-) -> Closure:
+def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:
     """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, and f T (m) or None.
 
     All in extents of the motion; `sizes` (m) are those of the state's components, `rate` is None where the

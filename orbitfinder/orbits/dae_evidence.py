@@ -22,7 +22,11 @@ from orbitfinder.orbits.evidence import Motion, integrate_in, masses_of, pieces_
 
 
 def constrained_motion(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray,
+    model: Model,
+    state: np.ndarray,
+    period: float,
+    turns: np.ndarray,
+    moments: np.ndarray,
     settings: ReferenceSettings = TIGHTEST,
 ) -> Motion:
     """The `Motion` of a state (2n) of the reduced form of a ConstrainedModel; states in its own coordinates."""

@@ -174,7 +174,11 @@ def _off(found: np.ndarray, wanted: np.ndarray) -> float:
 
 
 def hamiltonian_motion(
-    model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray,
+    model: Model,
+    state: np.ndarray,
+    period: float,
+    turns: np.ndarray,
+    moments: np.ndarray,
     settings: ReferenceSettings = TIGHTEST,
 ) -> Motion:
     """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations."""
@@ -216,8 +220,12 @@ def _in_momenta(moved: np.ndarray, masses: np.ndarray, period: float) -> np.ndar
 
 
 def integrate_in(
-    units: np.ndarray, field: VectorField, start: np.ndarray, times: np.ndarray,
-    settings: ReferenceSettings = TIGHTEST, longest_step: float = np.inf,
+    units: np.ndarray,
+    field: VectorField,
+    start: np.ndarray,
+    times: np.ndarray,
+    settings: ReferenceSettings = TIGHTEST,
+    longest_step: float = np.inf,
 ) -> np.ndarray:
     """`integrate` with the components measured in `units`; states in their own."""
     return integrate(scaled(field, units), start / units, times, settings, longest_step) * units

@@ -28,9 +28,7 @@ class Floquet:
     stability: str
 
 
-def reduce_monodromy(
-    monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray
-) -> np.ndarray:
+def reduce_monodromy(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """The monodromy on the level set of the invariants modulo the symmetry directions.
 
     `monodromy` (2n x 2n), `gradients` (k x 2n) of the invariants and `directions` (k x 2n), the

@@ -127,9 +127,7 @@ def frame(model: Model, flow: Flow, state: np.ndarray) -> tuple[np.ndarray, np.n
     return np.asarray(rows).reshape(len(rows), 2 * n), np.asarray(directions).reshape(len(directions), 2 * n)
 
 
-def loop_action(
-    model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, states: np.ndarray
-) -> float:
+def loop_action(model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, states: np.ndarray) -> float:
     """The action from equal times, where half of them tell the same; else integrated on from each node (N x 2n)."""
     found = action(model, times, states)
     if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):

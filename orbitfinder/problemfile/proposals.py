@@ -124,9 +124,7 @@ def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
         if squared[k - 1] > 0:
             shape = shapes[:, k - 1] / shapes[np.abs(shapes[:, k - 1]).argmax(), k - 1]
             details = {"frequency": float(np.sqrt(squared[k - 1]) / (2 * np.pi)), "shape": shape.tolist()}
-            found.append(
-                _proposal(loaded, f"mode-{k}", make(), None, {"mode": k, "amplitude": amplitude}, details)
-            )
+            found.append(_proposal(loaded, f"mode-{k}", make(), None, {"mode": k, "amplitude": amplitude}, details))
     if not found:
         raise InputError("the equilibrium at 0 is not a stable one; give a state and a period")
     return found

@@ -180,9 +180,7 @@ def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float
         if name not in model.parameter_names:
             known = ", ".join(model.parameter_names[:12])
             raise InputError(f"expected.parameters: unknown {name!r}; this system has {known}")
-    return {
-        key: (float(number["value"]), float(number["tolerance"])) for key, number in (numbers | parameters).items()
-    }
+    return {key: (float(number["value"]), float(number["tolerance"])) for key, number in (numbers | parameters).items()}
 
 
 def _turns(winding: list[int] | None, model: Model) -> tuple[int, ...] | None:

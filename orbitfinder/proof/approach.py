@@ -66,9 +66,7 @@ def default_segments(orbit: Orbit, symmetry: str) -> int:
     return 2 + int(np.log(max(largest, 1.0)) / np.log(30.0) / PARTS[symmetry])
 
 
-def symmetric_instant(
-    field: object, times: np.ndarray, states: np.ndarray, symmetry: str, angles: np.ndarray
-) -> float:
+def symmetric_instant(field: object, times: np.ndarray, states: np.ndarray, symmetry: str, angles: np.ndarray) -> float:
     """The time (s) of a rest (brake), or of q = k pi (reversal); 0 where any instant will do."""
     if symmetry in ("none", "reflection"):
         return 0.0

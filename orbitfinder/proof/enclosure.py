@@ -78,9 +78,7 @@ def horner(series: Sequence[Any], time: Any) -> Any:
     return total
 
 
-def find_step(
-    field: Field, found: Solution, begin: float, trial: float, settings: Settings
-) -> tuple[Step, float]:
+def find_step(field: Field, found: Solution, begin: float, trial: float, settings: Settings) -> tuple[Step, float]:
     """A step of the solutions `found` whose remainder is within tolerance, and the length to try next."""
     largest = max(magnitude([one[-1] for one in found.states]), 1e-300)
     h = min(_rounded(min(trial, (settings.tolerance / largest) ** (1.0 / settings.order))), 1.0 - begin)

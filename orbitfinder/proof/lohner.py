@@ -110,9 +110,7 @@ def moved_derivatives(old: Cloud, flow: Any) -> Cloud:
     stretched = along * old.turned
     turned = orthogonal(stretched, radii(old.rest).max(axis=1))
     back = turned.inv()
-    return replace(
-        old, middle=middle, turned=turned, rest=(back * stretched) * old.rest + back * (image - middle)
-    )
+    return replace(old, middle=middle, turned=turned, rest=(back * stretched) * old.rest + back * (image - middle))
 
 
 def block(matrix: Any, rows: int, first: int, last: int) -> Any:
@@ -131,9 +129,7 @@ def orthogonal(matrix: Any, weights: np.ndarray) -> Any:
     return exact(np.linalg.qr(columns[:, order] / scale)[0])
 
 
-def integrate(
-    field: Field, start: Cloud, settings: Settings, trial: float = 1.0
-) -> tuple[Cloud, list[Step]]:
+def integrate(field: Field, start: Cloud, settings: Settings, trial: float = 1.0) -> tuple[Cloud, list[Step]]:
     """The Cloud one segment (unit time, tau seconds) later, and the steps on the way."""
     here, begin, steps = start, 0.0, []
     while begin < 1.0:

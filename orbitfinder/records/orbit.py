@@ -235,9 +235,7 @@ def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples:
         entry = document.get("certificate") or {}
         checks = tuple(Check(**_with_number(check)) for check in entry.get("checks", []))
         certificate = Certificate(checks, float(entry.get("scale", 1.0))) if checks else None
-        expected = {
-            k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()
-        }
+        expected = {k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()}
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
         described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
         if not 0 < tolerance < 1 or not all({name, name.rstrip("0123456789")} & described for name in expected):

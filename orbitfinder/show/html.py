@@ -47,9 +47,7 @@ def html(value: Any) -> str | None:
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
     """A table of texts, escaped."""
     top = "".join(f'<th style="{CELL}">{escape(one)}</th>' for one in head)
-    body = "".join(
-        "<tr>" + "".join(f'<td style="{CELL}">{escape(one)}</td>' for one in row) + "</tr>" for row in rows
-    )
+    body = "".join("<tr>" + "".join(f'<td style="{CELL}">{escape(one)}</td>' for one in row) + "</tr>" for row in rows)
     return f"<table>{f'<tr>{top}</tr>' if top else ''}{body}</table>"
 
 

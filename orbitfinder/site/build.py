@@ -190,8 +190,7 @@ def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], mo
     main = fill(
         "gallery",
         title=site.settings.title,
-        summary=f"{', '.join(counts) or 'No single orbits'}"
-        + (f", {_tally(entries)}." if entries else "."),
+        summary=f"{', '.join(counts) or 'No single orbits'}" + (f", {_tally(entries)}." if entries else "."),
         links=more,
         jump=jump,
         count=str(len(entries)),
