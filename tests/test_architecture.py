@@ -40,12 +40,11 @@ SPELLING = ("loops.symmetry", "problemfile.schema")
 
 OWED_LIBRARIES = {
     "casadi": {
-        "_runtime.threads", "guesses.balanced", "guesses.linkages", "guesses.modes", "orbits.dae_evidence",
+        "guesses.balanced", "guesses.linkages", "guesses.modes", "orbits.dae_evidence",
         "orbits.evidence", "orbits.hamilton", "orbits.instability", "orbits.long_chain", "orbits.measure",
         "orbits.prepare",
     },
     "click": {"problemfile.reference"},
-    "matplotlib": {"_runtime.streams"},
 }  # fmt: skip
 OWED_CYCLES = {
     ("mechanics.constrained", "mechanics.factorise", "mechanics.lagrange", "mechanics.model"),

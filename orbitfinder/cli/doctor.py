@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.cli.options import json_option, print_json
 
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"

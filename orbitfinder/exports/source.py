@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.integrate.cvodes import build_flow, sample, vector_field
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model

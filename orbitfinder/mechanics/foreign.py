@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime.suggest import closest
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.constrained import ConstrainedModel, reduced
 from orbitfinder.mechanics.model import Model
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import arb, flint, precision

@@ -11,10 +11,10 @@ import numpy as np
 from orbitfinder.integrate.idas import DaeSettings, DaeTrajectory, simulate_dae
 from orbitfinder.mechanics.assembly import assemble, linkage_rates
 from orbitfinder.mechanics.linkage import linkage, linkage_state
-from orbitfinder.reproduce.figures import save_both
 from orbitfinder.reproduce.runs import IDAS_TOLERANCE
 from orbitfinder.show.animate import save_animation, simulation_clip
-from orbitfinder.show.style import COLOURS, dress, new_figure
+from orbitfinder.show.style import dress, new_figure, save_both
+from orbitfinder.show.svg import COLOURS
 
 SPAN, SAMPLES = 10.0, 1001
 

@@ -16,9 +16,9 @@ from orbitfinder.orbits.evidence import gap
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.orbit import Orbit, save_orbit
 from orbitfinder.reproduce.facts import ORBITS, PrintedOrbit
-from orbitfinder.reproduce.figures import save_both
 from orbitfinder.show.animate import orbit_clip, save_animation
-from orbitfinder.show.style import COLOURS, dress, line_style, new_figure
+from orbitfinder.show.style import dress, line_style, new_figure, save_both
+from orbitfinder.show.svg import COLOURS
 
 
 def refine(printed: PrintedOrbit) -> Orbit:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.show.style import COLOURS, dress, new_figure, save_png
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import COLOURS
 
 KINDS = {"elliptic": (COLOURS[2], "o", "elliptic"), "marginal": (COLOURS[4], "s", "marginal"),
          "unstable": (COLOURS[1], "^", "unstable")}  # fmt: skip

@@ -17,8 +17,7 @@ from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.records.orbit import Certificate, Orbit
-from orbitfinder.show.diagram import diagram
-from orbitfinder.show.svg import moving_mechanism, moving_portrait, unit_circle
+from orbitfinder.show.svg import diagram, moving_mechanism, moving_portrait, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies, positions
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.style import COLOURS, dress, line_style, new_figure, save_png
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from orbitfinder.show.style import dress, line_style, new_figure, save_png
+from orbitfinder.show.svg import COLOURS
 
 SNAPSHOTS = 48
 """Configurations drawn over one period."""
@@ -90,9 +91,6 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
 
 def _colour_bar(figure: Figure, axes: Any, count: int) -> None:
     """For many curves: which coordinate is which, by a colour scale where the curves have one."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     if line_style(0, count).get("linestyle") is None:
         scale = ScalarMappable(Normalize(1, count), "cividis")
         figure.colorbar(scale, ax=axes, label="coordinate number", aspect=40)

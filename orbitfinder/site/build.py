@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.site.explorers import atlas_data, atlas_main, family_data, family_main, options
 from orbitfinder.site.gather import AtlasFile, Gathered, evenly
 from orbitfinder.site.motion import Films, packed
