@@ -27,6 +27,8 @@ LIBRARIES = {
     "pydantic": ("records", "problemfile"),
     "matplotlib": ("show", "reproduce"),
     "sqlite3": ("atlas",),
+    "jinja2": ("site",),
+    "platformdirs": ("integrate.compiled",),
     "pickle": (),
     "cloudpickle": (),
     "dill": (),

@@ -49,7 +49,7 @@ def essential() -> Iterator[Finding]:
     yield Finding("python", OK if fits else BROKEN, platform.python_version(), remedy)
     for name in (
         "casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
-        "platformdirs",
+        "platformdirs", "jinja2",
     ):  # fmt: skip
         yield _package(name)
     yield from _plugins()
