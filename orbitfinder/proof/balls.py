@@ -17,13 +17,14 @@ from orbitfinder.errors import InputError
 
 try:
     import flint
-    from flint import arb, arb_mat, arb_series, fmpq  # noqa: F401 - series take theirs from here
 except ImportError as error:  # pragma: no cover - depends on what is installed
     raise InputError(
         "proofs need python-flint (ball arithmetic), which is not installed; "
         "install orbitfinder with its extra 'proof': pip install 'orbitfinder[proof]'"
     ) from error
 
+arb, arb_mat, arb_series, fmpq = flint.arb, flint.arb_mat, flint.arb_series, flint.fmpq
+FLINT = flint.__version__
 Vector = list[Any]
 """ball numbers, one per component"""
 
@@ -37,6 +38,17 @@ def precision(bits: int) -> Iterator[None]:
         yield
     finally:
         flint.ctx.prec = before
+
+
+@contextlib.contextmanager
+def truncated(terms: int) -> Iterator[None]:
+    """The length beyond which Arb cuts power series off, restored afterwards."""
+    before = flint.ctx.cap
+    flint.ctx.cap = terms
+    try:
+        yield
+    finally:
+        flint.ctx.cap = before
 
 
 def decimal(number: float) -> Any:
