@@ -27,7 +27,7 @@ LIBRARIES = {
     "pydantic": ("records", "problemfile"),
     "matplotlib": ("show", "reproduce"),
     "sqlite3": ("atlas",),
-    "jinja2": ("site",),
+    "jinja2": ("site", "reproduce.page"),
     "platformdirs": ("integrate.compiled",),
     "pickle": (),
     "cloudpickle": (),

@@ -307,10 +307,10 @@ def find_compiler() -> Compiler:
 
 
 @lru_cache(maxsize=8)
-def _described(path: str, arguments: tuple[str, ...], changed: int) -> tuple[str, tuple[str, ...]]:
+def _described(path: str, arguments: tuple[str, ...], _changed: int) -> tuple[str, tuple[str, ...]]:
     """Identity and tuning: what `--version` prints, the machine, and a digest of all that "native" defines here.
 
-    `changed` keeps a replaced compiler from being taken for the old.
+    `_changed` keeps a replaced compiler from being taken for the old.
     """
     said = _run([path, *arguments, "--version"], 10.0)
     identity = f"{said.strip()}\n{platform.system()} {platform.machine()} {' '.join(arguments)}"

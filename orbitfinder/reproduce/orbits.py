@@ -7,13 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
+from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model, energy, positions
 from orbitfinder.orbits.evidence import gap
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit, save_orbit
 from orbitfinder.reproduce.facts import ORBITS, PrintedOrbit
 from orbitfinder.show.animate import orbit_clip, save_animation
@@ -40,11 +43,6 @@ def refine(printed: PrintedOrbit) -> Orbit:
 
 def printed_closure(printed: PrintedOrbit) -> tuple[float, float]:
     """Least |x(T) - x(0)| (2-norm) of the printed digits over T near the guess, and that T."""
-    from scipy.optimize import minimize_scalar
-
-    from orbitfinder.integrate.cvodes import build_flow
-    from orbitfinder.orbits.measure import dense
-
     state, guess = np.asarray(printed.state), printed.period_guess
     flow = build_flow(chain(printed.links))
 

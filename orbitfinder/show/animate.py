@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw, ImageFont
+from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
@@ -65,8 +66,6 @@ def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
 
 def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSettings | None = None) -> Clip:
     """A seamless clip of an orbit from its dense samples."""
-    from scipy.interpolate import CubicHermiteSpline
-
     settings = settings or AnimationSettings()
     model = model or build_model(orbit.system)
     if len(orbit.samples) < 2:
