@@ -13,7 +13,7 @@ from orbitfinder.mechanics.assembly import assemble, linkage_rates
 from orbitfinder.mechanics.linkage import linkage, linkage_state
 from orbitfinder.reproduce.runs import IDAS_TOLERANCE
 from orbitfinder.show.animate import save_animation, simulation_clip
-from orbitfinder.show.style import dress, new_figure, save_both
+from orbitfinder.show.style import dress, new_figure, plane, save_both
 from orbitfinder.show.svg import COLOURS
 
 SPAN, SAMPLES = 10.0, 1001
@@ -105,6 +105,5 @@ def figure_10(result: DaeTrajectory, points: np.ndarray) -> Any:
     for down, across in points[: SAMPLES // 2 : 12]:
         sweep.plot(across, -down, color=COLOURS[0], alpha=0.25, linewidth=0.8)
     sweep.plot(points[0, 1], -points[0, 0], "o-", color="black", linewidth=1.6, markersize=4)
-    sweep.set_aspect("equal", adjustable="datalim")
-    dress(sweep, "y, to the right (m)", "\N{MINUS SIGN}x, up (m)")
+    plane(sweep)
     return figure

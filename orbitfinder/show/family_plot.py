@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from orbitfinder.families.motions import Motion, motions
 from orbitfinder.families.point import Family
 from orbitfinder.mechanics.model import Model
-from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.style import dress, new_figure, save_png, sweep, trail
 from orbitfinder.show.svg import COLOURS, runs
 
 MARKERS = {
@@ -63,14 +63,11 @@ def _draw(axes: Any, motion: Motion) -> None:
     if motion.joints is None:
         axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
         return
-    joints = motion.joints[:: max(1, len(motion.joints) // 30)]
-    for k, (down, right) in enumerate(joints):
-        axes.plot(right, -down, color=COLOURS[0], alpha=0.10 + 0.45 * k / len(joints), linewidth=0.8)
+    sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8)
     down, right = motion.joints[0]
     # the last joint of a linkage is a pivot on the ground
     fixed = motion.joints.shape[2] > 1 and np.ptp(motion.joints[:, :, -1], axis=0).max() < 1e-9
-    tip = motion.joints[:, :, -2 if fixed else -1]
-    axes.plot(tip[:, 1], -tip[:, 0], color=COLOURS[1], linewidth=1.1)
+    trail(axes, motion.joints[:, :, -2 if fixed else -1], 1.1)
     axes.plot(right, -down, color="black", linewidth=1.6)
     axes.plot(right[0], -down[0], "s", color="black", markersize=4)
 

@@ -7,6 +7,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -36,6 +37,23 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.grid(True, color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def sweep(axes: Any, joints: np.ndarray, faint: float = 0.10, more: float = 0.45, width: float = 1.0) -> None:
+    """Configurations of a mechanism (k x 2 x m; x down, y right), early ones faint."""
+    for k, (down, right) in enumerate(joints):
+        axes.plot(right, -down, color=COLOURS[0], alpha=faint + more * k / len(joints), linewidth=width)
+
+
+def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:
+    """The path (k x 2; x down, y right) of a mechanism's tip."""
+    axes.plot(path[:, 1], -path[:, 0], color=COLOURS[1], linewidth=width, **more)
+
+
+def plane(axes: Any) -> None:
+    """Axes for what hangs: x down, y to the right, equal scales."""
+    axes.set_aspect("equal", adjustable="datalim")
+    dress(axes, "y, to the right (m)", "\N{MINUS SIGN}x, up (m)")
 
 
 def line_style(index: int, count: int) -> dict[str, Any]:
