@@ -99,6 +99,21 @@ def boundary_rows(symmetry: Symmetry, start: Any, end: Any, shift: np.ndarray) -
     return ca.vertcat(start[n:], end[:n] - shift / 2)
 
 
+def boundary_matrices(symmetry: Symmetry, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """B0 and B1 (2n x 2n) of the boundary rows B0 x(0) + B1 x(end) - constant."""
+    if symmetry.name == "reversal":
+        place = np.diag(np.repeat([1.0, 0.0], n))
+        return place, np.roll(place, n, axis=0)
+    zero, none = ca.DM.zeros(2 * n), np.zeros(n)
+
+    def rows(start: Any, end: Any) -> np.ndarray:
+        return np.asarray(ca.DM(boundary_rows(symmetry, start, end, none)).full().ravel())
+
+    unit = [ca.DM(column) for column in np.eye(2 * n)]
+    first = np.stack([rows(one, zero) for one in unit], axis=1)
+    return first, np.stack([rows(zero, one) for one in unit], axis=1)
+
+
 def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, basis: np.ndarray) -> Any:
     """The rows (2n) of a brake orbit under m constraints: v(0), phi(q(0)), B^T v(T/2).
 
