@@ -9,8 +9,9 @@ from orbitfinder.errors import ConvergenceError, CountError, InputError, Integra
 from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.loops import condensed as elimination
 from orbitfinder.loops.condensed import Linearised, eliminated
-from orbitfinder.loops.conditions import SYMMETRIES, pin
+from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.refine import Refined, Refiner, WarmSettings

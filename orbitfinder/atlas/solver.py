@@ -10,7 +10,6 @@ SIAM Journal 11 (1963) 431-441.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.batch import March, derivatives, rates, refined_ends, rounded, states_along
 from orbitfinder.integrate.batch import ends as ends_of
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.shooting import boundary_shift, phase_directions
+from orbitfinder.loops.shooting import boundary_constants, phase_directions
 
 FINER = 3
 """The polish begins with steps shorter than the cheap stage's by this factor."""
@@ -83,7 +82,7 @@ class System:
     rows: np.ndarray
     reference: np.ndarray
     phases: np.ndarray
-    shift: np.ndarray
+    constant: np.ndarray
     periods: tuple[float, float]
 
 
@@ -113,12 +112,13 @@ def system(problem: Problem, motion: tuple[March, float], nodes: np.ndarray, per
     phases = np.asarray(phase_directions(problem, nodes[0])).reshape(-1, 2 * n)
     lowest = float(problem.model.potential(nodes[0, :n], problem.model.parameter_values))
     span = max(abs(problem.pin[0].value - lowest), 0.1 * abs(problem.pin[0].value), 1e-3)
-    boundary = {"brake": np.full(2 * n, rate), "brake+reflection": node[::-1]}.get(problem.symmetry, node)
+    first, last = problem.boundary.rows(n)
+    boundary = (np.maximum(np.abs(first), np.abs(last)) * node).max(axis=1)
     return System(
         problem, *motion,
         columns=np.concatenate([np.tile(node, count), [problem.guess.period], np.ones(motion[0].unfolded)]),
         rows=np.concatenate([np.tile(node, count - 1), boundary, np.full(len(phases), rate), [span]]),
-        reference=nodes[0].copy(), phases=phases, shift=boundary_shift(problem, nodes), periods=periods,
+        reference=nodes[0].copy(), phases=phases, constant=boundary_constants(problem, nodes), periods=periods,
     )  # fmt: skip
 
 
@@ -128,30 +128,10 @@ def energy_row(one: System, state: np.ndarray) -> tuple[float, np.ndarray]:
     return float(total) - one.problem.pin[0].value, gradient.full().ravel()
 
 
-@lru_cache(maxsize=8)
-def boundary(symmetry: str, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """A and B (2n x 2n) of the boundary rows A x(0) + B x(end) - shift (see `conditions.boundary_rows`)."""
-    unit, zero = np.eye(n), np.zeros((n, n))
-    rates_at_start = np.block([[zero, unit], [zero, zero]])
-    return {
-        "none": (-np.eye(2 * n), np.eye(2 * n)),
-        "reflection": (np.eye(2 * n), np.eye(2 * n)),
-        "brake": (rates_at_start, np.block([[zero, zero], [zero, unit]])),
-        "brake+reflection": (rates_at_start, np.block([[zero, zero], [unit, zero]])),
-    }[symmetry]
-
-
-def displacement(problem: Problem, shift: np.ndarray) -> np.ndarray:
-    """What the boundary rows are compared with (2n)."""
-    if problem.symmetry == "brake+reflection":
-        return np.concatenate([np.zeros_like(shift), shift / 2])
-    return np.concatenate([shift, np.zeros_like(shift)])
-
-
 def rows(one: System, path: Path, ends: np.ndarray) -> np.ndarray:
     """Unscaled residual for given end states (N x 2n)."""
-    first, last = boundary(one.problem.symmetry, ends.shape[1] // 2)
-    closing = first @ path.nodes[0] + last @ ends[-1] - displacement(one.problem, one.shift)
+    first, last = one.problem.boundary.rows(ends.shape[1] // 2)
+    closing = first @ path.nodes[0] + last @ ends[-1] - one.constant
     energy, _ = energy_row(one, path.nodes[0])
     return np.concatenate(
         [(ends[:-1] - path.nodes[1:]).ravel(), closing, one.phases @ (path.nodes[0] - one.reference), [energy]]
@@ -166,7 +146,7 @@ def linearised(one: System, path: Path) -> tuple[np.ndarray, np.ndarray]:
     ends, slopes = derivatives(one.march, path.nodes, duration, rounded(duration / one.step), path.unfolding)
     speed = rates(one.march, ends, path.unfolding) * span
     columns = np.concatenate([slopes[:, :, :size], speed[:, :, None], slopes[:, :, size:]], axis=2)
-    first, last = boundary(one.problem.symmetry, size // 2)
+    first, last = one.problem.boundary.rows(size // 2)
     columns[-1] = last @ columns[-1]
     jacobian = np.zeros((one.rows.size, one.columns.size))
     for k in range(count):

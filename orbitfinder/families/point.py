@@ -261,12 +261,7 @@ def piecewise_defect(curve: Curve, found: Solution, check: Check, free: Mapping[
 
 def winding(curve: Curve) -> np.ndarray:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-    n = curve.propagator.size // 2
-    if curve.propagator.symmetry.name == "reversal":
-        return np.asarray(np.round((curve.constant[n:] - curve.constant[:n]) / np.pi))
-    if curve.propagator.symmetry.name != "none":
-        return np.zeros(n)
-    return np.asarray(np.round(curve.constant[:n] / (2 * np.pi)))
+    return curve.propagator.symmetry.turns(curve.constant)
 
 
 def place_of(point: FamilyPoint) -> Place:

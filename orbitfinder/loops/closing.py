@@ -14,21 +14,21 @@ from orbitfinder.loops.shooting import phase_directions
 
 
 def closing(problem: Problem) -> tuple[ca.Function, ca.Function]:
-    """Boundary, phase, forcing and pin rows as a function of (first, last, (T, free), shift, directions, reference,
+    """Boundary, phase, forcing and pin rows as a function of (first, last, (T, free), constant, directions, reference,
     pins), and their derivatives by the first three."""
     model, n = problem.model, problem.model.degrees_of_freedom
     first, last = ca.MX.sym("first", 2 * n), ca.MX.sym("last", 2 * n)
     tail = ca.MX.sym("tail", 1 + len(problem.free))
-    shift = ca.MX.sym("shift", 2 * n if problem.symmetry == "reversal" else n)
+    constant = ca.MX.sym("constant", 2 * n)
     count = len(phase_directions(problem, np.asarray(problem.guess.state, float)))
     directions, reference = ca.MX.sym("directions", 2 * n, count), ca.MX.sym("reference", 2 * n)
     pins, parameters = ca.MX.sym("pins", len(problem.pin)), model.parameters(problem.free, tail[1:])
-    rows = [boundary_rows(problem.boundary, first, last, shift), directions.T @ (first - reference)]  # type: ignore[arg-type]
+    rows = [boundary_rows(problem.boundary, first, last, constant), directions.T @ (first - reference)]  # type: ignore[arg-type]
     if model.forcing_period is not None:
         rows.append(tail[0] - problem.forcing_cycles * model.forcing_period(parameters))
     rows += [quantity(model, one.name, first, tail[0], parameters) - pins[k] for k, one in enumerate(problem.pin)]
     whole = ca.vertcat(*rows)
-    inputs = [first, last, tail, shift, directions, reference, pins]
+    inputs = [first, last, tail, constant, directions, reference, pins]
     slopes = [ca.densify(ca.jacobian(whole, one)) for one in (first, last, tail)]
     both = ca.Function("closing", inputs, [whole]), ca.Function("slopes", inputs, slopes)
     try:
@@ -56,7 +56,7 @@ def check_square(problem: Problem) -> None:
     for name, value in others.items():
         if value:
             raise InputError(f"{name}: warm refinement knows pins only; use find_orbit")
-    if problem.model.native is not None and problem.symmetry != "none":
+    if problem.model.native is not None and problem.boundary.maps:
         raise InputError("symmetry: brake orbits under constraints are not refined warm; use find_orbit")
     count = problem.count()
     if count.freedom:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.loops.graded import March, Propagator, boundary_matrices, glide, invariants_at, march, rate_at
+from orbitfinder.loops.graded import March, Propagator, glide, invariants_at, march, rate_at
 from orbitfinder.loops.linear import Broyden, Factors
 
 NEWTON_READY = 1e-11
@@ -110,18 +110,17 @@ def make_curve(
     clock = (period / (2 * np.pi)) ** 2
     relative = 1.0 / np.maximum(np.abs(free), 1e-3) ** 2
     weights = np.concatenate([np.ones(n) / unit**2, np.full(n, clock) / unit**2, [1.0 / period**2], relative])
-    return Curve(propagator, *boundary_matrices(propagator), constant, held, weights)
+    return Curve(propagator, *propagator.symmetry.rows(n), constant, held, weights)
 
 
 def phase_rows(curve: Curve, reference: Place) -> np.ndarray:
     """Unit normals (k x 2n) of the hyperplanes through the reference that fix time and other symmetries."""
     p, size = curve.propagator, curve.propagator.size
     x, found = reference.nodes[0], []
-    if p.symmetry.time_phase:
+    if not p.symmetry.reverses:
         found.append(rate_at(p, x, reference.unfolding, reference.free))
-    if p.symmetry.other_phases:
-        values = p.model.parameter_values
-        found += [one(x[: size // 2], x[size // 2 :], values).full().ravel() for one in p.generators]
+    values = p.model.parameter_values
+    found += [one(x[: size // 2], x[size // 2 :], values).full().ravel() for one in p.phases]
     rows = np.asarray(found).reshape(len(found), size)
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
 

@@ -11,7 +11,6 @@ integrated alike and a whole segment is one call without Python.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,7 +20,7 @@ from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.lanes import STAGES, called, evaluated, marched
 from orbitfinder.integrate.rk8 import step_of, variational_field
-from orbitfinder.loops.conditions import SYMMETRIES, Symmetry, boundary_rows, unfolded_invariants
+from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.model import Model
 
 EFFORT = 3.0
@@ -50,6 +49,8 @@ class Propagator:
     quantities: ca.Function
     momenta: ca.Function
     generators: tuple[ca.Function, ...]
+    phases: tuple[ca.Function, ...]
+    """those generators that keep the boundary rows"""
 
     @property
     def size(self) -> int:
@@ -62,10 +63,9 @@ class Propagator:
         return self.size + self.unfolding + len(self.free)
 
 
-def build_propagator(model: Model, symmetry: str = "none", free: tuple[str, ...] = ()) -> Propagator:
+def build_propagator(model: Model, symmetry: Symmetry, free: tuple[str, ...] = ()) -> Propagator:
     """Everything that depends on the equations alone; built once per family."""
-    boundary = SYMMETRIES[symmetry]
-    unfolded = unfolded_invariants(model, boundary)
+    unfolded = symmetry.unfolded(model)
     field = vector_field(model, free, unfolded)
     action = _action_rate(model, field, free)
     whole = variational_field(field, action)
@@ -76,9 +76,10 @@ def build_propagator(model: Model, symmetry: str = "none", free: tuple[str, ...]
     )
     quantities, momenta = _quantities(model, free)
     generators = tuple(one.generator for one in model.invariants if one.generator is not None)
+    phases = symmetry.generators(model)
     return Propagator(
-        model, boundary, tuple(free), len(unfolded), field, step, move, trial, trial_all, quantities, momenta,
-        generators,
+        model, symmetry, tuple(free), len(unfolded), field, step, move, trial, trial_all, quantities, momenta,
+        generators, phases,
     )  # fmt: skip
 
 
@@ -215,19 +216,3 @@ def variation_errors(
     clock = np.sqrt(weights[:size])
     scale = (clock[None, :] / clock[:, None]).ravel()  # columns first: entry (i, j) stands at j size + i
     return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
-
-
-def boundary_matrices(propagator: Propagator) -> tuple[np.ndarray, np.ndarray]:
-    """B0 and B1 (2n x 2n) of the boundary rows B0 x(0) + B1 x(end) - constant."""
-    size = propagator.size
-    if propagator.symmetry.name == "reversal":
-        place = np.diag(np.repeat([1.0, 0.0], size // 2))
-        return place, np.roll(place, size // 2, axis=0)
-    zero, none = ca.DM.zeros(size), np.zeros(size // 2)
-
-    def rows(start: Any, end: Any) -> np.ndarray:
-        return np.asarray(ca.DM(boundary_rows(propagator.symmetry, start, end, none)).full().ravel())
-
-    unit = [ca.DM(column) for column in np.eye(size)]
-    first = np.stack([rows(one, zero) for one in unit], axis=1)
-    return first, np.stack([rows(zero, one) for one in unit], axis=1)

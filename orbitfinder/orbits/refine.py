@@ -21,10 +21,10 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.closing import check_square, closing, pin_values
 from orbitfinder.loops.condensed import Linearised, Solver, eliminated
-from orbitfinder.loops.conditions import Pin, unfolded_invariants
+from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.segments import Marches, Path, segments_needed
-from orbitfinder.loops.shooting import boundary_shift, phase_directions
+from orbitfinder.loops.shooting import boundary_constants, phase_directions
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.measure import measure
 from orbitfinder.orbits.prepare import WINDING_MARGIN, at_forcing_period
@@ -86,11 +86,11 @@ class Refined:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What one guess fixes: phase reference and directions (2n x k), displacement (n, or 2n), pins."""
+    """What one guess fixes: phase reference and directions (2n x k), the boundary rows' constants, pins."""
 
     reference: np.ndarray
     directions: np.ndarray
-    shift: np.ndarray
+    constant: np.ndarray
     pins: np.ndarray
 
 
@@ -107,7 +107,7 @@ class Refiner:
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or WarmSettings()
         self.problem = problem = at_forcing_period(problem)
-        self.flow = build_flow(problem.model, problem.free, unfolded_invariants(problem.model, problem.boundary))
+        self.flow = build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
         whole = max(4, int(np.ceil(chosen.steps_per_period * problem.boundary.fraction)))
         self.segments = problem.segments or segments_needed(
             problem, self.flow, whole, chosen.growth_per_segment, chosen.most_segments
@@ -137,7 +137,7 @@ class Refiner:
         if self.marches.standstill(path) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
         extra = len(self.flow.unfolded)
-        turns = _turns(self.problem, conditions.shift)
+        turns = self.problem.boundary.turns(conditions.constant)
         return Refined(
             path.nodes[0], float(path.tail[0]), path.nodes, path.tail[1 : 1 + extra], path.tail[1 + extra :],
             turns, _largest(rows), self.marches.steps * blocks, self.marches.states,
@@ -224,14 +224,15 @@ class Refiner:
     def _conditions(self, path: Path, ends: np.ndarray, pins: np.ndarray) -> Conditions:
         """Phase conditions and displacement as the guess and its end have them."""
         problem, state, n = self.problem, path.nodes[0], self.problem.model.degrees_of_freedom
-        if problem.symmetry == "none" and problem.winding is None:
+        if not problem.boundary.maps and problem.winding is None:
             turned = np.where(problem.model.angles, (ends[-1] - state)[:n] / (2 * np.pi), 0.0)
             whole = np.round(turned)
-            shift = 2 * np.pi * whole * bool(np.all(np.abs(turned - whole) <= WINDING_MARGIN))
+            constant = np.zeros(2 * n)
+            constant[:n] = 2 * np.pi * whole * bool(np.all(np.abs(turned - whole) <= WINDING_MARGIN))
         else:
-            shift = boundary_shift(problem, path.nodes, ends[-1])
+            constant = boundary_constants(problem, path.nodes, ends[-1])
         directions = np.asarray(phase_directions(problem, state)).reshape(-1, 2 * n).T
-        return Conditions(state, directions, shift, pins)
+        return Conditions(state, directions, constant, pins)
 
     def _rows(self, path: Path, ends: np.ndarray, conditions: Conditions) -> Rows:
         """Defects between the segments and closing rows."""
@@ -246,20 +247,12 @@ class Refiner:
 
     def _arguments(self, path: Path, ends: np.ndarray, conditions: Conditions) -> tuple[np.ndarray, ...]:
         tail = np.concatenate([path.tail[:1], path.tail[1 + len(self.flow.unfolded) :]])
-        fixed = (conditions.shift, conditions.directions, conditions.reference, conditions.pins)
+        fixed = (conditions.constant, conditions.directions, conditions.reference, conditions.pins)
         return path.nodes[0], ends[-1], tail, *fixed
 
 
 def _largest(rows: Rows) -> float:
     return max(float(np.abs(part).max(initial=0.0)) for part in rows)
-
-
-def _turns(problem: Problem, shift: np.ndarray) -> np.ndarray:
-    """Whole turns of each coordinate in one period (n) that a displacement stands for."""
-    n = problem.model.degrees_of_freedom
-    if problem.symmetry == "reversal":
-        shift = 2 * (shift[n:] - shift[:n])
-    return np.round(shift / (2 * np.pi) * (problem.symmetry in ("none", "reversal"))).astype(int)
 
 
 def _checked(guess: Guess, size: int) -> Guess:
