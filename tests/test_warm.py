@@ -10,10 +10,11 @@ from orbitfinder.integrate.compiled import available, compiling
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops import condensed as elimination
 from orbitfinder.loops.condensed import Linearised, eliminated
-from orbitfinder.loops.conditions import SYMMETRIES, pin
+from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.newton import NewtonSettings
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.refine import Refined, Refiner

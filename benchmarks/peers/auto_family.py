@@ -24,7 +24,7 @@ from orbitfinder.families.closure import closure_check
 from orbitfinder.families.start import Start, full_samples
 from orbitfinder.integrate.cvodes import build_flow, vector_field
 from orbitfinder.integrate.rk8 import block, variational_field
-from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
+from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import energy
 
 AUTO = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))
@@ -227,7 +227,7 @@ def best_of(program: AutoFamily, asked: Asked, repeats: int) -> Run:
 def prepare(folder: Path, start: Start) -> None:
     """Equations and the first orbit, compiled and linked as AUTO's own makefile does."""
     model = start.curve.equations.model
-    field = vector_field(model, (), unfolded_invariants(model, SYMMETRIES["none"]))
+    field = vector_field(model, (), NONE.unfolded(model))
     x, s = ca.SX.sym("x", field.size1_in(1)), ca.SX.sym("s")
     rate = field(0.0, x, s, ca.SX(0, 1))
     slopes = [rate, ca.densify(ca.jacobian(rate, x)), ca.densify(ca.jacobian(rate, s))]

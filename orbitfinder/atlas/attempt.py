@@ -138,7 +138,7 @@ def converged(one: Bench, start: Start, settings: QuickSettings) -> Found:
     problem = Problem(one.model, guess, pin=pin(energy=one.target.energy), symmetry=start.symmetry)
     equations = one.equations[start.symmetry]
     w, end = begun(one, equations, start.state, start.period, settings)
-    if start.symmetry == "none":
+    if not problem.boundary.maps:
         problem = replace(problem, winding=turns(one, w.nodes, end))
     return solved(one, problem, w, settings)
 
@@ -204,7 +204,7 @@ def measured(one: Bench, loop: Found) -> Orbit:
     return Orbit(
         name=problem.name, system=model.system, state=loop.nodes[0], period=period,
         energy=energy(model, loop.nodes[0]), action=loop.action, closure=gap(loop.nodes[0], end, problem.turns),
-        symmetry=recognise(loop.times, loop.states, np.asarray(model.angles)),
+        symmetry=recognise(loop.times, loop.states, model),
         winding=tuple(int(k) for k in problem.turns), floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect, stability=floquet.stability,
         unfolding=tuple(float(s) for s in loop.w.unfolding), nodes=loop.nodes, times=loop.times,
@@ -215,7 +215,7 @@ def measured(one: Bench, loop: Found) -> Orbit:
 def centred(one: Bench, problem: Problem, nodes: np.ndarray) -> np.ndarray:
     """Nodes with the first one's angles in (-pi, pi], where whole turns may be taken off."""
     n = one.model.degrees_of_freedom
-    if problem.symmetry in ("reflection", "brake+reflection"):
+    if problem.boundary.forward is not None:
         return nodes
     whole = np.ceil((nodes[0, :n] - np.pi) / (2 * np.pi)) * np.asarray(one.model.angles or (False,) * n)
     return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(n)])

@@ -96,7 +96,8 @@ def scaled(problem: Problem, equations: Equations, step: float, w: Unknowns, per
     loop = loop_of(problem, equations, w, None, problem.pin)
     lowest = float(problem.model.potential(w.nodes[0, :n], problem.model.parameter_values))
     span = max(abs(problem.pin[0].value - lowest), 0.1 * abs(problem.pin[0].value), 1e-3)
-    boundary = {"brake": np.full(2 * n, rate), "brake+reflection": node[::-1]}.get(problem.symmetry, node)
+    first, last = problem.boundary.rows(n)
+    boundary = (np.maximum(np.abs(first), np.abs(last)) * node).max(axis=1)
     phases = np.full(len(loop.normals), rate)
     return Scaled(
         loop, step,

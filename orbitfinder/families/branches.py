@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.events import parameter_slopes
-from orbitfinder.families.point import Event, FamilySettings, parameter_value, unknowns_of
+from orbitfinder.families.point import Event, FamilySettings, parameter_value, unknowns_of, winding
 from orbitfinder.families.scale import extent
 from orbitfinder.families.start import (
     Start,
@@ -26,12 +26,11 @@ from orbitfinder.families.start import (
     full_samples,
     reformulated,
     symmetry_of,
-    unfolded,
     unknown_parameters,
 )
-from orbitfinder.loops.conditions import SYMMETRIES
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, scaled
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
+from orbitfinder.loops.symmetry import NONE, Symmetry, named
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
@@ -42,17 +41,6 @@ MIRRORED = 1e-7
 """Energies and periods of mirror images agree to this share of their distance from the old orbit's."""
 CRITICAL = 1e-3
 """A singular value below this, relative to the next larger ones, belongs to the kernel."""
-NARROWER = {
-    "brake+reflection": (("brake+reflection", 0.0), ("brake", 0.0), ("reversal", 0.25), ("reflection", 0.0)),
-    "brake": (("brake", 0.0), ("brake", 0.5)),
-    "reversal": (("reversal", 0.0), ("reversal", 0.5)),
-    "reflection": (("reflection", 0.0),),
-    "none": (),
-}
-"""Formulations that a branch of each symmetry may have, with the share of the period where it starts.
-
-Half of an even number of turns is no half turn: only branches of odd order keep a reflection.
-"""
 
 
 @dataclass(frozen=True)
@@ -74,10 +62,10 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
     found: list[Start] = []
-    for symmetry, share in (*NARROWER[curve.equations.symmetry.name], ("none", 0.0)):
-        if symmetry == "none" and found:
+    for symmetry, share in (*curve.equations.symmetry.narrower(), (NONE, 0.0)):
+        if symmetry == NONE and found:
             break
-        if symmetry == "brake+reflection" and event.order % 2 == 0:
+        if len(symmetry.maps) > 1 and event.order % 2 == 0:  # half of an even number of turns is no half turn
             continue
         crossing = _crossing(curve, event, symmetry, share, settings)
         if found and len(crossing.directions) > 2:  # a circle, on which only the symmetric ones are isolated
@@ -98,11 +86,11 @@ def _known(start: Start, found: list[Start], crossing: Crossing, event: Event) -
     return any(_same(start, other, crossing, event) for other in found)
 
 
-def _crossing(curve: Curve, event: Event, symmetry: str, share: float, settings: FamilySettings) -> Crossing:
+def _crossing(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Crossing:
     """The q-fold orbit in a formulation and the kernel of its Jacobian without the family's own tangent."""
     free, held = unknown_parameters(curve.equations.model, settings)
     place = _repeated(curve, event, symmetry, share)
-    equations = Equations(curve.equations.model, SYMMETRIES[symmetry], free, action=True)
+    equations = Equations(curve.equations.model, symmetry, free, action=True)
     place = replace(place, unfolding=np.zeros(equations.march.unfolding))
     there = replace(curve_at(equations, place, held, _turns(curve, event)), weights=curve.weights.copy())
     matrix, units = scaled(there, at_place(there, place))
@@ -147,25 +135,22 @@ def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
 
 
 def _turns(curve: Curve, event: Event) -> np.ndarray:
-    n = curve.equations.size // 2
-    alone = np.round(curve.constant[:n] / (2 * np.pi)) if curve.equations.symmetry.name == "none" else np.zeros(n)
-    return np.asarray(alone * event.order)
+    return winding(curve) * event.order
 
 
-def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Unknowns:
+def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> Unknowns:
     """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
-    base, fraction = at_place(curve, unknowns_of(curve, event)), SYMMETRIES[symmetry].fraction
+    base, fraction = at_place(curve, unknowns_of(curve, event)), symmetry.fraction
     n = curve.equations.size // 2
     each = (base.place.mesh.size - 1) // len(event.nodes)
-    mesh, states = unfolded(curve, base.place.mesh, base.march.states)
+    mesh, states = curve.equations.symmetry.whole(base.place.mesh, base.march.states, curve.constant)
     count = mesh.size - 1
     first = int(np.argmin(np.abs(mesh - share)))
     laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
     times = (laps + mesh[index] - mesh[first]) / event.order
     turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(n)])
     nodes = (states[index] + laps[:, None] * turn)[:-1:each]
-    if "brake" in symmetry:
-        nodes[0, n:] = 0.0
+    nodes[0, n:][symmetry.held(n)[n:]] = 0.0
     return Unknowns(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
 
 
@@ -200,7 +185,9 @@ def _symmetric(start: Start, settings: FamilySettings) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
     model = start.curve.equations.model
     try:
-        other = reformulated(start, symmetry_of(start.curve, start.found), *unknown_parameters(model, settings))
+        other = reformulated(
+            start, named(symmetry_of(start.curve, start.found), model), *unknown_parameters(model, settings)
+        )
     except (ConvergenceError, IntegrationError):
         return start
     slopes = [list(parameter_slopes(one.curve, one.found.place, one.direction).values()) for one in (start, other)]

@@ -31,7 +31,7 @@ def as_orbit(curve: Curve, member: FamilyPoint | Event, name: str = "point") -> 
         name=name, system=model.system, state=member.state, period=member.period,
         energy=energy(with_parameters(model, free), member.state),
         action=found.march.integral / curve.equations.symmetry.fraction, closure=0.0,
-        symmetry=recognise(times, states, np.asarray(model.angles)),
+        symmetry=recognise(times, states, model),
         winding=tuple(int(k) for k in winding(curve)), floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect, stability=floquet.stability,
         unfolding=tuple(float(s) for s in found.place.unfolding), nodes=member.state[None],

@@ -16,7 +16,7 @@ from orbitfinder.families.scale import extents, span
 from orbitfinder.families.start import full_samples
 from orbitfinder.loops.continued import Curve, Solution, at_place, correct, distance
 from orbitfinder.loops.loop import Condition, Unknowns
-from orbitfinder.loops.symmetry import recognise
+from orbitfinder.loops.symmetry import NONE, REFLECTION, half_period_gaps, recognise
 
 SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
@@ -184,13 +184,8 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
 
 def centre(curve: Curve, found: Solution) -> np.ndarray:
     """The middle of an orbit's configurations (n): where a shrinking family is going."""
-    n, name = curve.equations.size // 2, curve.equations.symmetry.name
-    if name == "brake+reflection":
-        return np.asarray(curve.constant[n:])
-    if name == "reflection":
-        return np.asarray(0.5 * curve.constant[:n])
-    q = found.march.states[:, :n]
-    return np.asarray(0.5 * (q.max(axis=0) + q.min(axis=0)))
+    held, q = curve.equations.symmetry.centre(curve.constant), found.march.states[:, : curve.equations.size // 2]
+    return np.asarray(np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held))
 
 
 def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
@@ -265,28 +260,19 @@ def merged(curve: Curve, place: Unknowns, interval: Interval, at: float) -> End 
     energy = float(curve.equations.quantities_at(place.nodes[0], place.free)[0][curve.equations.energy])
     where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
     times, states = full_samples(curve, found)
-    angles = np.asarray(curve.equations.model.angles)
-    name = recognise(times, states, angles)
+    angles, symmetry = np.asarray(curve.equations.model.angles), curve.equations.symmetry
+    name = recognise(times, states, curve.equations.model)
     extent, count = float(np.ptp(states, axis=0).max()), len(states) - 1
     returns = [np.abs(_between(states, count / k) - states[0]).max() for k in range(2, MOST_COVERS + 1)]
     covers = [k for k, gap in enumerate(returns, 2) if gap < JOINED * extent]
     what = ""
     if covers:
         what = f"of period T/{max(covers)}"
-    elif name not in ("none", curve.equations.symmetry.name):
+    elif name not in (NONE.name, symmetry.name):
         what = f"of symmetry {name}"
-    elif "reflection" not in curve.equations.symmetry.name and _unreflected(states, angles) < JOINED * extent:
+    elif symmetry.forward is None and half_period_gaps(REFLECTION.maps[0], states, angles).max() < JOINED * extent:
         what = "that is its own mirror image"
     return End("merged", f"joins a family {what} {where}") if what and mirrored(interval, at) else None
-
-
-def _unreflected(states: np.ndarray, angles: np.ndarray) -> float:
-    """The largest component of x(t + T/2) + x(t), angles modulo 2 pi."""
-    half, n = (len(states) - 1) // 2, states.shape[1] // 2
-    total = states[half : 2 * half] + states[:half]
-    wrapped = (total[:, :n] + np.pi) % (2 * np.pi) - np.pi
-    total[:, :n] = np.where(angles, wrapped, total[:, :n])
-    return float(np.abs(total).max())
 
 
 def _between(states: np.ndarray, place: float) -> np.ndarray:

@@ -262,12 +262,7 @@ def piecewise_defect(curve: Curve, found: Solution, check: Check, free: Mapping[
 
 def winding(curve: Curve) -> np.ndarray:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-    n = curve.equations.size // 2
-    if curve.equations.symmetry.name == "reversal":
-        return np.asarray(np.round((curve.constant[n:] - curve.constant[:n]) / np.pi))
-    if curve.equations.symmetry.name != "none":
-        return np.zeros(n)
-    return np.asarray(np.round(curve.constant[:n] / (2 * np.pi)))
+    return curve.equations.symmetry.turns(curve.constant)
 
 
 def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:

@@ -82,24 +82,12 @@ def _resolved(floquet: Floquet) -> Floquet:
 
 
 def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
-    """The map whose power `root` is the monodromy.
-
-    With R = diag(1, -1) the reversal of rates and A the matrix of the horizon: reflection, -A
-    (T/2), brake, R A^-1 R A (T), reversal, P A^-1 P A (T), both, -(P A^-1 P A) with P = diag(-1, 1) (T/2).
-    """
+    """The matrix of which the monodromy is a power, and that power, from the horizon's matrix by the symmetry."""
     size = curve.equations.size
-    name, n = curve.equations.symmetry.name, size // 2
     matrix = np.eye(size)
     for transition in found.march.transitions:
         matrix = transition @ matrix
-    if name == "none":
-        return matrix, 1
-    if name == "reflection":
-        return -matrix, 2
-    back = _inverse(curve, found, matrix)
-    signs = np.concatenate([np.ones(n), -np.ones(n)])
-    folded = (signs[:, None] * back * signs[None, :]) @ matrix
-    return (-folded, 2) if name == "brake+reflection" else (folded, 1)
+    return curve.equations.symmetry.root(matrix, lambda other: _inverse(curve, found, matrix) @ other, size)
 
 
 def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:

@@ -15,13 +15,13 @@ from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.scale import length
 from orbitfinder.integrate.march import uniform
-from orbitfinder.loops.conditions import SYMMETRIES, Pin
+from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.square import pinned
-from orbitfinder.loops.symmetry import check_symmetry, recognise
+from orbitfinder.loops.symmetry import NONE, Symmetry, named, off_centre, recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit
@@ -57,12 +57,12 @@ def begin(
     if free and problem.model.conservative:
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
-    base = replace(problem, symmetry="none") if wanted != problem.symmetry else problem
+    base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest"
     start = (_found_first if chosen else _tried)(base, free, held)
     if symmetry == "auto":
         wanted = symmetry_of(start.curve, start.found)
-    return reformulated(start, wanted, free, held)
+    return reformulated(start, named(wanted, problem.model), free, held)
 
 
 def _tried(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
@@ -143,19 +143,11 @@ def curve_at(
 
     The constants are multiples of pi: a symmetric motion may be symmetric about an upright link.
     """
-    model, n, name = equations.model, equations.size // 2, equations.symmetry.name
-    constant = np.zeros(2 * n)
-    steps = uniform(equations.symmetry.fraction, len(place.nodes), 40)
+    model, symmetry = equations.model, equations.symmetry
+    steps = uniform(symmetry.fraction, len(place.nodes), 40)
     states = equations.march.states(place.nodes, steps, place.tail)
-    if name == "none":
-        constant[:n] = 2 * np.pi * (0 if turns is None else turns)
-    elif name != "brake":
-        end, first = states[-1, :n], place.nodes[0, :n]
-        if name == "reflection":
-            constant[:n] = 2 * _half_turns(model, 0.5 * (first + end))
-        else:
-            constant[n:] = _half_turns(model, end)
-            constant[:n] = _half_turns(model, first) if name == "reversal" else 0.0
+    whole = None if symmetry.maps else turns
+    constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], states[-1], whole)
     values = equations.quantities_at(place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False))
@@ -166,12 +158,12 @@ def curve_at(
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
     known = read_as(CurveEntry, entry, "curve", "continue the family again")
-    if known.symmetry not in SYMMETRIES:
+    if known.symmetry not in symmetries_of(model):
         raise InputError(f"curve: unknown symmetry {known.symmetry!r}; continue the family again")
     unknown_parameters(model, settings)
     for name in known.free:
         model.parameter_index(name)
-    equations = Equations(model, SYMMETRIES[known.symmetry], known.free, action=True)
+    equations = Equations(model, named(known.symmetry, model), known.free, action=True)
     wanted = equations.size, equations.size + 1 + len(known.free)
     if (known.constant.shape, known.weights.shape) != (wanted[:1], wanted[1:]) or not np.all(known.weights > 0):
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
@@ -199,11 +191,6 @@ class CurveEntry:
     held: tuple[tuple[int, float], ...]
     weights: np.ndarray
     period: float | None
-
-
-def _half_turns(model: Model, q: np.ndarray) -> np.ndarray:
-    """The multiple of pi nearest to each angle, 0 for other coordinates."""
-    return np.where(np.asarray(model.angles), np.pi * np.round(q / np.pi), 0.0)
 
 
 def _first_aim(curve: Curve, place: Unknowns, problem: Problem, free: tuple[str, ...]) -> Condition:
@@ -238,37 +225,31 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     A motion may be more symmetric than its system, such as one along a line beside which nothing is even: its
     variations then do not repeat after a part of the period.
     """
-    if curve.equations.symmetry.name == "brake+reflection":
-        return "brake+reflection"
+    if len(curve.equations.symmetry.maps) > 1:
+        return curve.equations.symmetry.name
     times, states = full_samples(curve, found, 4 * SAMPLES)  # of several turns, if it branched off a resonance
     model = curve.equations.model
-    name = recognise(times, states, np.asarray(model.angles))
+    seen = symmetries_of(model)[recognise(times, states, model)]
+    candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
-        return "reflection" if "reflection" in name and _has(model, states[0], "reflection") else "none"
-    weaker = ("brake", "reversal", "reflection") if name == "brake+reflection" else ()
-    return next((one for one in (name, *weaker) if _has(model, states[0], one)), "none")
+        candidates = [Symmetry((seen.forward,))] if seen.forward else []
+    return next((one.name for one in candidates if one.held_by(model, states[0])), NONE.name)
 
 
-def _has(model: Model, state: np.ndarray, symmetry: str) -> bool:
-    """Whether the equations keep a symmetry."""
-    try:
-        check_symmetry(model, state, symmetry)
-    except InputError:
-        return False
-    return True
-
-
-def _odd_state(curve: Curve, times: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """The state at the instant when every angle is nearest to a multiple of pi, and every other coordinate to 0."""
-    model, n = curve.equations.model, curve.equations.size // 2
-    away = states[:-1, :n] - _half_turns(model, states[:-1, :n])
-    k = int(np.argmin(np.abs(away).max(axis=1)))
-    v = states[k, n:]
-    moment = times[k] - float(away[k] @ v) / max(float(v @ v), 1e-300)
+def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: Symmetry) -> np.ndarray:
+    """The state at the instant nearest to the fixed set that the horizon starts in, moved into it."""
+    model, one = curve.equations.model, symmetry.maps[0]
+    n = model.degrees_of_freedom
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
     slopes = curve.equations.march.rates(states, tail)
-    state = CubicHermiteSpline(times, states, slopes)(moment % times[-1])
-    return np.asarray(state)
+    clock = np.repeat([1.0, times[-1] / (2 * np.pi)], n)
+    away = off_centre(one, states[:-1] * clock, model.angles)
+    k = int(np.argmin(np.abs(away).max(axis=1)))
+    first, _ = symmetry.rows(n)
+    speed = (first @ (slopes[k] * clock))[:n]
+    moment = times[k] - float(away[k] @ speed) / max(float(speed @ speed), 1e-300)
+    state = np.asarray(CubicHermiteSpline(times, states, slopes)(moment % times[-1]))
+    return state - np.linalg.pinv(first[:n]) @ off_centre(one, state[None], model.angles)[0]
 
 
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
@@ -276,47 +257,20 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     p, place = curve.equations, found.place
     each, edges = -(-count // len(place.nodes)), place.edges
     mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
-    mesh, states = unfolded(curve, mesh, p.march.states(place.nodes, mesh, place.tail))
+    mesh, states = p.symmetry.whole(mesh, p.march.states(place.nodes, mesh, place.tail), curve.constant)
     times = np.linspace(0.0, place.period, count + 1)
     return times, CubicHermiteSpline(mesh * place.period, states, p.march.rates(states, place.tail))(times)
 
 
-def unfolded(curve: Curve, mesh: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times (in periods) and states of the whole period from those of a formulation's horizon."""
-    n, name = curve.equations.size // 2, curve.equations.symmetry.name
-    signs = np.concatenate([np.ones(n), -np.ones(n)])
-    if "brake" in name or name == "reversal":
-        about = np.concatenate([2 * curve.constant[n:], np.zeros(n)])
-        mirrored = states[-2::-1] * signs if name == "brake" else about - states[-2::-1] * signs
-        mesh, states = np.concatenate([mesh, 2 * mesh[-1] - mesh[-2::-1]]), np.vstack([states, mirrored])
-    if "reflection" in name:
-        half = curve.constant if name == "reflection" else np.concatenate([2 * curve.constant[n:], np.zeros(n)])
-        mesh, states = np.concatenate([mesh, mesh[-1] + mesh[1:]]), np.vstack([states, half - states[1:]])
-    return mesh, states
-
-
-def section_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: str) -> np.ndarray:
-    """The state of an orbit that the formulation of a symmetry starts from."""
-    n = curve.equations.size // 2
-    if symmetry == "reversal":
-        state = _odd_state(curve, times, states)
-        return np.concatenate([_half_turns(curve.equations.model, state[:n]), state[n:]])
-    first = states[0]
-    if "brake" in symmetry:
-        first = states[np.argmin(np.abs(states[:-1, n:]).max(axis=1))].copy()
-        first[n:] = 0.0
-    return first
-
-
-def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+def reformulated(start: Start, symmetry: Symmetry, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
     """The same orbit in the formulation of another symmetry, started at a brake instant where that needs one."""
     old, place = start.curve, start.found.place
-    if symmetry == old.equations.symmetry.name:
+    if symmetry == old.equations.symmetry:
         return start
     model = old.equations.model
     times, states = full_samples(old, start.found)
-    first = section_state(old, times, states, symmetry)
-    equations = Equations(model, SYMMETRIES[symmetry], free, action=True)
+    first = _symmetric_state(old, times, states, symmetry) if symmetry.reverses else states[0]
+    equations = Equations(model, symmetry, free, action=True)
     fresh = equations.unknowns(first[None], place.period, np.zeros(0), place.free)
     if len(place.nodes) > 1:  # too unstable to shoot over the horizon in one piece: nodes from the samples
         shifted = np.vstack([states[:-1], states])

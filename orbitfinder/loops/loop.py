@@ -23,7 +23,7 @@ import numpy as np
 from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.march import March, Varied
 from orbitfinder.loops.condensed import Linearised
-from orbitfinder.loops.conditions import Symmetry, boundary_matrices, unfolded_invariants
+from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.model import Model
 
 
@@ -118,7 +118,7 @@ class Equations:
     march: March = field(init=False)
 
     def __post_init__(self) -> None:
-        flow = vector_field(self.model, self.free, unfolded_invariants(self.model, self.symmetry))
+        flow = vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
         rate = _action_rate(self.model, flow, self.free) if self.action else None
         object.__setattr__(self, "march", March(flow, self.model.forced, rate))
 
@@ -135,7 +135,7 @@ class Equations:
     @cached_property
     def boundary(self) -> tuple[np.ndarray, np.ndarray]:
         """B0 and B1 (d x d)."""
-        return boundary_matrices(self.symmetry, self.size // 2)
+        return self.symmetry.rows(self.size // 2)
 
     @cached_property
     def quantities(self) -> ca.Function:
@@ -146,6 +146,10 @@ class Equations:
     def momenta(self) -> ca.Function:
         """The Jacobian of (q, momentum) in (q, v) as a function of (x, free)."""
         return _momenta(self.model, self.free)
+
+    @cached_property
+    def _generators(self) -> tuple[ca.Function, ...]:
+        return self.symmetry.generators(self.model)
 
     @property
     def numbers(self) -> np.ndarray:
@@ -177,11 +181,10 @@ class Equations:
     def phases(self, w: Unknowns) -> np.ndarray:
         """Unit normals (k x d) of the hyperplanes through w that fix time and other shifts."""
         x, found = w.nodes[0], []
-        if self.symmetry.time_phase and not self.model.forced:
+        if not (self.symmetry.reverses or self.model.forced):
             found.append(self.march.rates(x[None], w.tail)[0])
-        if self.symmetry.other_phases:
-            q, v, values = x[: self.size // 2], x[self.size // 2 :], self.model.parameter_values
-            found += [one.generator(q, v, values).full().ravel() for one in self.model.invariants if one.generator]
+        q, v, values = x[: self.size // 2], x[self.size // 2 :], self.model.parameter_values
+        found += [one(q, v, values).full().ravel() for one in self._generators]
         rows = np.asarray(found).reshape(len(found), self.size)
         return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
 

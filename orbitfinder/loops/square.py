@@ -9,7 +9,7 @@ import numpy as np
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.shooting import boundary_shift
+from orbitfinder.loops.shooting import boundary_constants
 
 WINDING_MARGIN = 0.25
 """A motion whose angles end farther than this from whole turns (in turns) runs round in none of them."""
@@ -40,32 +40,13 @@ def pinned(equations: Equations, name: str, value: float) -> Condition:
 
 
 def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.ndarray:
-    """What the closing rows are displaced by: the whole turns that the problem states, else those of the motion."""
+    """The constants of the closing rows: the whole turns that the problem states, else those of the motion."""
     model, n = problem.model, problem.model.degrees_of_freedom
-    if problem.symmetry == "none" and problem.winding is None and end is not None:
-        turned = np.where(model.angles, (end - w.nodes[0])[:n] / (2 * np.pi), 0.0)
-        whole = np.round(turned)
-        shift = 2 * np.pi * whole * bool(np.all(np.abs(turned - whole) <= WINDING_MARGIN))
-    else:
-        shift = boundary_shift(problem, w.nodes, end)
-    return constant_of(problem.symmetry, shift)
-
-
-def constant_of(symmetry: str, shift: np.ndarray) -> np.ndarray:
-    """The constant (d) of the boundary rows of a displacement."""
-    if symmetry == "reversal":
-        return shift
-    if symmetry == "brake+reflection":
-        return np.concatenate([np.zeros_like(shift), shift / 2])
-    return np.concatenate([shift, np.zeros_like(shift)])
-
-
-def turns_of(symmetry: str, constant: np.ndarray) -> np.ndarray:
-    """Whole turns of each coordinate in one period (n) that a constant of the boundary rows stands for."""
-    n = constant.size // 2
-    if symmetry == "reversal":
-        return np.round((constant[n:] - constant[:n]) / np.pi).astype(int)
-    return np.round(constant[:n] / (2 * np.pi) * (symmetry == "none")).astype(int)
+    if problem.boundary.maps or problem.winding is not None or end is None:
+        return boundary_constants(problem, w.nodes, end)
+    turned = np.where(model.angles, (end - w.nodes[0])[:n] / (2 * np.pi), 0.0)
+    whole = np.round(turned) * bool(np.all(np.abs(turned - np.round(turned)) <= WINDING_MARGIN))
+    return np.concatenate([2 * np.pi * whole, np.zeros(n)])
 
 
 def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: float, between: tuple[int, int]) -> int:

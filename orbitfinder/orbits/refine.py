@@ -16,11 +16,11 @@ from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
-from orbitfinder.loops.conditions import Pin, unfolded_invariants
+from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Newton, NewtonSettings
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.square import loop_of, segments_needed, turns_of
+from orbitfinder.loops.square import loop_of, segments_needed
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.measure import measure
 from orbitfinder.orbits.prepare import at_forcing_period
@@ -63,7 +63,7 @@ class Refiner:
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        self.flow = build_flow(problem.model, problem.free, unfolded_invariants(problem.model, problem.boundary))
+        self.flow = build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
         fraction = problem.boundary.fraction
@@ -93,7 +93,7 @@ class Refiner:
             )
         if self._rates(w) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
-        turns = turns_of(self.problem.symmetry, loop.constant)
+        turns = self.problem.boundary.turns(loop.constant)
         return Refined(
             w.nodes[0], w.period, w.nodes, w.unfolding, w.free, turns, residual, w.steps, newton.marches,
             newton.jacobians + 1,
@@ -160,7 +160,7 @@ def _check_square(problem: Problem) -> None:
     for name, value in others.items():
         if value:
             raise InputError(f"{name}: warm refinement knows pins only; use find_orbit")
-    if problem.model.native is not None and problem.symmetry != "none":
+    if problem.model.native is not None and problem.boundary.maps:
         raise InputError("symmetry: brake orbits under constraints are not refined warm; use find_orbit")
     count = problem.count()
     if count.freedom:
