@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from orbitfinder._runtime import interrupt
+from orbitfinder._runtime import PROCESSORS, interrupt
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that BLAS libraries read when they are loaded"""
@@ -81,7 +81,7 @@ def hired(work: Callable[..., None], *arguments: Any) -> Hand:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_begin, args=(theirs, work, *arguments), daemon=True)
-    with children_see(dict.fromkeys((*NAMES, SAFE_PATH), "1")):
+    with children_see(dict.fromkeys((*NAMES, PROCESSORS, SAFE_PATH), "1")):
         resource_tracker.ensure_running()  # its start lets Ctrl-C through again, so it comes before that is held back
         try:
             with interrupt.held_back():
