@@ -67,7 +67,7 @@ def usable_symmetry(rates: Program, energy: Program, symmetry: str) -> str:
 
     A motion can look symmetric where its equations are not (x -> -x together with another reflection).
     """
-    for name in (symmetry, *symmetry.split("+")):
+    for name in (symmetry, *(symmetry.split("+") if "+" in symmetry else ())):
         if has_symmetry(rates, energy, name):
             return name
     return "none"

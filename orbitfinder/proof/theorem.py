@@ -127,7 +127,7 @@ def _prove(
     say(f"Newton settled in {rounds} iterations; integrating {start.formulation.segments} segments of a box")
     contracted = enclosed(equations, centre, settings, say)
     path = sharpened(equations, tour(equations, contracted.image, settings), settings, say)
-    return conclusions(orbit, model, path, start, options) | {
+    return conclusions(orbit, model, contracted, path, start, options) | {
         "proved": True, "reason": "", "symmetry": symmetry, "settings": settings,
         "steps": sum(len(arc[3]) for arc in contracted.arcs),
         "radius": radius(contracted.box), "contraction": contracted.contraction,
@@ -186,7 +186,9 @@ def sharpened(equations: Equations, path: Tour, settings: Settings, say: Progres
     return path
 
 
-def conclusions(orbit: Orbit, model: Model, path: Tour, start: Approach, options: Options) -> dict[str, Any]:
+def conclusions(
+    orbit: Orbit, model: Model, contracted: Krawczyk, path: Tour, start: Approach, options: Options
+) -> dict[str, Any]:
     """What follows from the zero: that it is an orbit, the recorded one, its period and multipliers."""
     form = start.formulation
     if not moves(path):
