@@ -116,6 +116,12 @@ def floats(matrix: Any) -> np.ndarray:
     return np.array([float(x.mid()) for x in matrix.entries()]).reshape(matrix.nrows(), matrix.ncols())
 
 
+def block(matrix: Any, rows: int, first: int, last: int) -> Any:
+    """The first `rows` rows and columns first..last of a matrix."""
+    width, values = matrix.ncols(), matrix.entries()
+    return arb_mat(rows, last - first, [x for i in range(rows) for x in values[i * width + first : i * width + last]])
+
+
 def identity(size: int) -> Any:
     """The unit matrix."""
     return exact(np.eye(size))

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.proof.balls import Vector, arb, arb_mat, between, fmpq, identity
+from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, fmpq, identity
 from orbitfinder.proof.enclosure import Settings, Step
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation, image
 from orbitfinder.proof.krawczyk import Equations, krawczyk
-from orbitfinder.proof.lohner import block
 
 PIECES = 8
 """Parts of a step over which the field's sign is looked at"""
