@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,11 +38,10 @@ void {word}_rhs(double t_, const double *x, const double *s, const double *p, do
 """
 
 
-def csv_file(source: Source) -> str:
-    """The text of NAME.csv: a header line, then t (s) and the states, digits that round-trip."""
-    rows = np.column_stack([source.times, source.samples])
-    lines = [",".join(["t", *source.model.state_names]), *(",".join(repr(float(v)) for v in row) for row in rows)]
-    return "\n".join(lines) + "\n"
+def csv_text(state_names: Sequence[str], times: np.ndarray, states: np.ndarray) -> str:
+    """A header line, then t (s) and the states; digits that round-trip, as `[guess] csv = ...` reads them back."""
+    rows = np.column_stack([times, states]).tolist()
+    return "\n".join([",".join(["t", *state_names]), *(",".join(map(repr, row)) for row in rows)]) + "\n"
 
 
 def c_file(source: Source) -> str:
@@ -66,7 +65,9 @@ def c_file(source: Source) -> str:
 
 
 FORMATS: dict[str, Callable[[Source], dict[str, str]]] = {
-    "csv": lambda source: {f"{source.orbit.name}.csv": csv_file(source)},
+    "csv": lambda source: {
+        f"{source.orbit.name}.csv": csv_text(source.model.state_names, source.times, source.samples)
+    },
     "auto": auto_files,
     "julia": lambda source: {f"{source.identifier}.jl": julia_file(source)},
     "c": lambda source: {f"{source.identifier}.c": c_file(source)},
