@@ -8,20 +8,19 @@ from typing import Any
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.constrained import ConstrainedModel, reduced
 from orbitfinder.mechanics.foreign import python_model
 from orbitfinder.mechanics.linkage import linkage
+from orbitfinder.mechanics.linkage_minimal import minimal_linkage
 from orbitfinder.mechanics.maximal import chain_dae
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.partition import minimal_linkage
 
 REBUILDABLE = ("chain", "linkage")
 """Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
-    """The Model that a description stands for; of a linkage its reduced form in maximal coordinates, or
-    (with `independent` bars and `branch`) its minimal one.
+    """The Model that a description stands for; of a linkage the one in maximal coordinates, or (with
+    `independent` bars and `branch`) the minimal one; of a chain with `baumgarte` terms the native DAE.
 
     `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
     Raises `InputError` for an unknown or wrong description.
@@ -37,22 +36,18 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
 def _model(system: Mapping[str, Any], trusted: Path | None) -> Model:
     if system.get("kind") == "python":
         return python_model(system, trusted)
-    if system.get("kind") == "linkage" and "independent" in system:
+    if system.get("kind") == "linkage":
         plain = {key: value for key, value in system.items() if key not in ("independent", "branch")}
-        return minimal_linkage(build_constrained(plain), system["independent"], system.get("branch", 1))
-    if system.get("kind") == "linkage":
-        return reduced(build_constrained(system))
-    return _built(chain, system)  # type: ignore[no-any-return]
+        model = _built(linkage, plain)
+        return (
+            minimal_linkage(model, system["independent"], system.get("branch", 1)) if "independent" in system else model
+        )
+    if system.get("kind") == "chain" and "baumgarte" in system:
+        return _built(chain_dae, {key: value for key, value in system.items() if key != "formulation"})
+    return _built(chain, system)
 
 
-def build_constrained(system: Mapping[str, Any]) -> ConstrainedModel:
-    """The native DAE that a description of a linkage, or of a chain, stands for. Raises `InputError`."""
-    if system.get("kind") == "linkage":
-        return _built(linkage, system)  # type: ignore[no-any-return]
-    return _built(chain_dae, {key: value for key, value in system.items() if key != "formulation"})  # type: ignore[no-any-return]
-
-
-def _built(builder: Callable[..., Any], system: Mapping[str, Any]) -> Any:
+def _built(builder: Callable[..., Model], system: Mapping[str, Any]) -> Model:
     if (kind := system.get("kind")) not in REBUILDABLE:
         raise InputError(
             f"system.kind: cannot rebuild {kind!r} from a file; in Python give the Model itself (model=...), and for "

@@ -9,7 +9,6 @@ from typing import Any
 
 from orbitfinder._runtime.suggest import closest
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.constrained import ConstrainedModel, reduced
 from orbitfinder.mechanics.model import Model
 
 BUILT_IN = "orbitfinder.systems"
@@ -20,7 +19,7 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
 
     `orbitfinder.systems` is always allowed and only its registered functions are. With `trusted`
     (the folder of a file that the user vouches for) any other module is imported (see `module_file`).
-    A ConstrainedModel comes in its reduced form. Raises `InputError`, also for whatever the function raises.
+    Raises `InputError`, also for whatever the function raises.
     """
     module, name = system.get("module", BUILT_IN), system.get("function")
     arguments = system.get("arguments", {})
@@ -35,12 +34,12 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         raise InputError(f"system.arguments: {error}; compare with help({module}.{name})") from error
     except Exception as error:
         raise InputError(f"system.function: {module}.{name} failed with {type(error).__name__}: {error}") from error
-    if not isinstance(model, (Model, ConstrainedModel)):
+    if not isinstance(model, Model):
         raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
     if module != BUILT_IN:
         described = {"kind": "python", "module": module, "function": name, "arguments": dict(arguments)}
         model = replace(model, system=described)
-    return reduced(model) if isinstance(model, ConstrainedModel) else model
+    return model
 
 
 def module_file(module: str, folder: Path) -> Path | None:

@@ -1,6 +1,6 @@
 """A linkage in minimal coordinates by coordinate partitioning: n - 2 independent angles and no constraint left.
 
-The two dependent bars i < j close a triangle over the gap that the others leave (as in `assembly`), so
+The two dependent bars i < j close a triangle over the gap that the others leave (as in `linkage.assemble`), so
 their angles are explicit functions of the independent ones u, and with theta = Theta(u) the energies
 T(Theta, dTheta/du u'), V(Theta) give Lagrange's equations. Source: R. A. Wehage, E. J. Haug, "Generalized
 coordinate partitioning for dimension reduction in analysis of constrained dynamic systems", Journal of
@@ -15,13 +15,12 @@ from collections.abc import Sequence
 import casadi as ca
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.linkage import dimensions
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, constraint_of
 
 
-def minimal_linkage(model: ConstrainedModel, independent: Sequence[int], branch: int = 1) -> Model:
+def minimal_linkage(model: Model, independent: Sequence[int], branch: int = 1) -> Model:
     """The Model of a linkage in the angles of its `independent` bars (n - 2 of 1..n), same energies and parameters.
 
     `branch` is the sign of sin(theta_j - theta_i) of the dependent bars i < j, constant along the motion.
@@ -29,10 +28,11 @@ def minimal_linkage(model: ConstrainedModel, independent: Sequence[int], branch:
     """
     chosen = [int(k) - 1 for k in independent]
     u, rates = ca.SX.sym("u", len(chosen)), ca.SX.sym("udot", len(chosen))
-    p, n = ca.SX.sym("p", model.parameter_values.size), model.coordinates
+    p, n = ca.SX.sym("p", model.parameter_values.size), model.degrees_of_freedom
     theta = _bar_angles(model, u, p, independent, branch)
-    assert model.lift is not None
-    state = model.lift(theta, ca.jtimes(theta, u, rates), p)
+    lift = constraint_of(model).lift
+    assert lift is not None
+    state = lift(theta, ca.jtimes(theta, u, rates), p)
     return lagrange(
         model.kinetic(state[:n], state[n:], p),
         model.potential(state[:n], p),
@@ -44,13 +44,13 @@ def minimal_linkage(model: ConstrainedModel, independent: Sequence[int], branch:
     )
 
 
-def bar_angles(model: ConstrainedModel, independent: Sequence[int], branch: int = 1) -> ca.Function:
+def bar_angles(model: Model, independent: Sequence[int], branch: int = 1) -> ca.Function:
     """theta(u): the angles of all bars from those of the independent ones; see `minimal_linkage`."""
     u = ca.SX.sym("u", len(independent))
     return ca.Function("bar_angles", [u], [_bar_angles(model, u, ca.SX(model.parameter_values), independent, branch)])
 
 
-def _sides(model: ConstrainedModel, p: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _sides(model: Model, p: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Bar lengths (n) and ground pivot (2) among the parameters of a linkage."""
     bars = dimensions(model)[0].size
     named = {name: p[k] for k, name in enumerate(model.parameter_names)}
@@ -58,7 +58,7 @@ def _sides(model: ConstrainedModel, p: ca.SX) -> tuple[ca.SX, ca.SX]:
     return lengths, ca.vertcat(named["ground1"], named["ground2"])
 
 
-def _bar_angles(model: ConstrainedModel, u: ca.SX, p: ca.SX, independent: Sequence[int], branch: int) -> ca.SX:
+def _bar_angles(model: Model, u: ca.SX, p: ca.SX, independent: Sequence[int], branch: int) -> ca.SX:
     lengths, ground = _sides(model, p)
     bars = lengths.numel()
     chosen = [int(k) - 1 for k in independent]
