@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from orbitfinder.mechanics.linkage import linkage as linkage
     from orbitfinder.mechanics.linkage import linkage_rates as linkage_rates
     from orbitfinder.mechanics.linkage import linkage_state as linkage_state
-    from orbitfinder.mechanics.linkage_minimal import minimal_linkage as minimal_linkage
+    from orbitfinder.mechanics.linkage import minimal_linkage as minimal_linkage
     from orbitfinder.mechanics.maximal import chain_dae as chain_dae
     from orbitfinder.mechanics.maximal import maximal_states as maximal_states
     from orbitfinder.mechanics.maximal import minimal_states as minimal_states
@@ -133,7 +133,7 @@ _HOMES = {
     "save_animation": "show.animate",
     "simulation_clip": "show.animate",
     "save_figures": "show.plot",
-    "minimal_linkage": "mechanics.linkage_minimal",
+    "minimal_linkage": "mechanics.linkage",
     "first_return": "guesses.linkages",
     "linkage_equilibrium": "guesses.linkages",
     "linkage_mode": "guesses.linkages",

@@ -18,7 +18,7 @@ from orbitfinder.integrate.cvodes import transition
 from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import unfolded_invariants
-from orbitfinder.mechanics.linkage_minimal import minimal_linkage
+from orbitfinder.mechanics.linkage import minimal_linkage
 from orbitfinder.mechanics.model import energy
 
 FILES = Path(__file__).parents[1] / "problems" / "linkages"

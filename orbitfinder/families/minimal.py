@@ -20,8 +20,7 @@ from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_fi
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.linkage import linkage_state
-from orbitfinder.mechanics.linkage_minimal import bar_angles, minimal_linkage
+from orbitfinder.mechanics.linkage import bar_angles, linkage_state, minimal_linkage
 from orbitfinder.mechanics.model import Model, energy
 
 LEAST_SINE = 0.05

@@ -75,13 +75,15 @@ def solve_positive_definite(matrix: ca.SX, right: ca.SX) -> ca.SX:
     Source: Golub and Van Loan, Matrix Computations, 4.3.
     """
     size, band = matrix.shape[0], bandwidth(matrix)
-    lower, scaled, diagonal = ca.SX.eye(size), ca.SX(size, size), [ca.SX(0)] * size
+    lower: dict[tuple[int, int], ca.SX] = {}
+    scaled: dict[tuple[int, int], ca.SX] = {}  # L D
+    diagonal: list[ca.SX] = []
     for i in range(size):
         first = max(0, i - band)
         for j in range(first, i):
             lower[i, j] = (matrix[i, j] - sum(lower[i, k] * scaled[j, k] for k in range(first, j))) / diagonal[j]
             scaled[i, j] = lower[i, j] * diagonal[j]
-        diagonal[i] = matrix[i, i] - sum(lower[i, k] * scaled[i, k] for k in range(first, i))
+        diagonal.append(matrix[i, i] - sum(lower[i, k] * scaled[i, k] for k in range(first, i)))
     rows: list[ca.SX] = []
     for i in range(size):
         rows.append(right[i, :] - sum(lower[i, k] * rows[k] for k in range(max(0, i - band), i)))

@@ -1,4 +1,4 @@
-"""Closed planar chains of bars (four-bar, five-bar, ...) as native DAEs, and their assembly.
+"""Closed planar chains of bars (four-bar, five-bar, ...) as native DAEs, their assembly, and minimal coordinates.
 
 A linkage of n bars is the chain of n links whose tip is pinned to the ground at (x, y), x down and
 y right, by two more reaction forces and two more constraints. The first joint is at the origin, the
@@ -17,6 +17,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.chain_symbols import ChainSymbols, Numbers, chain_symbols, chain_system
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.maximal import baumgarte_of, maximal_chain, maximal_states
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 
@@ -92,15 +93,14 @@ def check_closable(lengths: np.ndarray, ground: np.ndarray) -> None:
         )
 
 
-def dimensions(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Bar lengths (n) and ground pivot (2) of a linkage from its parameter values, in m."""
-    if model.system.get("kind") != "linkage":
-        raise InputError(
-            f"model: expected a linkage, got kind {model.system.get('kind')!r}; build it with linkage(...)"
-        )
-    values = dict(zip(model.parameter_names, model.parameter_values, strict=True))
-    lengths = [values[f"length{i + 1}"] for i in range(model.degrees_of_freedom // 3)]
-    return np.array(lengths), np.array([values["ground1"], values["ground2"]])
+def dimensions(model: Model, parameters: Any = None) -> tuple[Any, Any]:
+    """Bar lengths (n) and ground pivot (2) of a linkage, in m, among its values or other `parameters` (symbols)."""
+    if (kind := model.system.get("kind")) != "linkage":
+        raise InputError(f"model: expected a linkage, got kind {kind!r}; build it with linkage(...)")
+    lengths = [model.parameter_index(f"length{i + 1}") for i in range(len(model.system["length"]))]
+    ground = [model.parameter_index(name) for name in ("ground1", "ground2")]
+    p = model.parameter_values if parameters is None else parameters
+    return p[lengths], p[ground]
 
 
 def closure_jacobian(lengths: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -287,3 +287,68 @@ def _nearest(lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float]
         f"linkage: cannot be assembled near guess = {np.array2string(guess, precision=6)}: a gap of {gap:.3g} m "
         f"is left after {NEWTON_STEPS} Gauss-Newton steps; give another guess or fewer fixed angles"
     )
+
+
+def minimal_linkage(model: Model, independent: Sequence[int], branch: int = 1) -> Model:
+    """The Model of a linkage in the angles of its `independent` bars (n - 2 of 1..n), same energies and parameters.
+
+    The two dependent bars i < j close a triangle over the gap that the others leave, so their angles are explicit
+    functions of the independent ones u, and with theta = Theta(u) the energies T(Theta, dTheta/du u'), V(Theta)
+    give Lagrange's equations. Source: R. A. Wehage, E. J. Haug, "Generalized coordinate partitioning for dimension
+    reduction in analysis of constrained dynamic systems", Journal of Mechanical Design 104 (1982) 247-255. Valid
+    while the dependent bars are not in line (a dead point). The physical parameters stay symbols, the closure of
+    the loop included, so that any of them may be freed.
+    `branch` is the sign of sin(theta_j - theta_i) of the dependent bars i < j, constant along the motion.
+    Raises `InputError`.
+    """
+    chosen = [int(k) - 1 for k in independent]
+    u, rates = ca.SX.sym("u", len(chosen)), ca.SX.sym("udot", len(chosen))
+    p, n = ca.SX.sym("p", model.parameter_values.size), model.degrees_of_freedom
+    theta = _bar_angles(model, u, p, independent, branch)
+    lift = constraint_of(model).lift
+    assert lift is not None
+    state = lift(theta, ca.jtimes(theta, u, rates), p)
+    return lagrange(
+        model.kinetic(state[:n], state[n:], p),
+        model.potential(state[:n], p),
+        Symbols(u, rates, p, model.parameter_names, tuple(map(float, model.parameter_values))),
+        names=[f"theta{k + 1}" for k in chosen],
+        angles=(True,) * len(chosen),
+        points=None if model.points is None else model.points(state[:n], p),
+        system={**model.system, "independent": [int(k) for k in independent], "branch": int(branch)},
+    )
+
+
+def bar_angles(model: Model, independent: Sequence[int], branch: int = 1) -> ca.Function:
+    """theta(u): the angles of all bars from those of the independent ones; see `minimal_linkage`."""
+    u = ca.SX.sym("u", len(independent))
+    return ca.Function("bar_angles", [u], [_bar_angles(model, u, ca.SX(model.parameter_values), independent, branch)])
+
+
+def _bar_angles(model: Model, u: ca.SX, p: ca.SX, independent: Sequence[int], branch: int) -> ca.SX:
+    lengths, ground = dimensions(model, p)
+    bars = lengths.numel()
+    chosen = [int(k) - 1 for k in independent]
+    rest = [k for k in range(bars) if k not in chosen]
+    if len(rest) != 2 or len(set(chosen)) != bars - 2 or branch not in (1, -1):
+        raise InputError(
+            f"independent: need {bars - 2} different bars of 1 to {bars} and branch +1 or -1, "
+            f"got {list(independent)!r} and {branch!r}"
+        )
+    angles = [ca.SX(0)] * bars
+    gap = ground
+    for position, k in enumerate(chosen):
+        angles[k] = u[position]
+        gap = gap - lengths[k] * ca.vertcat(ca.cos(u[position]), ca.sin(u[position]))
+    i, j = rest
+    angles[i], angles[j] = _symbolic_dyad(gap, lengths[i], lengths[j], branch)
+    return ca.vertcat(*angles)
+
+
+def _symbolic_dyad(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.SX, ca.SX]:
+    """Angles of two bars that span a gap (2): heading -+ arccos of the cosine rule, and what is left."""
+    distance = ca.norm_2(gap)
+    opening = ca.acos((distance**2 + first**2 - second**2) / (2 * distance * first))
+    angle = ca.atan2(gap[1], gap[0]) - branch * opening
+    elbow = gap - first * ca.vertcat(ca.cos(angle), ca.sin(angle))
+    return angle, ca.atan2(elbow[1], elbow[0])
