@@ -124,28 +124,26 @@ def cross(arm: Any, force: Any) -> Any:
     return arm[0] * force[1] - arm[1] * force[0]
 
 
-def geometry(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX]:
-    """Joint positions (2 x n+1, the first is the fixed joint) and centres of mass (2 x n), in m."""
-    joints, centres = [ca.SX.zeros(2)], []
+def geometry(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Joints (2 x n+1, m, the first is the fixed one), centres of mass (2 x n, m) and their velocities (2 x n, m/s)."""
+    joints, centres, velocities, joint_velocity = [ca.SX.zeros(2)], [], [], ca.SX.zeros(2)
     for i, link in enumerate(symbols.links):
-        along, _ = directions(symbols.coordinates[i])
+        along, across = directions(symbols.coordinates[i])
+        rate = symbols.velocities[i]
         centres.append(joints[-1] + link.offset * along)
+        velocities.append(joint_velocity + link.offset * rate * across)
         joints.append(joints[-1] + link.length * along)
-    return ca.horzcat(*joints), ca.horzcat(*centres)
+        joint_velocity = joint_velocity + link.length * rate * across
+    return ca.horzcat(*joints), ca.horzcat(*centres), ca.horzcat(*velocities)
 
 
 def chain_energies(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX]:
     """Kinetic energy sum 1/2 m v_G.v_G + 1/2 I w^2 and potential energy -sum m g x_G, in J."""
+    _, centres, velocities = geometry(symbols)
     kinetic, potential = ca.SX(0), ca.SX(0)
-    joint, joint_velocity = ca.SX.zeros(2), ca.SX.zeros(2)
     for i, link in enumerate(symbols.links):
-        along, across = directions(symbols.coordinates[i])
-        rate = symbols.velocities[i]
-        velocity = joint_velocity + link.offset * rate * across
-        kinetic += 0.5 * link.mass * ca.sumsqr(velocity) + 0.5 * link.inertia * rate**2
-        potential -= link.mass * symbols.gravity * (joint[0] + link.offset * along[0])
-        joint += link.length * along
-        joint_velocity += link.length * rate * across
+        kinetic += 0.5 * link.mass * ca.sumsqr(velocities[:, i]) + 0.5 * link.inertia * symbols.velocities[i] ** 2
+        potential -= link.mass * symbols.gravity * centres[0, i]
     return kinetic, potential
 
 
@@ -170,7 +168,7 @@ def chain_model(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.
     """A chain's Model around accelerations a(t, q, v, p), whichever way they were derived."""
     q, p = symbols.coordinates, symbols.parameters
     kinetic, potential = chain_energies(symbols)
-    joints, centres = geometry(symbols)
+    joints, centres, _ = geometry(symbols)
     return mechanical_model(
         acceleration,
         Terms(kinetic, potential),

@@ -26,23 +26,20 @@ from orbitfinder.mechanics.model import Baumgarte, Model, constraint_of
 
 @dataclass(frozen=True)
 class Body:
-    """One link's motion in maximal coordinates: centre of mass, angle, and their derivatives."""
+    """One link's motion in maximal coordinates: (x_G, y_G, theta) and its two derivatives (3 each)."""
 
-    centre: ca.SX
-    velocity: ca.SX
-    acceleration: ca.SX
-    angle: ca.SX
+    place: ca.SX
     rate: ca.SX
-    angular_acceleration: ca.SX
+    acceleration: ca.SX
 
     def end(self, arm: Any) -> tuple[ca.SX, ca.SX]:
         """Position and acceleration (2 each) of the point at `arm` (m) along the link from its centre.
 
         r = r_G + s e,  r'' = a_G + s (alpha n - omega^2 e).
         """
-        along, across = directions(self.angle)
-        turning = self.angular_acceleration * across - self.rate**2 * along
-        return self.centre + arm * along, self.acceleration + arm * turning
+        along, across = directions(self.place[2])
+        turning = self.acceleration[2] * across - self.rate[2] ** 2 * along
+        return self.place[:2] + arm * along, self.acceleration[:2] + arm * turning
 
 
 def chain_dae(
@@ -99,37 +96,33 @@ def maximal_chain(
     joints = count + (ground is not None)
     q, v, a = (ca.SX.sym(name, 3 * count) for name in ("q", "v", "a"))
     reactions = ca.SX.sym("R", 2 * joints)
-    bodies = [_body(q, v, a, i) for i in range(count)]
+    bodies = [Body(q[at], v[at], a[at]) for at in (slice(3 * i, 3 * i + 3) for i in range(count))]
+    kinetic, potential = ca.SX(0), ca.SX(0)
+    for link, body in zip(symbols.links, bodies, strict=True):
+        kinetic += 0.5 * link.mass * ca.sumsqr(body.rate[:2]) + 0.5 * link.inertia * body.rate[2] ** 2
+        potential -= link.mass * symbols.gravity * body.place[0]
     position, acceleration = joint_constraints(symbols, bodies, ground)
-    weights = [-link.mass * symbols.gravity * body.centre[0] for link, body in zip(symbols.links, bodies, strict=True)]
-    moving = [
-        0.5 * link.mass * ca.sumsqr(body.velocity) + 0.5 * link.inertia * body.rate**2
-        for link, body in zip(symbols.links, bodies, strict=True)
-    ]
     equations = ConstrainedEquations(
         Symbols(q, v, symbols.parameters, symbols.parameter_names, symbols.parameter_values), a, reactions,
         link_balances(symbols, bodies, ca.reshape(reactions, 2, joints)), position, acceleration,
-        Terms(sum(moving), sum(weights)),
+        Terms(kinetic, potential),
     )  # fmt: skip
-    angles = q[2::3]
-    at_angles = ca.Function("geometry", [symbols.coordinates, symbols.parameters], list(geometry(symbols)))
-    points, centres = at_angles(angles, symbols.parameters)
+    points, centres, velocities = geometry(symbols)
+    angles, rates, p = symbols.coordinates, symbols.velocities, symbols.parameters
+    at_angles = ca.Function("geometry", [angles, p], [points, centres])
+    points, q_centres = at_angles(q[2::3], p)
+    lifted = ca.vertcat(ca.vec(ca.vertcat(centres, angles.T)), ca.vec(ca.vertcat(velocities, rates.T)))
     return constrained_model(
         equations,
         baumgarte,
         [f"{name}{i + 1}" for i in range(count) for name in ("x", "y", "theta")],
         force_names=[f"R{i + 1}{axis}" for i in range(joints) for axis in "xy"],
         angles=(False, False, True) * count,
-        points=ca.Function("points", [q, symbols.parameters], [points]),
-        centres=ca.Function("centres", [q, symbols.parameters], [centres]),
-        lift=_lift(symbols),
+        points=ca.Function("points", [q, p], [points]),
+        centres=ca.Function("centres", [q, p], [q_centres]),
+        lift=ca.Function("lift", [angles, rates, p], [lifted]),
         system=system,
     )
-
-
-def _body(q: ca.SX, v: ca.SX, a: ca.SX, i: int) -> Body:
-    at = slice(3 * i, 3 * i + 2)
-    return Body(q[at], v[at], a[at], q[3 * i + 2], v[3 * i + 2], a[3 * i + 2])
 
 
 def link_balances(symbols: ChainSymbols, bodies: list[Body], reactions: ca.SX) -> ca.SX:
@@ -141,13 +134,13 @@ def link_balances(symbols: ChainSymbols, bodies: list[Body], reactions: ca.SX) -
     """
     rows: list[ca.SX] = []
     for i, (link, body) in enumerate(zip(symbols.links, bodies, strict=True)):
-        along, _ = directions(body.angle)
+        along, _ = directions(body.place[2])
         upper = reactions[:, i]
         lower = reactions[:, i + 1] if i + 1 < reactions.shape[1] else ca.SX(2, 1)
         weight = ca.vertcat(link.mass * symbols.gravity, 0)
-        rows.append(link.mass * body.acceleration - (upper - lower + weight))
+        rows.append(link.mass * body.acceleration[:2] - (upper - lower + weight))
         moment = cross(-link.offset * along, upper) - cross((link.length - link.offset) * along, lower)
-        rows.append(link.inertia * body.angular_acceleration - moment)
+        rows.append(link.inertia * body.acceleration[2] - moment)
     return ca.vertcat(*rows)
 
 
@@ -167,20 +160,6 @@ def joint_constraints(symbols: ChainSymbols, bodies: list[Body], ground: ca.SX |
         positions.append(ground - last_position)
         accelerations.append(-last_acceleration)
     return ca.vertcat(*positions), ca.vertcat(*accelerations)
-
-
-def _lift(symbols: ChainSymbols) -> ca.Function:
-    """State (6n) in maximal coordinates of a chain at angles (n) and rates (n)."""
-    joint, joint_velocity = ca.SX.zeros(2), ca.SX.zeros(2)
-    coordinates, velocities = [], []
-    for i, link in enumerate(symbols.links):
-        along, across = directions(symbols.coordinates[i])
-        turning = symbols.velocities[i] * across
-        coordinates += [joint + link.offset * along, symbols.coordinates[i]]
-        velocities += [joint_velocity + link.offset * turning, symbols.velocities[i]]
-        joint, joint_velocity = joint + link.length * along, joint_velocity + link.length * turning
-    arguments = [symbols.coordinates, symbols.velocities, symbols.parameters]
-    return ca.Function("lift", arguments, [ca.vertcat(*coordinates, *velocities)])
 
 
 def maximal_states(model: Model, states: np.ndarray) -> np.ndarray:
