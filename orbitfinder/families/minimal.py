@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.integrate.cvodes import vector_field as equations
 from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_field
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.linkage import bar_angles, linkage_state, minimal_linkage
 from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.model import vector_field as equations
 
 LEAST_SINE = 0.05
 """|sin| of the angle between the two dependent bars below which they count as being in line."""

@@ -160,6 +160,19 @@ def constraint_of(model: Model) -> HolonomicConstraint:
     return model.constraint
 
 
+def vector_field(model: Model, free: Sequence[str] = (), unfolded: Sequence[Invariant] = ()) -> ca.Function:
+    """The state-space field f(t, x, s, free) = (v, a(t, q, v, p) + sum_k s_k u_k(q, v, p)) of a Model."""
+    n = model.degrees_of_freedom
+    symbol: Any = ca.SX.sym if model.acceleration.is_a("SXFunction") else ca.MX.sym
+    t, x = symbol("t"), symbol("x", 2 * n)
+    s, chosen = symbol("s", len(unfolded)), symbol("free", len(free))
+    parameters = model.parameters(free, chosen)
+    acceleration = model.acceleration(t, x[:n], x[n:], parameters)
+    for k, invariant in enumerate(unfolded):
+        acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
+    return ca.Function("field", [t, x, s, chosen], [ca.vertcat(x[n:], acceleration)])
+
+
 def check_state(model: Model, state: Any) -> np.ndarray:
     """One state (2n) as floats; `InputError` for another size."""
     found = np.squeeze(np.asarray(state, float))

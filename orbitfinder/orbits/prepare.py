@@ -9,11 +9,11 @@ import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, end_state
-from orbitfinder.integrate.cvodes import vector_field as equations_of_motion
 from orbitfinder.integrate.dop853 import SECOND, vector_field
 from orbitfinder.loops.newton import segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import boundary_shift, far_end, half_turns, units_of
+from orbitfinder.mechanics.model import vector_field as equations_of_motion
 from orbitfinder.orbits.evidence import integrate_in
 
 DRIFT = 1e-7
