@@ -49,8 +49,6 @@ OWED_LIBRARIES = {
     "click": {"problemfile.reference"},
 }  # fmt: skip
 OWED_CYCLES = {
-    ("mechanics.constrained", "mechanics.factorise", "mechanics.lagrange", "mechanics.model"),
-    ("mechanics.chain", "mechanics.maximal", "mechanics.newton_euler"),
     ("orbits.find", "orbits.long_chain"),
     ("cli.completion", "cli.group"),
 }

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime import __version__
-from orbitfinder.integrate.cvodes import build_flow, sample, vector_field
+from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import Orbit
 
 SAMPLES = 513
