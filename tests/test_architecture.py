@@ -27,6 +27,8 @@ LIBRARIES = {
     "pydantic": ("records", "problemfile"),
     "matplotlib": ("show", "reproduce"),
     "sqlite3": ("atlas",),
+    "jinja2": ("site", "reproduce.page"),
+    "platformdirs": ("integrate.compiled",),
     "pickle": (),
     "cloudpickle": (),
     "dill": (),
@@ -40,12 +42,11 @@ SPELLING = ("loops.symmetry", "problemfile.schema")
 
 OWED_LIBRARIES = {
     "casadi": {
-        "_runtime.threads", "guesses.balanced", "guesses.linkages", "guesses.modes", "orbits.dae_evidence",
+        "guesses.balanced", "guesses.linkages", "guesses.modes", "orbits.dae_evidence",
         "orbits.evidence", "orbits.hamilton", "orbits.instability", "orbits.long_chain", "orbits.measure",
         "orbits.prepare",
     },
     "click": {"problemfile.reference"},
-    "matplotlib": {"_runtime.streams"},
 }  # fmt: skip
 OWED_CYCLES = {
     ("orbits.find", "orbits.long_chain"),

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from orbitfinder.errors import closest
 from orbitfinder.problemfile.systems import SYSTEMS as SYSTEMS
 from orbitfinder.problemfile.systems import Energies, Line, Positive, Table
 
@@ -34,8 +35,6 @@ Amplitude = Positive | Annotated[list[float], Field(min_length=1, max_length=20)
 
 
 def _system_of_its_kind(value: Any) -> Any:
-    from orbitfinder._runtime.suggest import closest
-
     if not isinstance(value, Mapping):
         raise PydanticCustomError("table", "must be a table")
     kind, known = value.get("kind"), ", ".join(map(repr, SYSTEMS))

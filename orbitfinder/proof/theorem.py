@@ -22,8 +22,17 @@ from orbitfinder.proof.field import Programs, make_field, programs
 from orbitfinder.proof.invariance import has_symmetry, turns_leave, usable_symmetry
 from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk
 from orbitfinder.proof.newton import solve
-from orbitfinder.proof.stability import Stability, stability
-from orbitfinder.proof.tour import Tour, minimal_period, monodromy, moves, positive_mass, reduced, tour
+from orbitfinder.proof.tour import (
+    Stability,
+    Tour,
+    minimal_period,
+    monodromy,
+    moves,
+    positive_mass,
+    reduced,
+    stability,
+    tour,
+)
 from orbitfinder.records.orbit import Orbit
 
 STATEMENT = 1

@@ -1,4 +1,4 @@
-"""Along the proved orbit once more, in its tiny box: states at any time, minimal period, positivity."""
+"""Along the proved orbit once more, in its tiny box: states at any time, minimal period, positivity, stability."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.proof.balls import Vector, arb, arb_mat, between, fmpq, identity
+from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, fmpq, identity
 from orbitfinder.proof.enclosure import Settings, Step
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation, image
 from orbitfinder.proof.krawczyk import Equations, krawczyk
-from orbitfinder.proof.lohner import block
 
 PIECES = 8
 """Parts of a step over which the field's sign is looked at"""
@@ -188,3 +187,44 @@ def reduced(found: Tour, matrix: Any) -> Any:
     basis = arb_mat(size, size, [columns[j][i] for i in range(size) for j in range(size)])
     whole = basis.solve(matrix * basis, algorithm="precond").tolist()
     return arb_mat([row[1:-1] for row in whole[1:-1]])
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Enclosed reduced multipliers (balls of complex numbers) and the verdict with its reason.
+
+    `verdict` is "linearly stable" (every multiplier simple and on the unit circle), "unstable" (one
+    is off it) or "open".
+    """
+
+    verdict: str
+    reason: str
+    multipliers: list[Any]
+
+
+def stability(reduced: Any) -> Stability:
+    """The verdict on a reduced monodromy (2n - 2 square).
+
+    The reduced matrix is real and preserves a symplectic form, so with mu also conj(mu), 1/mu and
+    1/conj(mu) are multipliers. An enclosure that holds one multiplier and meets the mirror images
+    1/conj(.) of no enclosure but its own therefore has it on the unit circle. Source: V. I. Arnold,
+    Mathematical Methods of Classical Mechanics, section 42.
+    """
+    if reduced.nrows() == 0:
+        return Stability("linearly stable", "one degree of freedom: no multiplier besides the two at 1", [])
+    try:
+        found = list(reduced.eig(algorithm="rump"))
+    except (ValueError, ZeroDivisionError):
+        return Stability("open", "two multipliers could not be separated", [])
+    found.sort(key=lambda one: (-round(float(abs(one).mid()), 6), float(one.imag.mid())))
+    largest = abs(found[0])
+    if largest > 1:
+        return Stability(
+            "unstable", f"a multiplier of absolute value {arb(largest).str(12)} is off the unit circle", found
+        )
+    for k, one in enumerate(found):
+        mirrored = 1 / one.conjugate()
+        for j, other in enumerate(found):
+            if j != k and mirrored.overlaps(other):
+                return Stability("open", "a multiplier could be one of a pair just off the unit circle", found)
+    return Stability("linearly stable", "every multiplier is simple and on the unit circle", found)
