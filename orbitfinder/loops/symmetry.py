@@ -201,15 +201,16 @@ class Symmetry:
         n = constant.size // 2
         if not self.reverses:
             return (np.eye(2 * n) if self.forward is None else self.forward.matrix(n)), constant
-        first, last = (one.matrix(n) for one in self.mirrors)
-        about = self._displacements(constant)
-        return last @ first, last @ about[0] + about[1]
+        (first, begin), (last, end) = self.about(constant)
+        return last @ first, last @ begin + end
 
-    def _displacements(self, constant: np.ndarray) -> Affine:
-        """d of S x + d about the start and about the end of the part, of a symmetry that reverses."""
+    def about(self, constant: np.ndarray) -> tuple[Affine, Affine]:
+        """(S, d) of the maps about the start and about the end of the part, of a symmetry that reverses."""
         n = constant.size // 2
-        first, last = (_fixed(one, n).lift for one in self.mirrors)
-        return first @ constant[:n], last @ constant[n:]
+        first, last = self.mirrors
+        return (first.matrix(n), _fixed(first, n).lift @ constant[:n]), (
+            last.matrix(n), _fixed(last, n).lift @ constant[n:],
+        )  # fmt: skip
 
     def turns(self, constant: np.ndarray) -> np.ndarray:
         """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
@@ -241,9 +242,8 @@ class Symmetry:
         Without the rows' constants the states' own are taken.
         """
         constant = self.implied(states[0], states[-1]) if constant is None else constant
-        n = states.shape[1] // 2
         if self.reverses:
-            last, (_, moved) = self.mirrors[1].matrix(n), self._displacements(constant)
+            _, (last, moved) = self.about(constant)
             times = np.concatenate([times, 2 * times[-1] - times[-2::-1]])
             states = np.vstack([states, states[-2::-1] @ last.T + moved])
         if self.forward is not None:
