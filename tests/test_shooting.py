@@ -10,7 +10,7 @@ from conftest import PRINTED, dop853, printed_problem, reference
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import SolveSettings, hessian
-from orbitfinder.loops.newton import polish, residual
+from orbitfinder.loops.polish import polish, residual
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe
 from orbitfinder.loops.symmetry import SYMMETRIES

@@ -193,8 +193,8 @@ def test_half_of_a_lyapunov_orbit_is_enough():
     np.testing.assert_allclose(half.state[[1, 2]], 0.0, atol=1e-20)
     np.testing.assert_allclose(half.floquet_multipliers, whole.floquet_multipliers, rtol=1e-6)
     start = begin(half, model=model)
-    assert start.curve.propagator.symmetry.name == "mirror"
+    assert start.curve.equations.symmetry.name == "mirror"
     assert start.found.place.period == pytest.approx(half.period, rel=1e-9)
     elsewhere = np.asarray(whole.samples[len(whole.samples) // 8])
     begun = begin(replace(half, state=elsewhere, record=None), model=model)
-    assert begun.curve.propagator.symmetry.name == "mirror"
+    assert begun.curve.equations.symmetry.name == "mirror"

@@ -16,8 +16,9 @@ from orbitfinder.atlas.mirrors import mirrors, off_section
 from orbitfinder.atlas.resting import reach_of, resting_place
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.guesses.modes import normal_modes
-from orbitfinder.integrate.batch import March, build_march, ends, rounded, states_along
 from orbitfinder.integrate.cvodes import Flow, build_flow
+from orbitfinder.integrate.march import rounded, uniform
+from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import BRAKE, NONE, QUARTER, REFLECTION, REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.hamilton import prepare
@@ -54,13 +55,13 @@ class Target:
 class Bench:
     """Everything about a model that starts share.
 
-    Marches and flows by the symmetry imposed (only those that the model has), the step (s) of the
+    Equations and flows by the symmetry imposed (only those that the model has), the step (s) of the
     cheap stage, the equilibrium and the normal modes about it, the strategies that take turns, the model's mirrors.
     """
 
     model: Model
     target: Target
-    marches: Mapping[str, March]
+    equations: Mapping[str, Equations]
     flows: Mapping[str, Flow]
     step: float
     equilibrium: np.ndarray
@@ -90,10 +91,9 @@ def bench(model: Model, target: Target) -> Bench:
     known = [*(name for name, one in SYMMETRIES.items() if one.held_by(model, origin)), *["mirror"] * bool(found)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     unfolded = {name: SYMMETRIES[name].unfolded(model) for name in known if name in imposed}
-    built = {kinds: build_march(model, kinds) for kinds in dict.fromkeys(unfolded.values())}
     one = Bench(
         model, target,
-        marches={name: built[kinds] for name, kinds in unfolded.items()},
+        equations={name: Equations(model, SYMMETRIES[name]) for name in unfolded},
         flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
         strategies=tuple(name for name in TURNS if possible(name, known)), mirrors=found,
@@ -108,15 +108,16 @@ def possible(name: str, known: Sequence[str]) -> bool:
 
 def calibrated(one: Bench) -> float:
     """The step (s) with which the median motion on the energy shell is right to `STEP_ERROR` per span."""
-    random, march = np.random.default_rng(0), one.marches["none"]
+    random, march = np.random.default_rng(0), one.equations["none"].march
     states = np.array([_random_state(one, random) for _ in range(CALIBRATION_STATES)])
-    span, steps, none = one.target.periods[1] / SPANS, 4, np.zeros(march.unfolded)
+    span, steps = one.target.periods[1] / SPANS, 4
+    tail = np.append(span, np.zeros(march.unfolding))
 
     def marched(count: int) -> np.ndarray:
         found = []
         for state in states:
             try:
-                found.append(ends(march, state[None], span, count, none)[0])
+                found.append(march.ends(state[None], uniform(1.0, 1, count), tail)[0])
             except IntegrationError:
                 found.append(np.full(state.size, np.inf))
         return np.asarray(found)
@@ -308,8 +309,8 @@ def simulated(one: Bench, state: np.ndarray, duration: float) -> tuple[np.ndarra
     """Times and states of a loose simulation."""
     samples = SAMPLES_PER_PERIOD * duration / one.target.periods[1]
     count = rounded(max(samples, duration / one.step))
-    march = one.marches["none"]
-    return np.linspace(0.0, duration, count + 1), states_along(march, state, duration, count, np.zeros(march.unfolded))
+    march, mesh = one.equations["none"].march, uniform(1.0, 1, count)
+    return duration * mesh, march.states(state[None], mesh, np.append(duration, np.zeros(march.unfolding)))
 
 
 def _return_time(one: Bench, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:

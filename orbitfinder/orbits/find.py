@@ -21,7 +21,7 @@ from orbitfinder.loops.dae_segments import build_dae_flow
 from orbitfinder.loops.ipopt import Callback as Callback
 from orbitfinder.loops.ipopt import Progress as Progress
 from orbitfinder.loops.ipopt import SolveSettings as SolveSettings
-from orbitfinder.loops.newton import polish
+from orbitfinder.loops.polish import polish
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe, units_of
 from orbitfinder.mechanics.catalogue import with_parameters

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from orbitfinder.integrate.cvodes import Flow, transition
-from orbitfinder.loops.newton import end_of, graded_end, least_steps, segment, tail_of
+from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.shooting import boundary_constants
 from orbitfinder.loops.symmetry import recognise

@@ -11,7 +11,7 @@ from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, end_state
 from orbitfinder.integrate.cvodes import vector_field as equations_of_motion
 from orbitfinder.integrate.dop853 import SECOND, vector_field
-from orbitfinder.loops.newton import segment, tail_of
+from orbitfinder.loops.polish import segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import boundary_constants, far_end, units_of
 from orbitfinder.loops.symmetry import off_centre
