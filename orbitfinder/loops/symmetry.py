@@ -67,7 +67,7 @@ class Involution:
         signs = tuple(int(one) for one in np.ravel(pair[0] * pair[1]))
         made: int | tuple[int, ...] = signs[0] if len(set(signs)) == 1 else signs
         sense = self.sense * other.sense
-        alike = (one for one in (BRAKE_MAP, REFLECTION_MAP, REVERSAL_MAP) if (one.sense, one.signs) == (sense, made))
+        alike = (one for one in USUAL if (one.sense, one.signs) == (sense, made))
         return next(alike, Involution(f"{other.name} with {self.name}", sense, made))
 
     def in_words(self, names: tuple[str, ...]) -> str:
@@ -368,6 +368,7 @@ def _rows(symmetry: Symmetry, n: int) -> tuple[np.ndarray, np.ndarray]:
 BRAKE_MAP = Involution("brake", -1, 1)
 REFLECTION_MAP = Involution("reflection", 1, -1)
 REVERSAL_MAP = Involution("reversal", -1, -1)
+USUAL = (BRAKE_MAP, REFLECTION_MAP, REVERSAL_MAP)
 NONE = Symmetry()
 REFLECTION = Symmetry((REFLECTION_MAP,))
 """x(t + T/2) = -x(t)"""
