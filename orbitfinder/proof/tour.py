@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -68,27 +69,16 @@ def tour(equations: Equations, box: Vector, settings: Settings) -> Tour:
 
 
 def monodromy(found: Tour) -> Any:
-    """dx(T)/dx(0) (2n square) from the horizon's, by the symmetries.
-
-    With B = diag(1, -1) (brake) or diag(-1, 1) (reversal) and Phi the horizon's matrix, the second half
-    is B Phi^-1 B; a reflection squares.
-    """
-    n, symmetry, phi = found.formulation.size, found.formulation.symmetry, found.horizon_matrix
-
-    def back(sign: int, matrix: Any) -> Any:
-        mirror = arb_mat(2 * n, 2 * n, [
-            arb((sign if i < n else -sign) * int(i == j)) for i in range(2 * n) for j in range(2 * n)
-        ])  # fmt: skip
-        return mirror * matrix.solve(mirror * matrix, algorithm="precond")
-
-    if symmetry == "none":
-        return phi
-    if symmetry == "reflection":
-        return phi * phi
-    if symmetry == "brake+reflection":
-        half = back(-1, phi)
-        return half * half
-    return back(1 if symmetry == "brake" else -1, phi)
+    """dx(T)/dx(0) (2n square) from the horizon's, by the symmetry."""
+    phi, size = found.horizon_matrix, 2 * found.formulation.size
+    root, power = found.formulation.symmetry.root(
+        phi,
+        lambda other: phi.solve(other, algorithm="precond"),
+        size,
+        made=lambda matrix: arb_mat(size, size, [arb(float(one)) for one in matrix.ravel()]),
+        times=operator.mul,
+    )
+    return root * root if power == 2 else root
 
 
 def positive_mass(found: Tour) -> bool:
