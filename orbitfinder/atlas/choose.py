@@ -89,7 +89,7 @@ def check(problem: Problem) -> None:
             "periods in bounds, and nothing free; use find_orbit otherwise"
         )
     extra = [name for name in problem.bounds if name != "period"]
-    if extra or problem.constraints or problem.symmetry != "none" or [one.name for one in problem.pin] != ["energy"]:
+    if extra or problem.constraints or problem.boundary.maps or [one.name for one in problem.pin] != ["energy"]:
         raise InputError(
             "objective: a choice among separate orbits goes by energy (pin) and period (bounds) only; leave out other "
             "bounds, constraints, pins and the symmetry"

@@ -396,11 +396,11 @@ def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     return {one.name: one for one in found} if own else SYMMETRIES
 
 
-def named(name: str, model: Model, where: str = "symmetry", remedy: str = "") -> Symmetry:
+def named(name: str, model: Model) -> Symmetry:
     """The symmetry with a name; `InputError` names the known ones."""
     known = SYMMETRIES if name in SYMMETRIES else symmetries_of(model)
     if name not in known:
-        raise InputError(f"{where}: unknown {name!r}; {remedy or 'use one of ' + ', '.join(known)}")
+        raise InputError(f"symmetry: unknown {name!r}; use one of {', '.join(known)}")
     return known[name]
 
 

@@ -254,7 +254,7 @@ def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
 def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
     """The same orbit over its minimal period, when the solver went round it several times."""
     problem, layout = shooting.problem, shooting.layout
-    if problem.symmetry != "none":
+    if problem.boundary.maps:
         return shooting, w
     cover = cover_of(shooting, w)
     if cover == 1:
