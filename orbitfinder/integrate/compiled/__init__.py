@@ -20,11 +20,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.compiled import cache
 from orbitfinder.integrate.compiled.compiler import (
     STARTING,
+    Compiler,
     CompilerError,
     expected_seconds,
     find_compiler,
@@ -59,8 +61,7 @@ class Unavailable(Exception):
 
 _chosen: list[str] = []
 _statistics = Statistics()
-_known: dict[tuple[Any, ...], tuple[ca.Function, ca.Function]] = {}
-_libraries: dict[str, ca.Function] = {}
+_known, _libraries = Kept[ca.Function](REMEMBERED), Kept[ca.Function](REMEMBERED)
 
 
 def mode() -> str:
@@ -118,19 +119,16 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     if not paying and effort < STARTING:  # type: ignore[operator]
         return function
     surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    remembered = (function.__hash__(), mode(), *surroundings, paying or effort)
-    if remembered in _known:
-        _known[remembered] = _known.pop(remembered)  # the latest used is the last to go
-        return _known[remembered][1]
+    return _known((Same(function), mode(), *surroundings, paying or effort), lambda: _tried(function, effort))
+
+
+def _tried(function: ca.Function, effort: float | None) -> ca.Function:
     try:
         with captured():
-            result = _library(function, effort)
+            return _library(function, effort)
     except (Unavailable, CompilerError, OSError, RuntimeError) as error:
         _count(left=1, reason=f"{function.name()}: {error}")
-        result = function
-    _make_room(_known)
-    _known[remembered] = (function, result)  # holding the function keeps its hash from being reused
-    return result
+        return function
 
 
 def interpreted_seconds(function: ca.Function, calls: float) -> float:
@@ -153,8 +151,11 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
     code = _code(function)
     compiler = find_compiler()
     key = cache.key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
-    if key in _libraries:
-        return _libraries[key]
+    return _libraries(key, lambda: _fetched(function, effort, code, compiler, key))
+
+
+def _fetched(function: ca.Function, effort: float | None, code: str, compiler: Compiler, key: str) -> ca.Function:
+    """The compiled function from the disk or made now."""
     place = cache.usable()
     found = _loaded(cache.find(place, key), function)
     if found is None:
@@ -165,15 +166,7 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
                 if not held:
                     raise Unavailable("another process is compiling the same")
                 found = _made(cache.publish(make_library(compiler, code, place), place, key), function)
-    _make_room(_libraries)
-    _libraries[key] = found
     return found
-
-
-def _make_room(remembered: dict[Any, Any]) -> None:
-    """Forget the oldest entry where there are as many as are kept."""
-    if len(remembered) >= REMEMBERED:
-        remembered.pop(next(iter(remembered)))
 
 
 def _code(function: ca.Function) -> str:
