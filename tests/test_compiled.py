@@ -48,13 +48,8 @@ def fresh(tmp_path, monkeypatch):
     """An empty cache, mode auto and no memory of earlier tests."""
     monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("ORBITFINDER_COMPILE", raising=False)
-    for name, value in (
-        ("_known", Kept(32)),
-        ("_libraries", Kept(32)),
-        ("_chosen", []),
-        ("_statistics", rooms.Statistics()),
-    ):
-        monkeypatch.setattr(rooms, name, value)
+    forget(monkeypatch)
+    monkeypatch.setattr(rooms, "_chosen", [])
     return tmp_path / "cache" / "compiled"
 
 

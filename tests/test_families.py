@@ -17,7 +17,6 @@ from scipy.special import ellipk
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families import events
 from orbitfinder.families.branches import switch
-from orbitfinder.families.closure import closure_check
 from orbitfinder.families.folder import continue_command
 from orbitfinder.families.follow import follow
 from orbitfinder.families.journal import load_family, read_journal
@@ -30,6 +29,7 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.continued import at_place
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
+from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.measure import multipliers
 
 DATA = Path(__file__).parent / "data"
@@ -127,7 +127,7 @@ def second_mode():
 def walked(mode, until):
     settings = FamilySettings()
     start = begin(mode_problem(chain(3), mode), settings)
-    check = closure_check(start.curve.propagator.model)
+    check = ClosureCheck(start.curve.propagator.model)
     origin = first_point(start, settings, check)
     batches = list(follow(Walk(start.curve, settings, 1, origin, check, until)))
     points = [origin, *(point for batch in batches for point in batch.points)]
@@ -137,7 +137,7 @@ def walked(mode, until):
 def branch_at(start, energy, points=80):
     """Follow a branch away from where it was born; the point at an energy."""
     settings = FamilySettings(events=False, points=points)
-    check = closure_check(start.curve.propagator.model)
+    check = ClosureCheck(start.curve.propagator.model)
     origin = first_point(start, settings, check)
     sign = 1 if np.sum(start.curve.weights * origin.tangent * start.direction) > 0 else -1
     for batch in follow(Walk(start.curve, settings, sign, origin, check, at=(energy,))):
@@ -227,7 +227,7 @@ def test_physical_parameter_at_constant_energy(tmp_path):
     assert last.free["length2"] == pytest.approx(1.3, abs=1e-13)
     assert abs(last.energy - family.points[0].energy) < 1e-12 * abs(last.energy) + 1e-12
     changed = chain(2, length=[1.0, 1.3])
-    assert closure_check(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
+    assert ClosureCheck(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
 
 
 def test_unknown_parameter_is_refused(tmp_path):
@@ -332,7 +332,7 @@ def wild():
     """The double pendulum's slow mode where its largest multiplier is far above what one turn can close to."""
     settings = FamilySettings(events=False)
     start = begin(mode_problem(chain(2), 1, 0.5), settings, symmetry="brake+reflection")
-    check = closure_check(start.curve.propagator.model)
+    check = ClosureCheck(start.curve.propagator.model)
     walk = Walk(start.curve, settings, 1, first_point(start, settings, check), check, until=19.55)
     points = [point for batch in follow(walk) for point in batch.points]
     return walk, points[-1]

@@ -18,12 +18,9 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.batch import derivatives, ends, rounded, states_along
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.symmetry import recognise
-from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certified, return_distances
-from orbitfinder.orbits.evidence import gap
 from orbitfinder.orbits.floquet import analyse, reduce_monodromy
-from orbitfinder.orbits.measure import action, frame, full_period
+from orbitfinder.orbits.measure import action, frame, full_period, recorded
 from orbitfinder.records.orbit import Orbit
 
 Numbers = tuple[float, float, float]
@@ -182,23 +179,17 @@ def whole_period(one: Bench, problem: Problem, path: Path, steps: int) -> tuple[
 
 def measured(one: Bench, loop: Loop) -> Orbit:
     """The Orbit of a loop, as `periodic.measure` makes it, by the compiled march."""
-    model, problem, march = one.model, loop.problem, one.marches["none"]
+    problem, march = loop.problem, one.marches["none"]
     period, none, n = loop.path.period, np.zeros(march.unfolded), one.model.degrees_of_freedom
     steps = (len(loop.times) - 1) // len(loop.nodes)
     monodromy = np.eye(2 * n)
     for matrix in derivatives(march, loop.nodes, period / len(loop.nodes), steps, none)[1][:, :, : 2 * n]:
         monodromy = matrix @ monodromy
-    gradients, directions = frame(model, one.flows["none"], loop.nodes[0])
+    gradients, directions = frame(one.model, loop.nodes[0])
     floquet = analyse(reduce_monodromy(monodromy, gradients, directions), conservative=True)
     end = ends(march, loop.nodes[:1], period, len(loop.times) - 1, none)[0]
-    return Orbit(
-        name=problem.name, system=model.system, state=loop.nodes[0], period=period,
-        energy=energy(model, loop.nodes[0]), action=loop.action, closure=gap(loop.nodes[0], end, problem.turns),
-        symmetry=recognise(loop.times, loop.states, np.asarray(model.angles)),
-        winding=tuple(int(k) for k in problem.turns), floquet_multipliers=floquet.multipliers,
-        pair_defect=floquet.pair_defect, stability=floquet.stability,
-        unfolding=tuple(float(s) for s in loop.path.unfolding), nodes=loop.nodes, times=loop.times,
-        samples=loop.states, tolerance=problem.tolerance,
+    return recorded(
+        problem, period, end, loop.nodes, loop.times, loop.states, loop.path.unfolding, loop.action, floquet
     )  # fmt: skip
 
 

@@ -18,10 +18,10 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.batch import March, build_march, ends, rounded, states_along
 from orbitfinder.integrate.cvodes import Flow, build_flow
+from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
 from orbitfinder.loops.symmetry import check_symmetry
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.hamilton import prepare
 
 METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""

@@ -13,7 +13,6 @@ from orbitfinder._runtime import limit, locks
 from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, LimitError
 from orbitfinder.families.certified import batch_certified, certified
-from orbitfinder.families.closure import closure_check
 from orbitfinder.families.follow import follow
 from orbitfinder.families.journal import (
     FORMAT,
@@ -36,6 +35,7 @@ from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.orbit import Orbit, load_orbit
 
 SAVE_EVERY = 50
@@ -87,7 +87,7 @@ def continue_command(
 
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
-    check = closure_check(curve.propagator.model)
+    check = ClosureCheck(curve.propagator.model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         closure = check(point.state, point.period, winding(curve), allowed, point.free)
@@ -144,7 +144,7 @@ def _fresh(
     folder: Path, name: str, start: Start, settings: FamilySettings, request: dict[str, Any], source: dict[str, Any]
 ) -> Journal:
     curve = start.curve
-    origin = first_point(start, settings, closure_check(curve.propagator.model) if settings.certify else None)
+    origin = first_point(start, settings, ClosureCheck(curve.propagator.model) if settings.certify else None)
     header = {
         "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.propagator.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
@@ -192,7 +192,7 @@ def _finish(
 ) -> Family:
     """Walk what is left in each direction, journalling every step."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    check = closure_check(curve.propagator.model) if settings.certify else None
+    check = ClosureCheck(curve.propagator.model) if settings.certify else None
     batches = list(journal.batches)
     for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1))):
         done, end = journal.steps(sign), journal.end(sign)

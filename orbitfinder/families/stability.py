@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.graded import invariants_at, momentum_slopes, rate_at
-from orbitfinder.orbits.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
+from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reciprocal_pairs, symplectic_unit
 
 UNRESOLVED = 1e7
 """The reciprocal of a multiplier beyond this is taken from it, not from the eigenvalue solver."""
@@ -44,9 +44,8 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
     p, place = curve.propagator, found.place
     root_map, root = _root_map(curve, found)
-    gradients, directions = _frame(curve, found)
-    reduced = reduce_monodromy(root_map, gradients, directions)
-    basis = _basis(gradients, directions)
+    basis = complement(*_frame(curve, found))
+    reduced = np.asarray(basis.T @ root_map @ basis)
     conservative = p.model.conservative
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
@@ -109,37 +108,24 @@ def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
     before = momentum_slopes(curve.propagator, place.nodes[0], place.free)
     after = momentum_slopes(curve.propagator, end, place.free)
     canonical = after @ matrix @ np.linalg.inv(before)
-    unit = _symplectic_unit(len(matrix) // 2)
+    unit = symplectic_unit(len(matrix) // 2)
     return np.asarray(np.linalg.solve(before, -unit @ canonical.T @ unit @ after))
-
-
-def _symplectic_unit(n: int) -> np.ndarray:
-    return np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
 
 
 def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of the invariants and symmetry directions, the flow first, at x(0). Raises `ConvergenceError`."""
-    p, place = curve.propagator, found.place
-    x, n = place.nodes[0], p.size // 2
+    p, place, x = curve.propagator, found.place, found.place.nodes[0]
     directions = [rate_at(p, x, place.unfolding, place.free)]
     if not np.any(directions[0]):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
-    directions += [one(x[:n], x[n:], p.model.parameter_values).full().ravel() for one in p.generators]
     gradients = invariants_at(p, x, place.free)[1][:-1]
-    return gradients, np.asarray(directions)
-
-
-def _basis(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """The orthonormal complement that `reduce_monodromy` works in (2n x 2n-2)."""
-    removed = np.vstack([gradients, directions])
-    _, singular, rows = np.linalg.svd(removed / np.linalg.norm(removed, axis=1, keepdims=True))
-    return np.asarray(rows[int(np.sum(singular > 1e-10 * singular[0])) :].T)
+    return gradients, np.vstack([*directions, generated(p.model, x)])
 
 
 def _form(curve: Curve, x: np.ndarray, free: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """The symplectic form J, in canonical coordinates, on the space that a basis spans."""
     lift = momentum_slopes(curve.propagator, x, free) @ basis
-    return np.asarray(lift.T @ _symplectic_unit(len(lift) // 2) @ lift)
+    return np.asarray(lift.T @ symplectic_unit(len(lift) // 2) @ lift)
 
 
 def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:

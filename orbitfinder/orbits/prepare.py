@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, end_state
-from orbitfinder.integrate.cvodes import vector_field as equations_of_motion
-from orbitfinder.integrate.dop853 import SECOND, vector_field
+from orbitfinder.integrate.dop853 import SECOND, integrate_in, vector_field
+from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.newton import segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import boundary_shift, far_end, half_turns, units_of
-from orbitfinder.orbits.evidence import integrate_in
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
@@ -37,8 +35,7 @@ def check_invariants(problem: Problem) -> None:
     if not model.invariants or model.native is not None or model.system.get("kind") in DERIVED:
         return
     n, values = model.degrees_of_freedom, model.parameter_values
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * n)
-    field = vector_field(ca.Function("plain", [t, x], [equations_of_motion(model, (), ())(t, x, [], [])]))
+    field = vector_field(accelerations(model))
     units = np.asarray(units_of(problem) or np.ones(2 * n))
     start = np.asarray(problem.guess.state, float) + 0.01 * units * np.random.default_rng(0).normal(size=2 * n)
     try:
