@@ -29,10 +29,10 @@ import numpy as np
 from peers.auto_family import AUTO, Clock, Run, auto_runs
 
 from orbitfinder.families.follow import follow
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilyPoint, FamilySettings
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model

@@ -39,9 +39,7 @@ SPELLING = ("loops.symmetry", "problemfile.schema")
 """The only files that spell the name of a symmetry"""
 
 OWED_LIBRARIES = {
-    "casadi": {
-        "_runtime.threads", "guesses.linkages", "guesses.modes", "orbits.instability", "orbits.measure",
-    },
+    "casadi": {"_runtime.threads"},
     "click": {"problemfile.reference"},
     "matplotlib": {"_runtime.streams"},
 }  # fmt: skip

@@ -11,11 +11,10 @@ from orbitfinder.errors import InputError
 from orbitfinder.families.folder import continue_command
 from orbitfinder.families.minimal import bar_states, dead_point, minimal_problem, native_state
 from orbitfinder.families.motions import motions
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import begin
-from orbitfinder.guesses.linkages import linkage_mode
+from orbitfinder.guesses.modes import linkage_mode, mode_problem
 from orbitfinder.integrate.cvodes import build_flow, end_state
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem

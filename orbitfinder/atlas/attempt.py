@@ -123,7 +123,7 @@ def name_of(one: Bench, seed: int, start: Start) -> str:
 def loop_signature(one: Bench, loop: Loop) -> Signature:
     """The signature of a loop that is not measured yet."""
     energy, period, action = loop.numbers
-    angles = tuple(one.model.angles) or (False,) * one.model.degrees_of_freedom
+    angles = tuple(map(bool, one.model.angular))
     return Signature(energy, period, action, resampled(loop.times, loop.states), angles)
 
 
@@ -144,7 +144,7 @@ def turns(one: Bench, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ...]:
     """Whole turns of each coordinate over the guess, to the nearest."""
     n = one.model.degrees_of_freedom
     whole = np.round((end - nodes[0])[:n] / (2 * np.pi))
-    return tuple(int(k) for k in np.where(np.asarray(one.model.angles or (False,) * n), whole, 0))
+    return tuple(int(k) for k in np.where(one.model.angular, whole, 0))
 
 
 def solved(one: Bench, problem: Problem, path: Path, settings: QuickSettings) -> Loop:
@@ -198,7 +198,7 @@ def centred(one: Bench, problem: Problem, nodes: np.ndarray) -> np.ndarray:
     n = one.model.degrees_of_freedom
     if problem.symmetry in ("reflection", "brake+reflection"):
         return nodes
-    whole = np.ceil((nodes[0, :n] - np.pi) / (2 * np.pi)) * np.asarray(one.model.angles or (False,) * n)
+    whole = np.ceil((nodes[0, :n] - np.pi) / (2 * np.pi)) * one.model.angular
     return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(n)])
 
 
@@ -207,11 +207,10 @@ def minimal(one: Bench, loop: Loop, settings: QuickSettings) -> Loop:
     low, high = one.target.periods
     if not low <= loop.path.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
-    angles = np.asarray(one.model.angles or (False,) * one.model.degrees_of_freedom)
     covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
     near: list[bool] = []
     if covers:
-        near = [far < COVER for far in return_distances(loop.times, loop.states, angles, covers)]
+        near = [far < COVER for far in return_distances(loop.times, loop.states, one.model.angular, covers)]
     if any(near):
         loop = uncovered(one, loop, max(compress(covers, near)), settings)
     if not low <= loop.path.period <= high:

@@ -141,7 +141,7 @@ def _near(numbers: tuple[float, float, float], one: Candidate) -> bool:
 
 def _add(found: list[Candidate], signature: Signature, orbit: Orbit | None) -> None:
     from orbitfinder.atlas.signature import same_orbit
-    from orbitfinder.orbits.instability import rank
+    from orbitfinder.orbits.objectives import rank
 
     for k, each in enumerate(found):
         if same_orbit(each.signature, signature):

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit
 
@@ -71,7 +71,7 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
         period=orbit.period,
         action=abs(orbit.action),
         loop=resampled(times, samples),
-        angles=tuple(model.angles) or (False,) * model.degrees_of_freedom,
+        angles=tuple(map(bool, model.angular)),
     )
 
 
@@ -119,13 +119,6 @@ def _extents(loop: np.ndarray, n: int) -> np.ndarray:
     coordinates = min(max(float(np.ptp(loop[:, :n], axis=0).max()), 1e-300), np.pi)
     rates = max(float(np.abs(loop[:, n:]).max()), 1e-300)
     return np.concatenate([np.full(n, coordinates), np.full(n, rates)])
-
-
-def wrapped(gaps: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
-    """Differences of states (... x 2n) with angles brought to [-pi, pi)."""
-    turning = np.zeros(gaps.shape[-1], bool)
-    turning[: len(angles)] = angles
-    return np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
 
 
 def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:

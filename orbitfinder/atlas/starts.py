@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.atlas.mirrors import mirrors, off_section
-from orbitfinder.atlas.resting import reach_of, resting_place
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.guesses.equilibria import reach_of, resting_place
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.batch import March, build_march, ends, rounded, states_along
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
 from orbitfinder.loops.symmetry import check_symmetry
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, wrapped
 
 METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
@@ -251,8 +251,7 @@ def _centre(one: Bench, random: np.random.Generator) -> np.ndarray:
 
 def _crossing(one: Bench, random: np.random.Generator) -> np.ndarray:
     """Passing a configuration that the reflection keeps: every angle 0 or a half turn, as the energy allows."""
-    n = one.model.degrees_of_freedom
-    angles = np.asarray(one.model.angles or (False,) * n)
+    n, angles = one.model.degrees_of_freedom, one.model.angular
     for _ in range(ATTEMPTS):
         q = np.where(angles, np.pi * random.integers(0, 2, n), 0.0) * (random.uniform() < 0.5)
         if potential(one, q) < one.target.energy:
@@ -263,7 +262,7 @@ def _crossing(one: Bench, random: np.random.Generator) -> np.ndarray:
 def _mirrored(one: Bench, random: np.random.Generator) -> np.ndarray:
     """In the fixed set of one of the model's mirrors: some coordinates at 0 (or a half turn), the others at rest."""
     signs = one.mirrors[random.integers(len(one.mirrors))]
-    angles = np.asarray(one.model.angles or (False,) * signs.size)
+    angles = one.model.angular
     for _ in range(ATTEMPTS):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(one, random))
         if potential(one, q) < one.target.energy:
@@ -292,26 +291,18 @@ TURNS = (
 """Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
 
 
-def wrapping(model: Model) -> np.ndarray:
-    """Which components of a state (2n) count modulo 2 pi."""
-    n = model.degrees_of_freedom
-    return np.concatenate([np.asarray(model.angles or (False,) * n, bool), np.zeros(n, bool)])
-
-
 def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
-    n = one.model.degrees_of_freedom
+    n, angular = one.model.degrees_of_freedom, one.model.angular
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
     if symmetry in HALVES:
-        angles = np.asarray(one.model.angles or (False,) * n)
         known = (-np.ones(n),) if symmetry == "reversal" else one.mirrors
-        signs = min(known, key=lambda signs: float(off_section(signs, states[:1], angles, rate)[0]))
-        return off_section(signs, states, angles, rate)
-    start, turning = states[0], wrapping(one.model)
+        signs = min(known, key=lambda signs: float(off_section(signs, states[:1], angular, rate)[0]))
+        return off_section(signs, states, angular, rate)
+    start = states[0]
     if symmetry == "brake":
         return np.asarray(np.abs(states[:, n:]).max(axis=1) / rate)
-    gaps = states - start if symmetry == "none" else states + start
-    gaps = np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+    gaps = wrapped(states - start if symmetry == "none" else states + start, angular)
     if symmetry == "brake+reflection":
         return np.asarray(np.abs(states[:, :n]).max(axis=1))
     return np.asarray((np.abs(gaps) / np.concatenate([np.ones(n), np.full(n, rate)])).max(axis=1))

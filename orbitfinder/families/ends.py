@@ -17,6 +17,7 @@ from orbitfinder.families.start import full_samples
 from orbitfinder.loops.continued import Aim, Curve, Place, Solution, at_place, blended, correct, distance
 from orbitfinder.loops.graded import invariants_at, rate_at, rates
 from orbitfinder.loops.symmetry import recognise
+from orbitfinder.mechanics.model import wrapped
 
 SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
@@ -280,11 +281,8 @@ def merged(curve: Curve, place: Place, interval: Interval, at: float) -> End | N
 
 def _unreflected(states: np.ndarray, angles: np.ndarray) -> float:
     """The largest component of x(t + T/2) + x(t), angles modulo 2 pi."""
-    half, n = (len(states) - 1) // 2, states.shape[1] // 2
-    total = states[half : 2 * half] + states[:half]
-    wrapped = (total[:, :n] + np.pi) % (2 * np.pi) - np.pi
-    total[:, :n] = np.where(angles, wrapped, total[:, :n])
-    return float(np.abs(total).max())
+    half = (len(states) - 1) // 2
+    return float(np.abs(wrapped(states[half : 2 * half] + states[:half], angles)).max())
 
 
 def _between(states: np.ndarray, place: float) -> np.ndarray:

@@ -6,7 +6,7 @@ All of it is remembered for the models seen last, and compiled for those of whic
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -47,6 +47,16 @@ def invariant_gradients(model: Model) -> ca.Function:
     return _remembered(model, _gradients)
 
 
+def at_rest(model: Model) -> ca.Function:
+    """(q, u) -> M u, K u and dV/dq of a Model at rest: column by column, Hessians of 2000 links take minutes."""
+    return _remembered(model, _at_rest)
+
+
+def under_constraints(model: ConstrainedModel) -> Rest:
+    """What a ConstrainedModel's equilibria and small motions are found from."""
+    return _remembered(model, _rest)
+
+
 def linearised(model: Model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """(q, v) -> the accelerations (n) of an autonomous Model and their slopes in q and in v (n x n each)."""
     n = model.degrees_of_freedom
@@ -61,6 +71,16 @@ def linearised(model: Model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndar
         return found[0], by_place.T, by_rate.T
 
     return call
+
+
+def with_action(model: Model, field: ca.Function) -> ca.Function:
+    """A field f(t, x, s, free) with the action as a last state: (x, S)' = (f, 2 T + G)."""
+    n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
+    t, z, s, free = inputs = [ca.MX.sym("y", field.size1_in(k) + int(k == 1)) for k in range(4)]
+    rate = 2.0 * model.kinetic(z[:n], z[n:-1], p)
+    if model.gyroscopic is not None:
+        rate += model.gyroscopic(z[:n], z[n:-1], p)
+    return ca.Function("action_field", inputs, [ca.vertcat(field(t, z[:-1], s, free), rate)])
 
 
 def prepare(model: Model) -> None:
@@ -87,6 +107,36 @@ def _gradients(model: Model) -> ca.Function:
     x = ca.MX.sym("x", 2 * n)
     rows = [ca.gradient(one.value(x[:n], x[n:], p), x).T for one in model.invariants]
     return ca.Function("gradients", [x], [ca.densify(ca.vertcat(*rows)) if rows else ca.MX(0, 2 * n)])
+
+
+def _at_rest(model: Model) -> ca.Function:
+    n, values = model.degrees_of_freedom, ca.DM(model.parameter_values)
+    q, v = ca.MX.sym("q", n), ca.MX.sym("v", n)
+    slope = ca.gradient(model.potential(q, values), q)
+    momentum = ca.gradient(model.kinetic(q, v, values), v)  # linear in the rates
+    return ca.Function("at_rest", [q, v], [momentum, ca.jtimes(slope, q, v), slope])
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """`first(q)` = (dV/dq, J, phi), `second(q, mu)` = d2(V + mu.phi)/dq2, `mass(q)` and `potential(q)` in k angles."""
+
+    size: int
+    first: ca.Function
+    second: ca.Function
+    mass: ca.Function
+    potential: ca.Function
+
+
+def _rest(model: ConstrainedModel) -> Rest:
+    system = holonomic(model)
+    q, v = ca.SX.sym("q", system.size), ca.SX.sym("v", system.size)
+    potential, phi = system.potential(q), system.constraint(q)
+    mu = ca.SX.sym("mu", phi.numel())
+    first = ca.Function("first", [q], [ca.gradient(potential, q), ca.jacobian(phi, q), phi])
+    second = ca.Function("second", [q, mu], [ca.hessian(potential + ca.dot(mu, phi), q)[0]])
+    mass = ca.Function("mass", [q], [ca.hessian(system.kinetic(q, v), v)[0]])
+    return Rest(system.size, first, second, mass, system.potential)
 
 
 def _key(model: Any, derive: Callable[..., Any]) -> tuple[Any, ...]:

@@ -25,13 +25,20 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe, units_of
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits import hints
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import extents_of, gap
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance
 from orbitfinder.orbits.objectives import chosen
-from orbitfinder.orbits.prepare import at_forcing_period, at_section, check_invariants, winding_of
+from orbitfinder.orbits.prepare import (
+    at_forcing_period,
+    at_section,
+    check_invariants,
+    degrees_taken_for_radians,
+    hint,
+    unexplained_multipliers,
+    winding_of,
+)
 from orbitfinder.records.orbit import Orbit
 
 NEAR_BOUND = 1e-6
@@ -63,7 +70,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     problem.check_count()
     if settings.with_certificate:
         _certifiable(problem.model)
-    hints.say(hints.of_degrees(problem))
+    hint(degrees_taken_for_radians(problem))
     if suits(problem):
         return find_long_chain(problem, settings, progress)
     check_invariants(problem)
@@ -88,7 +95,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
         orbit = certified(orbit, refined.problem.model)
-        hints.say(hints.of_invariants(problem, orbit))
+        hint(unexplained_multipliers(problem, orbit))
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit

@@ -12,7 +12,7 @@ from scipy.integrate import trapezoid
 
 from orbitfinder._runtime.version import __version__
 from orbitfinder.integrate.cvodes import Flow, transition
-from orbitfinder.integrate.equations import accelerations, invariant_gradients
+from orbitfinder.integrate.equations import accelerations, invariant_gradients, with_action
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.newton import end_of, graded_end, least_steps, segment, tail_of
 from orbitfinder.loops.problem import Problem
@@ -162,26 +162,12 @@ def loop_action(model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, 
     found = action(model, times, states)
     if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
         return found
-    field, duration = action_field(model, flow), times[-1] / len(nodes)
+    field, duration = with_action(model, flow.field), times[-1] / len(nodes)
     ends = [
         graded_end(field, np.append(node, 0.0), (k * duration, (k + 1) * duration), tail_of(flow))
         for k, node in enumerate(nodes)
     ]
     return found if any(end is None for end in ends) else float(sum(end[-1] for end in ends if end is not None))
-
-
-def action_field(model: Model, flow: Flow) -> Any:
-    """The flow's field with the action as a last state: (x, S)' = (f, 2 T + G)."""
-    import casadi as ca
-
-    n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
-    inputs = [ca.MX.sym("t"), ca.MX.sym("z", 2 * n + 1), ca.MX.sym("s", flow.field.size1_in(2)),
-              ca.MX.sym("free", flow.field.size1_in(3))]  # fmt: skip
-    t, z, s, free = inputs
-    rate = 2.0 * model.kinetic(z[:n], z[n:-1], p)
-    if model.gyroscopic is not None:
-        rate += model.gyroscopic(z[:n], z[n:-1], p)
-    return ca.Function("action_field", inputs, [ca.vertcat(flow.field(t, z[:-1], s, free), rate)])
 
 
 def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:

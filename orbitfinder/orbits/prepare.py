@@ -1,18 +1,23 @@
-"""What is found out about a Problem before it is solved: do its invariants hold, how often do angles turn."""
+"""What is found out about a Problem before it is solved: do its invariants hold, how often do angles turn.
+
+And what looks like a slip without being one: hints go with a search, as warnings, and stop nothing.
+"""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 
-from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.errors import Hint, InputError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, end_state
 from orbitfinder.integrate.dop853 import SECOND, integrate_in, vector_field
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.newton import segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import boundary_shift, far_end, half_turns, units_of
+from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
@@ -20,6 +25,8 @@ WINDING_MARGIN = 0.25
 """The guess's angles have turned a whole number of times when they are within this many turns of it."""
 SECTION = 1e-3
 """Coordinates this near to where an odd motion starts are left to the solver."""
+NEAR_ONE = 1e-3
+"""A multiplier this near to +1 may be one of an invariant: a double one is known to the root of its matrix's error."""
 DERIVED = ("chain", "linkage")
 """Systems whose invariants this library derives; those of all others are tried on a simulation."""
 
@@ -109,3 +116,40 @@ def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ..
     if np.any(np.abs(turned - whole) > WINDING_MARGIN):
         return None
     return tuple(int(k) for k in whole)
+
+
+def hint(text: str) -> None:
+    """Give a hint as a warning of the caller's caller."""
+    if text:
+        warnings.warn(text, Hint, stacklevel=5)
+
+
+def degrees_taken_for_radians(problem: Problem) -> str:
+    """A sentence where an angle of the guess is of several turns and winds nowhere, as 60 degrees taken for rad."""
+    guess, model = problem.guess, problem.model
+    if guess.states is not None:
+        return ""
+    angles = np.where(model.angular, np.asarray(guess.state, float)[: model.degrees_of_freedom], 0.0)
+    worst = int(np.abs(angles).argmax())
+    if abs(angles[worst]) <= 2 * np.pi:
+        return ""
+    value = angles[worst]
+    return (
+        f"guess.state: {model.state_names[worst]} = {value:.6g} rad is {abs(value) / (2 * np.pi):.3g} turns; angles "
+        f"are in rad, and {value:.6g} degrees are {np.radians(value):.6g} rad"
+    )
+
+
+def unexplained_multipliers(problem: Problem, orbit: Orbit) -> str:
+    """A sentence where an orbit that is rejected has multipliers at +1 that no declared invariant explains."""
+    if orbit.certificate is None or orbit.certificate.passed or not problem.model.conservative:
+        return ""
+    extra = int(np.sum(np.abs(orbit.floquet_multipliers - 1) < NEAR_ONE))
+    if extra < 2:
+        return ""
+    known = ", ".join(one.name for one in problem.model.invariants)
+    return (
+        f"invariants: {extra} multipliers are at +1 beyond those of the declared ones ({known}); if the system has "
+        "another (a rotation that no coordinate shows), give it as of.Invariant in lagrange(..., invariants=...), or "
+        "use a coordinate that it turns"
+    )

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, linkage_mode
+from orbitfinder.guesses.equilibria import linkage_equilibrium
+from orbitfinder.guesses.modes import linkage_mode
+from orbitfinder.guesses.returns import first_return
 from orbitfinder.loops.problem import Guess
 from orbitfinder.mechanics.assembly import assemble, linkage_rates
 from orbitfinder.mechanics.constrained import ConstrainedModel
