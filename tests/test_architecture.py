@@ -44,8 +44,6 @@ OWED_LIBRARIES = {
     "matplotlib": {"_runtime.streams"},
 }  # fmt: skip
 OWED_CYCLES = {
-    ("mechanics.constrained", "mechanics.factorise", "mechanics.lagrange", "mechanics.model"),
-    ("mechanics.chain", "mechanics.maximal", "mechanics.newton_euler"),
     ("cli.completion", "cli.group"),
 }
 OWED_SPELLINGS = 31

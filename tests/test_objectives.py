@@ -97,7 +97,8 @@ def test_a_complex_quadruple_is_measured_by_its_radius():
     matrix = np.zeros((6, 6))
     matrix[:2, :2], matrix[2:4, 2:4], matrix[4:, 4:] = r * block, block / r, np.eye(2)
     assert instability_of(matrix, 2, True)[0] == pytest.approx(0.25 * (r + 1 / r) ** 2)
-    assert instability_of(np.diag([3.0, 1 / 3, 0.9, 1 / 0.9, 1.0, 1.0]), 2, True)[0] == pytest.approx(0.25 * (3 + 1 / 3) ** 2)
+    matrix = np.diag([3.0, 1 / 3, 0.9, 1 / 0.9, 1.0, 1.0])
+    assert instability_of(matrix, 2, True)[0] == pytest.approx(0.25 * (3 + 1 / 3) ** 2)
 
 
 def test_min_instability_is_the_minimum_of_the_family():

@@ -20,11 +20,10 @@ from orbitfinder.errors import InputError
 from orbitfinder.families.folder import continue_command
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.guesses.modes import mode_problem
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.model import positions
+from orbitfinder.mechanics.model import positions, vector_field
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.orbit import load_orbit, orbit_to_document
 from orbitfinder.site import writing

@@ -21,10 +21,10 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.families.start import Start, full_samples
-from orbitfinder.integrate.cvodes import build_flow, vector_field
+from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.rk8 import block, variational_field
 from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
-from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.model import energy, vector_field
 from orbitfinder.orbits.evidence import ClosureCheck
 
 AUTO = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))

@@ -13,9 +13,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.equations import under_constraints
-from orbitfinder.mechanics.assembly import assemble
-from orbitfinder.mechanics.constrained import ConstrainedModel
-from orbitfinder.mechanics.linkage import check_regular, dimensions
+from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions
 from orbitfinder.mechanics.model import Model, wrapped
 
 DESCENTS = 16
@@ -91,7 +89,7 @@ def equilibrium(model: Model) -> np.ndarray:
     return np.asarray(root(force, found, tol=1e-15).x)
 
 
-def linkage_equilibrium(model: ConstrainedModel, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
+def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
     """Link angles (n, rad) of an equilibrium: the stationary point near `guess`, or the lowest one found.
 
     Without a guess the potential is minimised on the constraint from some two dozen assemblies. Raises
@@ -115,7 +113,7 @@ def linkage_equilibrium(model: ConstrainedModel, guess: Sequence[float] | np.nda
     return wrapped(theta, np.ones(theta.size, bool))
 
 
-def stationary_terms(model: ConstrainedModel, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+def stationary_terms(model: Model, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """(grad L, phi) for the mu of least |grad L|, J, d2L/dtheta2 and M at link angles (n)."""
     rest = under_constraints(model)
     if theta.shape != (rest.size,):
@@ -126,7 +124,7 @@ def stationary_terms(model: ConstrainedModel, theta: np.ndarray) -> tuple[np.nda
     return residual, jacobian, rest.second(theta, forces).full(), rest.mass(theta).full()
 
 
-def _stationary(model: ConstrainedModel, start: np.ndarray) -> np.ndarray:
+def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
     """Newton's method on grad L = 0, phi = 0."""
     theta = start.copy()
     for _ in range(NEWTON_STEPS):
@@ -141,7 +139,7 @@ def _stationary(model: ConstrainedModel, start: np.ndarray) -> np.ndarray:
     raise InputError(f"linkage: no equilibrium found near {np.array2string(start, precision=4)}; give other angles")
 
 
-def _descended(model: ConstrainedModel, start: np.ndarray) -> np.ndarray:
+def _descended(model: Model, start: np.ndarray) -> np.ndarray:
     """Near a minimum of the potential on the constraint, by SLSQP."""
     from scipy.optimize import minimize
 

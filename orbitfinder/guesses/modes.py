@@ -18,11 +18,9 @@ from orbitfinder.errors import InputError
 from orbitfinder.guesses.equilibria import linkage_equilibrium, stationary_terms
 from orbitfinder.integrate.equations import at_rest
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.assembly import assemble
-from orbitfinder.mechanics.constrained import ConstrainedModel
-from orbitfinder.mechanics.linkage import linkage_state
+from orbitfinder.mechanics.constrained import tangent_basis
+from orbitfinder.mechanics.linkage import assemble, linkage_state
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.tangent import tangent_basis
 
 AMPLITUDE = 0.02
 """Largest deviation (rad or m) at which a family is begun, unless said otherwise."""
@@ -116,7 +114,7 @@ def mode_problem(
 
 
 def linkage_modes(
-    model: ConstrainedModel, equilibrium: Sequence[float] | np.ndarray | None = None
+    model: Model, equilibrium: Sequence[float] | np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies (n - 2, rad^2/s^2, slowest first) and shapes (n x n-2) in the link angles."""
     from scipy.linalg import eigh
@@ -129,7 +127,7 @@ def linkage_modes(
 
 
 def linkage_mode(
-    model: ConstrainedModel, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray | None = None
+    model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray | None = None
 ) -> Guess:
     """Guess on a linear normal mode, at rest at its turning point: `mode` from 1, largest angle `amplitude` (rad)."""
     theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)

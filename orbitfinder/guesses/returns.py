@@ -12,7 +12,6 @@ from orbitfinder.guesses.modes import normal_mode, normal_modes
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.idas import simulate_dae
 from orbitfinder.loops.problem import Guess
-from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.model import Model, wrapped
 
 MOST_SAMPLES = 3000
@@ -88,7 +87,7 @@ def recurrences(
     return [_on_the_beat(one, times, states, float(model.forcing_period(model.parameter_values))) for one in found]
 
 
-def first_return(model: ConstrainedModel, state: np.ndarray, longest: float = 20.0) -> float:
+def first_return(model: Model, state: np.ndarray, longest: float = 20.0) -> float:
     """Time (s) at which the motion from a state (2n) is first back near its start, angles modulo 2 pi.
 
     Of a linkage of one degree of freedom that is its period, to the sampling. Raises `InputError` when it
@@ -96,7 +95,7 @@ def first_return(model: ConstrainedModel, state: np.ndarray, longest: float = 20
     """
     count = int(200 * longest) + 1
     motion = simulate_dae(model, state, longest, count)
-    n, away = model.coordinates, wrapped(motion.states - motion.states[0], model.angles)
+    n, away = model.degrees_of_freedom, wrapped(motion.states - motion.states[0], model.angles)
     clock = np.ptp(motion.states[:, n:]) or 1.0
     distance = np.maximum(np.abs(away[:, :n]).max(axis=1), np.abs(away[:, n:]).max(axis=1) / clock)
     near = NEAR_RETURN * float(distance.max())

@@ -14,9 +14,8 @@ import numpy as np
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.buffered import Buffered
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.rk8 import folded, step_of, variational_field
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.model import Invariant, Model, vector_field
 
 AGREEMENT = 1e-12
 """Two step sizes must agree to this; the finer result is then some 2^8 times better than that."""

@@ -15,11 +15,9 @@ import numpy as np
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder.integrate.buffered import Buffered
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.cvodes import vector_field
-from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.hamilton import Canonical, canonical
 from orbitfinder.mechanics.holonomic import Holonomic, HolonomicEquations, holonomic, holonomic_equations
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, vector_field
 
 KEPT = 16
 """Sets of equations that are remembered."""
@@ -32,8 +30,8 @@ def hamilton(model: Model) -> Canonical:
     return _remembered(model, canonical)
 
 
-def constrained_hamilton(model: ConstrainedModel) -> tuple[Holonomic, HolonomicEquations]:
-    """The coordinates of a ConstrainedModel's own, with its parameter values, and Hamilton's equations in them."""
+def constrained_hamilton(model: Model) -> tuple[Holonomic, HolonomicEquations]:
+    """The coordinates of a Model under constraints, with its parameter values, and Hamilton's equations in them."""
     return _remembered(model, _constrained)
 
 
@@ -52,8 +50,8 @@ def at_rest(model: Model) -> ca.Function:
     return _remembered(model, _at_rest)
 
 
-def under_constraints(model: ConstrainedModel) -> Rest:
-    """What a ConstrainedModel's equilibria and small motions are found from."""
+def under_constraints(model: Model) -> Rest:
+    """What the equilibria and small motions of a Model under constraints are found from."""
     return _remembered(model, _rest)
 
 
@@ -91,7 +89,7 @@ def prepare(model: Model) -> None:
     _derived[_key(model, _plain)] = compiled(accelerations(model))
 
 
-def _constrained(model: ConstrainedModel) -> tuple[Holonomic, HolonomicEquations]:
+def _constrained(model: Model) -> tuple[Holonomic, HolonomicEquations]:
     system = holonomic(model)
     return system, holonomic_equations(system)
 
@@ -128,7 +126,7 @@ class Rest:
     potential: ca.Function
 
 
-def _rest(model: ConstrainedModel) -> Rest:
+def _rest(model: Model) -> Rest:
     system = holonomic(model)
     q, v = ca.SX.sym("q", system.size), ca.SX.sym("v", system.size)
     potential, phi = system.potential(q), system.constraint(q)
@@ -139,12 +137,11 @@ def _rest(model: ConstrainedModel) -> Rest:
     return Rest(system.size, first, second, mass, system.potential)
 
 
-def _key(model: Any, derive: Callable[..., Any]) -> tuple[Any, ...]:
-    parts = (model.kinetic, model.potential, model.forces, getattr(model, "acceleration", None),
-             getattr(model, "gyroscopic", None), getattr(model, "constraint", None),
-             *(one.value for one in getattr(model, "invariants", ())))  # fmt: skip
+def _key(model: Model, derive: Callable[..., Any]) -> tuple[Any, ...]:
+    parts = (model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces, model.constraint,
+             *(one.value for one in model.invariants))  # fmt: skip
     return (derive, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
 
 
-def _remembered(model: Any, derive: Callable[..., Any]) -> Any:
+def _remembered(model: Model, derive: Callable[..., Any]) -> Any:
     return _derived(_key(model, derive), lambda: derive(model))

@@ -56,7 +56,7 @@ def check_square(problem: Problem) -> None:
     for name, value in others.items():
         if value:
             raise InputError(f"{name}: warm refinement knows pins only; use find_orbit")
-    if problem.model.native is not None and problem.symmetry != "none":
+    if problem.model.constraint is not None and problem.symmetry != "none":
         raise InputError("symmetry: brake orbits under constraints are not refined warm; use find_orbit")
     count = problem.count()
     if count.freedom:

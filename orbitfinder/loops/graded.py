@@ -18,11 +18,10 @@ import numpy as np
 
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.lanes import STAGES, called, evaluated, marched
 from orbitfinder.integrate.rk8 import step_of, variational_field
 from orbitfinder.loops.conditions import SYMMETRIES, Symmetry, boundary_rows, unfolded_invariants
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, vector_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""

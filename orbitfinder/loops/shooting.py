@@ -16,7 +16,7 @@ from orbitfinder.integrate.second import transition_function
 from orbitfinder.loops.conditions import boundary_rows, constrained_brake_rows, pin_row, unfolded_invariants
 from orbitfinder.loops.freedom import Variables
 from orbitfinder.loops.problem import Problem
-from orbitfinder.mechanics.tangent import allowed_velocities
+from orbitfinder.mechanics.constrained import allowed_velocities
 
 PERIOD_RANGE = 5.0
 """The period may change by this factor either way; keeps it away from 0, where every state closes."""
@@ -148,7 +148,7 @@ def units_of(problem: Problem) -> tuple[float, ...]:
     that is 0.
     """
     model, clock = problem.model, problem.guess.period / (2 * np.pi)
-    if model.native is not None:  # integrated by IDAS, in its own coordinates
+    if model.constraint is not None:  # integrated by IDAS, in its own coordinates
         return ()
     n, state = model.degrees_of_freedom, np.asarray(problem.guess.state, float)
     states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
@@ -250,8 +250,8 @@ def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | No
     state, shift, far = guess
     model, parts, ends = problem.model, known.nodes, known.ends
     rows = [end - node for end, node in zip(ends, parts[1:], strict=False)]
-    if model.native is not None and far is not None:
-        basis = allowed_velocities(model.native, far)
+    if model.constraint is not None and far is not None:
+        basis = allowed_velocities(model, far)
         rows.append(constrained_brake_rows(model, parts[0], ends[-1], known.parameters, basis))
     else:
         rows.append(boundary_rows(problem.boundary, parts[0], ends[-1], shift))
@@ -273,7 +273,7 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
     Of brake+reflection that is the centre of the swing, of reversal the other one, of a brake orbit under
     constraints the other rest.
     """
-    constrained = problem.model.native is not None and problem.symmetry == "brake"
+    constrained = problem.model.constraint is not None and problem.symmetry == "brake"
     if problem.symmetry not in ("brake+reflection", "reversal") and not constrained:
         return None
     duration = problem.guess.period * problem.boundary.fraction / len(nodes)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.tangent import allowed_velocities
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -127,7 +127,7 @@ def check_symmetry(model: Model, state: np.ndarray, symmetry: str, cycles: int =
     Brake needs a(-t, q, -v) = a(t, q, v); reflection needs a(t + T/2, -q, -v) = -a(t, q, v), where
     T is `cycles` periods of the forcing; reversal needs a(-t, -q, v) = -a(t, q, v).
     """
-    if model.native is not None and symmetry not in ("none", "brake"):
+    if model.constraint is not None and symmetry not in ("none", "brake"):
         raise InputError(
             f"symmetry: {symmetry!r} cannot be imposed in redundant coordinates, where x -> -x moves the joints; "
             "use symmetry = 'brake' or 'none' (symmetric orbits are recognised)"
@@ -155,8 +155,8 @@ def _broken(model: Model, state: np.ndarray, signs: tuple[int, int, float]) -> b
     direction = -1.0 if places != rates else 1.0
     for _ in range(4):
         place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(), v.size)
-        if model.native is not None:  # off the constraints the stabilisation is damped
-            basis = allowed_velocities(model.native, q)
+        if model.constraint is not None:  # off the constraints the stabilisation is damped
+            basis = allowed_velocities(model, q)
             place, rate = q, basis @ (basis.T @ rate)
         t = float(random.uniform(0, 1 + 2 * shift))
         here = places * model.acceleration(t, place, rate, model.parameter_values).full()

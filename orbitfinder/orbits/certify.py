@@ -151,7 +151,7 @@ def _constraint_checks(
     orbit: Orbit, model: Model, allowed: Tolerances, scale: float, evidence: Evidence
 ) -> list[Check]:
     """The state on the constraints and, by IDAS on the native DAE, back where it was after a period."""
-    if model.native is None:
+    if model.constraint is None:
         return []
     defect = constraint_defect(model, orbit.state, evidence.extents)
     turns = np.asarray(orbit.winding, int)
@@ -326,7 +326,7 @@ class _Nearby:
         self.model, self.period = model, float(times[-1])
         self.along, self.units = states, units
         self.rows = states[random.integers(0, len(states), TRIED)]
-        if model.native is None:  # off the constraints a motion has no meaning
+        if model.constraint is None:  # off the constraints a motion has no meaning
             self.rows = self.rows + 0.1 * units * random.normal(size=self.rows.shape)
         self.moments = np.append(0.0, random.uniform(0.0, self.period, TRIED - 1))
         self.ahead = random.integers(1, LATER + 1, TRIED)

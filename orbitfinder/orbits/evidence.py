@@ -17,8 +17,8 @@ from orbitfinder.integrate.equations import accelerations
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain_lagrange import is_long
-from orbitfinder.mechanics.model import Model, energies
-from orbitfinder.mechanics.tangent import tangent_basis
+from orbitfinder.mechanics.constrained import tangent_basis
+from orbitfinder.mechanics.model import Model, constraint_of, energies
 from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy, symplectic_unit
 from orbitfinder.orbits.formulations import (
@@ -28,7 +28,6 @@ from orbitfinder.orbits.formulations import (
     chain_motion,
     evenly,
     in_momenta,
-    native_of,
 )
 
 CHECKED = replace(TIGHTEST, max_evaluations=100_000)
@@ -76,7 +75,7 @@ def gather(
 ) -> Evidence:
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
     wanted = np.zeros(0) if moments is None else np.asarray(moments, float)
-    found = chain_motion if model.native is None and is_long(model) else canonical_motion
+    found = chain_motion if model.constraint is None and is_long(model) else canonical_motion
     motion = found(model, state, period, turns, np.unique(np.append(evenly(period), wanted)), settings)
     return _measured(model, motion, state, period, turns, wanted)
 
@@ -147,7 +146,7 @@ def native_closure(model: Model, state: np.ndarray, period: float, turns: np.nda
     """Closure in `units` (2n) by IDAS on the native DAE; infinite where it cannot integrate."""
     settings = DaeSettings(relative_tolerance=1e-13, absolute_tolerance=1e-13)
     try:
-        motion = simulate_dae(native_of(model), state, period, 2, settings)
+        motion = simulate_dae(model, state, period, 2, settings)
     except (IntegrationError, InputError):
         return float("inf")
     return gap(motion.states[0], motion.states[-1], turns, units)
@@ -155,12 +154,11 @@ def native_closure(model: Model, state: np.ndarray, period: float, turns: np.nda
 
 def constraint_defect(model: Model, state: np.ndarray, units: np.ndarray) -> float:
     """Largest |phi| and |J v| of a state (2n), relative to its lengths and to the rates' extents, `units` (2n)."""
-    native, n = native_of(model), model.degrees_of_freedom
+    constraint, n, p = constraint_of(model), model.degrees_of_freedom, model.parameter_values
     q, v = state[:n], state[n:]
-    phi = native.constraint(q, native.parameter_values).full()
-    rate = native.constraint_rate(q, v, native.parameter_values).full()
-    length = float(np.abs(q[~np.asarray(model.angles)]).max(initial=0.0)) or 1.0
-    slopes = np.abs(native.constraint_jacobian(q, native.parameter_values).full()).max()
+    phi, rate = constraint.phi(q, p).full(), constraint.rate(q, v, p).full()
+    length = float(np.abs(q[~model.angular]).max(initial=0.0)) or 1.0
+    slopes = np.abs(constraint.jacobian(q, p).full()).max()
     return max(float(np.abs(phi).max()) / length, float(np.abs(rate).max()) / (slopes * units[n:].max()))
 
 

@@ -32,7 +32,6 @@ from orbitfinder.integrate.dop853 import (
 )
 from orbitfinder.integrate.equations import constrained_hamilton, hamilton
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
-from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.closure import extents, masses_of
 from orbitfinder.orbits.floquet import generated
@@ -114,15 +113,14 @@ class Hamiltonian:
 
 
 class Constrained:
-    """The same of the ConstrainedModel that a Model is reduced from, in as few coordinates as it offers."""
+    """The same of a Model under constraints, in as few coordinates as it offers."""
 
     def __init__(self, model: Model) -> None:
-        native = native_of(model)
-        if native.forces is not None:
+        if model.forces is not None:
             raise InputError(
                 "certify: systems under constraints are certified when they are conservative, and this is not"
             )
-        self.system, self.equations = constrained_hamilton(native)
+        self.system, self.equations = constrained_hamilton(model)
         self.field = vector_field(self.equations.field)
 
     def variations(self) -> VectorField:
@@ -153,13 +151,6 @@ class Constrained:
         return gradient, self.field(0.0, start)[None, :], self.equations.tangent(start).full()
 
 
-def native_of(model: Model) -> ConstrainedModel:
-    """The ConstrainedModel behind a Model, with that Model's parameter values."""
-    if model.native is None:
-        raise InputError("model: has no constraints; build it with linkage(...) or constrained(...), then reduced()")
-    return replace(model.native, parameter_values=model.parameter_values)
-
-
 def canonical_frame(
     model: Model, state: np.ndarray, flow: np.ndarray, lift: np.ndarray, free: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -179,7 +170,7 @@ def canonical_motion(
     model: Model, state: np.ndarray, period: float, turns: np.ndarray, moments: np.ndarray, settings: ReferenceSettings
 ) -> Motion:
     """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations."""
-    equations = Hamiltonian(model) if model.native is None else Constrained(model)
+    equations = Hamiltonian(model) if model.constraint is None else Constrained(model)
     start, masses = equations.start(state), equations.masses(state)
     units = units_of(equations.field, start, masses, period)
     path = integrate_in(units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD)

@@ -39,7 +39,7 @@ def check_invariants(problem: Problem) -> None:
     between neighbouring states.
     """
     model = problem.model
-    if not model.invariants or model.native is not None or model.system.get("kind") in DERIVED:
+    if not model.invariants or model.constraint is not None or model.system.get("kind") in DERIVED:
         return
     n, values = model.degrees_of_freedom, model.parameter_values
     field = vector_field(accelerations(model))
