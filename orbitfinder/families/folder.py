@@ -31,6 +31,7 @@ from orbitfinder.families.point import CLOSURE, Batch, Family, FamilyPoint, Fami
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin, curve_of
 from orbitfinder.families.switching import Branch
+from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
@@ -40,6 +41,8 @@ from orbitfinder.records.orbit import Orbit, load_orbit
 
 SAVE_EVERY = 50
 """Steps between two rewritings of family.json while a family grows."""
+EFFORT = 1.0
+"""Seconds of interpreted integration in the checks of a family of moderate length, for `compiled`."""
 
 Progress = Callable[[Batch], None]
 Origin = str | Path | Orbit | Problem | Start | Branch
@@ -83,6 +86,14 @@ def continue_command(
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
         return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
+
+
+def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
+    """What the family's orbits are checked with, its equations compiled where that pays for a dozen certificates."""
+    if not settings.certify:
+        return None
+    prepare(curve.propagator.model, EFFORT)
+    return ClosureCheck(curve.propagator.model)
 
 
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
@@ -144,7 +155,7 @@ def _fresh(
     folder: Path, name: str, start: Start, settings: FamilySettings, request: dict[str, Any], source: dict[str, Any]
 ) -> Journal:
     curve = start.curve
-    origin = first_point(start, settings, ClosureCheck(curve.propagator.model) if settings.certify else None)
+    origin = first_point(start, settings, _independent(curve, settings))
     header = {
         "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.propagator.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
@@ -192,7 +203,7 @@ def _finish(
 ) -> Family:
     """Walk what is left in each direction, journalling every step."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    check = ClosureCheck(curve.propagator.model) if settings.certify else None
+    check = _independent(curve, settings)
     batches = list(journal.batches)
     for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1))):
         done, end = journal.steps(sign), journal.end(sign)

@@ -81,12 +81,14 @@ def with_action(model: Model, field: ca.Function) -> ca.Function:
     return ca.Function("action_field", inputs, [ca.vertcat(field(t, z[:-1], s, free), rate)])
 
 
-def prepare(model: Model) -> None:
-    """Have the equations of a Model compiled: many of its orbits are to be certified."""
+def prepare(model: Model, effort: float | None = None) -> None:
+    """Have the equations of a Model compiled: many of its orbits are to be certified, in `effort` (s) or more."""
     slow = hamilton(model)
-    fast = replace(slow, field=compiled(slow.field), variational=compiled(slow.variational))
+    fast = replace(
+        slow, field=compiled(slow.field, effort=effort), variational=compiled(slow.variational, effort=effort)
+    )
     _derived[_key(model, canonical)] = fast
-    _derived[_key(model, _plain)] = compiled(accelerations(model))
+    _derived[_key(model, _plain)] = compiled(accelerations(model), effort=effort)
 
 
 def _constrained(model: Model) -> tuple[Holonomic, HolonomicEquations]:
