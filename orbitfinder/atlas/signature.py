@@ -45,6 +45,11 @@ class Signature:
     angles: tuple[bool, ...]
 
     @property
+    def numbers(self) -> tuple[float, float, float]:
+        """Energy, period and |action|."""
+        return self.energy, self.period, self.action
+
+    @property
     def bins(self) -> tuple[int, int]:
         """Quantised period and action: the key of the look-up, with its neighbours."""
         return quantised(self.period), quantised(self.action)
@@ -90,8 +95,13 @@ def same_orbit(first: Signature, second: Signature) -> bool:
 
 def agree(first: Signature, second: Signature) -> bool:
     """Energy, period and action agree to `AGREEMENT`."""
-    pairs = ((first.energy, second.energy), (first.period, second.period), (first.action, second.action))
-    return all(abs(a - b) <= AGREEMENT * max(1.0, abs(a), abs(b)) for a, b in pairs)
+    return among(np.array([first.numbers]), second.numbers)
+
+
+def among(known: np.ndarray, numbers: tuple[float, float, float]) -> bool:
+    """Whether energy, period and |action| agree to `AGREEMENT` with those of a known orbit (k x 3)."""
+    scale = np.maximum(1.0, np.maximum(np.abs(known), np.abs(numbers)))
+    return bool(np.any(np.all(np.abs(known - numbers) <= AGREEMENT * scale, axis=1)))
 
 
 def distance(first: Signature, second: Signature) -> float:
