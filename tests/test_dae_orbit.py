@@ -19,7 +19,6 @@ from orbitfinder.guesses.returns import first_return
 from orbitfinder.integrate.cvodes import transition
 from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.integrate.idas import build_dae_flow
-from orbitfinder.loops.conditions import unfolded_invariants
 from orbitfinder.mechanics.linkage import minimal_linkage
 from orbitfinder.mechanics.model import energy
 
@@ -104,7 +103,7 @@ def test_forward_sensitivities_agree_with_the_reduced_variational_equations():
     model = of.linkage(**FOUR_BAR)
     theta = of.assemble(model, {"theta1": 0.6})
     problem = of.Problem(model, of.Guess(np.concatenate([theta, np.zeros(3)]), 1.0))
-    flow = build_dae_flow(problem.model, (), unfolded_invariants(problem.model, problem.boundary))
+    flow = build_dae_flow(problem.model, (), problem.boundary.unfolded(problem.model))
     x0 = ca.MX.sym("x0", 18)
     found = flow.plain_end(0.0, x0, 0.3, np.zeros(len(flow.unfolded)), [])
     forward = ca.Function("forward", [x0], [found, ca.jtimes(found, x0, ca.DM.eye(18))])

@@ -7,10 +7,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from orbitfinder.families.point import Batch, Event, FamilyPoint, winding
+from orbitfinder.families.point import Batch, Event, FamilyPoint, unknowns_of, winding
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import SAMPLES, full_samples
-from orbitfinder.loops.continued import Curve, Place, at_place
+from orbitfinder.loops.continued import Curve, at_place
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import energy
@@ -23,21 +23,18 @@ Member = TypeVar("Member", FamilyPoint, Event)
 
 def as_orbit(curve: Curve, member: FamilyPoint | Event, name: str = "point") -> tuple[Orbit, dict[str, float]]:
     """A point or an event of a family as an Orbit without certificate, and the freed parameters it has."""
-    model, free = curve.propagator.model, dict(member.free)
-    place = Place(member.nodes, member.period, np.zeros(curve.propagator.unfolding), np.array(list(free.values())),
-                  member.mesh)  # fmt: skip
-    place = replace(place, unfolding=member.unfolding) if isinstance(member, FamilyPoint) else place
-    found = at_place(curve, place)
+    model, free = curve.equations.model, dict(member.free)
+    found = at_place(curve, unknowns_of(curve, member))
     floquet = spectrum(curve, found).floquet
     times, states = full_samples(curve, found, 4 * SAMPLES)
     orbit = Orbit(
         name=name, system=model.system, state=member.state, period=member.period,
         energy=energy(with_parameters(model, free), member.state),
-        action=found.march.action / curve.propagator.symmetry.fraction, closure=0.0,
-        symmetry=recognise(times, states, np.asarray(model.angles)),
+        action=found.march.integral / curve.equations.symmetry.fraction, closure=0.0,
+        symmetry=recognise(times, states, model),
         winding=tuple(int(k) for k in winding(curve)), floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect, stability=floquet.stability,
-        unfolding=tuple(float(s) for s in place.unfolding), nodes=member.state[None],
+        unfolding=tuple(float(s) for s in found.place.unfolding), nodes=member.state[None],
         times=np.zeros(0), samples=np.zeros((0, member.state.size)), tolerance=TOLERANCE,
     )  # fmt: skip
     return orbit, free
@@ -46,7 +43,7 @@ def as_orbit(curve: Curve, member: FamilyPoint | Event, name: str = "point") -> 
 def certified(curve: Curve, member: Member) -> Member:
     """The same, `certified` where its orbit passes every check."""
     orbit, free = as_orbit(curve, member)
-    return replace(member, certified=certify(orbit, with_parameters(curve.propagator.model, free)).passed)
+    return replace(member, certified=certify(orbit, with_parameters(curve.equations.model, free)).passed)
 
 
 def batch_certified(curve: Curve, batch: Batch) -> Batch:

@@ -29,7 +29,7 @@ from orbitfinder.families.journal import (
 )
 from orbitfinder.families.point import CLOSURE, Batch, Family, FamilyPoint, FamilySettings, winding
 from orbitfinder.families.run import Walk, first_point
-from orbitfinder.families.start import Start, begin, curve_of
+from orbitfinder.families.start import Start, begin, curve_of, entry_of
 from orbitfinder.families.switching import Branch
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
@@ -92,13 +92,13 @@ def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
     """What the family's orbits are checked with, its equations compiled where that pays for a dozen certificates."""
     if not settings.certify:
         return None
-    prepare(curve.propagator.model, EFFORT)
-    return ClosureCheck(curve.propagator.model)
+    prepare(curve.equations.model, EFFORT)
+    return ClosureCheck(curve.equations.model)
 
 
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
-    check = ClosureCheck(curve.propagator.model)
+    check = ClosureCheck(curve.equations.model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         closure = check(point.state, point.period, winding(curve), allowed, point.free)
@@ -118,7 +118,7 @@ def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings,
 def _model_of(origin: Orbit | Problem | Start | Branch, journal: Journal, model: Model | None) -> Model:
     """The model that the journal's curve is made of: a linkage's is the minimal one that was chosen then."""
     if isinstance(origin, (Start, Branch)):
-        return _started(origin, FamilySettings(), None).curve.propagator.model
+        return _started(origin, FamilySettings(), None).curve.equations.model
     model = model or (origin.model if isinstance(origin, Problem) else None)
     system = journal.header["system"]
     if model is None or "independent" in system or dict(model.system) != system:
@@ -157,13 +157,12 @@ def _fresh(
     curve = start.curve
     origin = first_point(start, settings, _independent(curve, settings))
     header = {
-        "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.propagator.model.system),
+        "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.equations.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
         "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
         "curve": {
-            "symmetry": curve.propagator.symmetry.name, "free": list(curve.propagator.free),
-            "constant": curve.constant, "held": [list(one) for one in curve.held],
-            "weights": curve.weights, "period": curve.period,
+            "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
+            "constant": curve.constant, "weights": curve.weights, **entry_of(curve.conditions),
         },
     }  # fmt: skip
     start_journal(folder, plain(header))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.point import Family, FamilyPoint, FamilySettings, place_of
+from orbitfinder.families.point import Family, FamilyPoint, FamilySettings, unknowns_of
 from orbitfinder.families.start import curve_of, full_samples
 from orbitfinder.loops.continued import at_place
 from orbitfinder.mechanics.model import Model, positions
@@ -44,7 +44,7 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
     chosen = sorted({int(np.argmin(np.abs(places - place))) for place in wanted})
     found = []
     for k in chosen:
-        states = full_samples(curve, at_place(curve, place_of(points[k])), SAMPLES)[1]
+        states = full_samples(curve, at_place(curve, unknowns_of(curve, points[k])), SAMPLES)[1]
         there = at_values(model, points[k].free)
         found.append(Motion(points[k], states, positions(there, states) if model.points is not None else None))
     return found

@@ -24,6 +24,7 @@ from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.equations import linearised
 from orbitfinder.loops.conditions import Pin, pinned_at_rest
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model, energy
 
 Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -232,7 +233,7 @@ def suits(problem: Problem) -> bool:
 def only_pinned(problem: Problem) -> bool:
     """True where a brake and reflection symmetric motion near a state is asked for by one pin and nothing else."""
     chosen = problem.free or problem.bounds or problem.constraints or problem.objective != "nearest"
-    symmetric = problem.symmetry == "brake+reflection" and problem.phase_condition is None
+    symmetric = problem.boundary == QUARTER and problem.phase_condition is None
     return symmetric and not chosen and problem.guess.states is None and len(problem.pin) == 1
 
 

@@ -18,6 +18,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.guesses.equilibria import linkage_equilibrium, stationary_terms
 from orbitfinder.integrate.equations import at_rest
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, linkage_state
 from orbitfinder.mechanics.model import Model
@@ -110,7 +111,7 @@ def mode_problem(
             f"{found.size} oscillating modes out of {model.degrees_of_freedom}"
         )
     guess = normal_mode(model, int(found[mode - 1]) + 1, amplitude, equilibrium)
-    return Problem(model, guess, symmetry="brake+reflection", name=name or f"mode-{mode}")
+    return Problem(model, guess, symmetry=QUARTER.name, name=name or f"mode-{mode}")
 
 
 def linkage_modes(

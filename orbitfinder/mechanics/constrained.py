@@ -18,7 +18,7 @@ to no motion at all; they never enter an eigenvalue solver.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -40,22 +40,6 @@ from orbitfinder.mechanics.model import Baumgarte, HolonomicConstraint, Invarian
 
 RANK_TOLERANCE = 1e-8
 """smallest over largest singular value of J below which a configuration counts as singular"""
-
-
-@dataclass(frozen=True)
-class ConstrainedEquations:
-    """Expressions that a Model under constraints is made from, written in `symbols`, a and lambda.
-
-    `balances` = M a + h - J^T lambda (n) and `constraint_acceleration` = J a + Jdot v (m).
-    """
-
-    symbols: Symbols
-    acceleration: ca.SX
-    forces: ca.SX
-    balances: ca.SX
-    constraint: ca.SX
-    constraint_acceleration: ca.SX
-    terms: Terms
 
 
 def constrained(
@@ -80,16 +64,14 @@ def constrained(
     constraints are none or as many as the coordinates. Only forces may depend on time.
     """
     _, q, v, p = symbols.arguments
-    count = ca.SX(constraint).numel()
     _check_expressions(kinetic, potential, constraint, forces, symbols)
     matrix, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
-    a, multipliers, jacobian = ca.SX.sym("a", q.numel()), ca.SX.sym("lambda", count), ca.jacobian(constraint, q)
-    equations = ConstrainedEquations(
-        symbols, a, multipliers, matrix @ a + bias - jacobian.T @ multipliers, ca.SX(constraint),
-        jacobian @ a + ca.jtimes(jacobian @ v, q, v), Terms(kinetic, potential, forces=forces),
-    )  # fmt: skip
+    jacobian = ca.jacobian(constraint, q)
     return constrained_model(
-        equations,
+        LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
+        ca.SX(constraint),
+        Terms(kinetic, potential, forces=forces),
+        symbols,
         baumgarte or Baumgarte(),
         coordinate_names(names, symbols),
         angles=coordinate_angles(angles, symbols),
@@ -129,7 +111,10 @@ def _check_expressions(
 
 
 def constrained_model(
-    equations: ConstrainedEquations,
+    balances: LinearBalances,
+    phi: ca.SX,
+    terms: Terms,
+    symbols: Symbols,
     baumgarte: Baumgarte,
     names: Sequence[str],
     *,
@@ -138,22 +123,23 @@ def constrained_model(
     lift: ca.Function | None = None,
     **parts: Any,
 ) -> Model:
-    """A Model around expressions: its accelerations are those of the DAE, Baumgarte terms included."""
-    symbols, terms, a, force = equations.symbols, equations.terms, equations.acceleration, equations.forces
+    """A Model around M a + h = F lambda, J a = r: its accelerations are those of the DAE, Baumgarte terms included."""
     arguments = symbols.arguments
     t, q, v, p = arguments
-    jacobian = ca.jacobian(equations.constraint, q)
+    a, force, jacobian = ca.SX.sym("a", q.numel()), ca.SX.sym("lambda", phi.numel()), ca.jacobian(phi, q)
     if invariants is None:
         conservative = terms.forces is None and symbols.time is None
         invariants = [energy_invariant(terms.kinetic, terms.potential, q, v, p)] if conservative else []
-    algebraic = _eliminate(equations, baumgarte, arguments)
+    drift = 2 * baumgarte.alpha * ca.jtimes(phi, q, v) + baumgarte.beta**2 * phi
+    algebraic = eliminated(replace(balances, right=balances.right - drift), arguments, _invertible(balances, symbols))
     inputs = algebraic.sx_in() if algebraic.is_a("SXFunction") else algebraic.mx_in()
+    equations = balances.mass @ a + balances.bias - balances.force @ force
     constraint = HolonomicConstraint(
-        phi=ca.Function("constraint", [q, p], [equations.constraint]),
+        phi=ca.Function("constraint", [q, p], [phi]),
         rate=ca.Function("constraint_rate", [q, v, p], [jacobian @ v]),
-        acceleration=ca.Function("constraint_acceleration", [q, v, a, p], [equations.constraint_acceleration]),
+        acceleration=ca.Function("constraint_acceleration", [q, v, a, p], [balances.jacobian @ a - balances.right]),
         jacobian=ca.Function("constraint_jacobian", [q, p], [jacobian]),
-        balances=ca.Function("balances", [t, q, v, a, force, p], [equations.balances]),
+        balances=ca.Function("balances", [t, q, v, a, force, p], [equations]),
         algebraic=algebraic,
         force_names=tuple(force_names or (f"lambda{k + 1}" for k in range(force.numel()))),
         baumgarte=baumgarte,
@@ -163,34 +149,15 @@ def constrained_model(
     return mechanical_model(acceleration, terms, symbols, names, invariants=invariants, constraint=constraint, **parts)
 
 
-def _eliminate(equations: ConstrainedEquations, baumgarte: Baumgarte, arguments: list[ca.SX]) -> ca.Function:
-    """(a, lambda) as a Function of (t, q, v, p), with M, h, J and the rest read off by jacobian."""
-    a, force = equations.acceleration, equations.forces
-    t, q, v, p = arguments
-    unknowns = ca.vertcat(a, force)
-    residual = ca.vertcat(equations.balances, equations.constraint_acceleration)
-    rest = ca.substitute(residual, unknowns, ca.SX.zeros(unknowns.numel()))
-    drift = 2 * baumgarte.alpha * ca.jtimes(equations.constraint, q, v) + baumgarte.beta**2 * equations.constraint
-    mass = ca.jacobian(equations.balances, a)
-    linear = LinearBalances(
-        mass=mass,
-        bias=rest[: a.numel()],
-        force=-ca.jacobian(equations.balances, force),
-        jacobian=ca.jacobian(equations.constraint_acceleration, a),
-        right=-rest[a.numel() :] - drift,
-    )
-    generic = 0.1 + 0.01 * np.arange(q.numel())
-    sample = ca.Function("mass", [t, q, p], [mass])(0, generic, np.asarray(equations.symbols.parameter_values, float))
-    invertible = q.numel() == ca.sprank(sample) and np.all(np.abs(_pivots(sample)) > 0)
-    return eliminated(linear, arguments, bool(invertible))
-
-
-def _pivots(matrix: ca.DM) -> np.ndarray:
-    """Diagonal of a diagonal matrix, eigenvalues of any other symmetric one, small ones set to 0."""
-    if matrix.nnz() == matrix.shape[0]:
-        return np.asarray(ca.diag(matrix).full().ravel())
-    values = np.linalg.eigvalsh(matrix.full())
-    return np.where(np.abs(values) < 1e-12 * np.abs(values).max(), 0.0, values)
+def _invertible(balances: LinearBalances, symbols: Symbols) -> bool:
+    """True when M has no massless directions; tiny eigenvalues count as 0."""
+    t, q, _, p = symbols.arguments
+    generic, values = 0.1 + 0.01 * np.arange(q.numel()), np.asarray(symbols.parameter_values, float)
+    sample = ca.Function("mass", [t, q, p], [balances.mass])(0, generic, values)
+    if sample.nnz() == q.numel():
+        return bool(q.numel() == ca.sprank(sample) and np.all(ca.diag(sample).full() != 0))
+    pivots = np.linalg.eigvalsh(sample.full())
+    return bool(q.numel() == ca.sprank(sample) and np.all(np.abs(pivots) >= 1e-12 * np.abs(pivots).max()))
 
 
 def tangent_basis(rows: np.ndarray) -> np.ndarray:

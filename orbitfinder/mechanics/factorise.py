@@ -22,6 +22,19 @@ class LinearBalances:
     jacobian: ca.SX
     right: ca.SX
 
+    @classmethod
+    def of(cls, balances: ca.SX, rows: ca.SX, acceleration: ca.SX, forces: ca.SX) -> LinearBalances:
+        """Read off residuals M a + h - F lambda and J a - r, in which a and lambda are symbols and enter linearly."""
+        unknowns = ca.vertcat(acceleration, forces)
+        rest = ca.substitute(ca.vertcat(balances, rows), unknowns, ca.SX.zeros(unknowns.numel()))
+        return cls(
+            mass=ca.jacobian(balances, acceleration),
+            bias=rest[: acceleration.numel()],
+            force=-ca.jacobian(balances, forces),
+            jacobian=ca.jacobian(rows, acceleration),
+            right=-rest[acceleration.numel() :],
+        )
+
     def matrix(self) -> ca.SX:
         """[[M, -F], [J, 0]] (n+m square), which multiplies (a, lambda)."""
         return ca.blockcat([[self.mass, -self.force], [self.jacobian, ca.SX(self.right.numel(), self.right.numel())]])

@@ -19,7 +19,8 @@ from orbitfinder.mechanics.chain_symbols import (
     directions,
     geometry,
 )
-from orbitfinder.mechanics.constrained import ConstrainedEquations, constrained_model
+from orbitfinder.mechanics.constrained import constrained_model
+from orbitfinder.mechanics.factorise import LinearBalances
 from orbitfinder.mechanics.lagrange import Symbols, Terms
 from orbitfinder.mechanics.model import Baumgarte, Model, constraint_of
 
@@ -101,19 +102,18 @@ def maximal_chain(
     for link, body in zip(symbols.links, bodies, strict=True):
         kinetic += 0.5 * link.mass * ca.sumsqr(body.rate[:2]) + 0.5 * link.inertia * body.rate[2] ** 2
         potential -= link.mass * symbols.gravity * body.place[0]
-    position, acceleration = joint_constraints(symbols, bodies, ground)
-    equations = ConstrainedEquations(
-        Symbols(q, v, symbols.parameters, symbols.parameter_names, symbols.parameter_values), a, reactions,
-        link_balances(symbols, bodies, ca.reshape(reactions, 2, joints)), position, acceleration,
-        Terms(kinetic, potential),
-    )  # fmt: skip
+    position, second = joint_constraints(symbols, bodies, ground)
+    balances = link_balances(symbols, bodies, ca.reshape(reactions, 2, joints))
     points, centres, velocities = geometry(symbols)
     angles, rates, p = symbols.coordinates, symbols.velocities, symbols.parameters
     at_angles = ca.Function("geometry", [angles, p], [points, centres])
     points, q_centres = at_angles(q[2::3], p)
     lifted = ca.vertcat(ca.vec(ca.vertcat(centres, angles.T)), ca.vec(ca.vertcat(velocities, rates.T)))
     return constrained_model(
-        equations,
+        LinearBalances.of(balances, second, a, reactions),
+        position,
+        Terms(kinetic, potential),
+        Symbols(q, v, p, symbols.parameter_names, symbols.parameter_values),
         baumgarte,
         [f"{name}{i + 1}" for i in range(count) for name in ("x", "y", "theta")],
         force_names=[f"R{i + 1}{axis}" for i in range(joints) for axis in "xy"],

@@ -106,6 +106,8 @@ class Model:
     centres: ca.Function | None = None
     gyroscopic: ca.Function | None = None
     forcing_period: ca.Function | None = None
+    symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
+    """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
     constraint: HolonomicConstraint | None = None
 
     @property

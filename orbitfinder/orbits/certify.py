@@ -261,7 +261,7 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
         _at_most("recorded_closure", closure, min(orbit.tolerance, allowed.closure) * scale, RECORDED),
         _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
         _same("stability", orbit.stability, evidence.floquet.stability),
-        _same("symmetry", orbit.symmetry, recognise(evidence.times, evidence.states, np.asarray(model.angles))),
+        _same_symmetry(orbit, evidence, model),
     ]
     # mu and 1/mu of a matrix of norm about mu, known to the integration's relative error: mu^2 of that
     pairs = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if model.conservative else 0.0
@@ -276,6 +276,15 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
 def _same(name: str, recorded: str, found: str) -> Check:
     note = "as recorded" if recorded == found else f"recorded {recorded[:60]}, found {found[:60]}"
     return Check(name, 0.0 if recorded == found else 1.0, 0.0, recorded == found, note)
+
+
+def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
+    """The recorded symmetry is the one found; of what a model declares, a record from before may say nothing."""
+    names = [
+        recognise(evidence.times, evidence.states, model, own=own)
+        for own in (True, False)[: 1 + bool(model.symmetries)]
+    ]
+    return _same("symmetry", orbit.symmetry, orbit.symmetry if orbit.symmetry in names else names[0])
 
 
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:

@@ -16,11 +16,11 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, O
 from orbitfinder.guesses.balance import balanced_guess
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
 from orbitfinder.integrate.idas import build_dae_flow
-from orbitfinder.loops.conditions import Pin, unfolded_invariants
+from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Callback as Callback
 from orbitfinder.loops.ipopt import Progress as Progress
 from orbitfinder.loops.ipopt import SolveSettings as SolveSettings
-from orbitfinder.loops.newton import polish
+from orbitfinder.loops.polish import polish
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe, units_of
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -75,7 +75,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
         return find_long_chain(problem, settings, progress)
     check_invariants(problem)
     problem = at_forcing_period(problem)
-    unfolded = unfolded_invariants(problem.model, problem.boundary)
+    unfolded = problem.boundary.unfolded(problem.model)
     if problem.model.constraint is None:
         flow = build_flow(problem.model, problem.free, unfolded, settings.integrator, units_of(problem))
     else:

@@ -220,9 +220,8 @@ def multipliers(chain: Chain, start: np.ndarray, period: float) -> Floquet:
     first, modes = np.concatenate([start, np.zeros(n)]), np.kron(np.eye(2), closed.modes)
     columns = chain.quarter.columns(first, period / 4, CHUNK * chain.chunks(period, MULTIPLIER_PHASE), modes)
     matrix = closed.carried(first, chain.end(start, period), columns)
-    unit, signs = symplectic_unit(n), np.repeat([-1.0, 1.0], n)
-    back = -unit @ matrix.T @ unit
-    half = -(signs[:, None] * back * signs[None, :]) @ matrix
+    unit = symplectic_unit(n)
+    half, _ = chain.problem.boundary.root(matrix, lambda other: -unit @ matrix.T @ unit @ other, 2 * n)
     flow = closed.momentum_frame(first) @ chain.quarter.field(0.0, first, [], []).full().ravel()
     gradient = np.concatenate([-flow[n:], flow[:n]])
     reduced = reduce_monodromy(half, gradient[None, :], flow[None, :])

@@ -14,9 +14,9 @@ from orbitfinder._runtime.version import __version__
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, invariant_gradients, with_action
 from orbitfinder.loops.ipopt import SolveSettings
-from orbitfinder.loops.newton import end_of, graded_end, least_steps, segment, tail_of
+from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.shooting import boundary_shift
+from orbitfinder.loops.shooting import boundary_constants
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model, energies
@@ -63,7 +63,7 @@ def recorded(
         energy=total_energy(problem.model, nodes[0]),
         action=action,
         closure=gap(nodes[0], end, problem.turns),
-        symmetry=recognise(times, samples, np.asarray(problem.model.angles)),
+        symmetry=recognise(times, samples, problem.model),
         winding=tuple(int(k) for k in problem.turns),
         floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect,
@@ -94,30 +94,18 @@ def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[
 
 
 def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) -> np.ndarray:
-    """Nodes at equal times over the whole period from those over the symmetric part of it.
-
-    Brake: x(-t) = B x(t), B reversing the rates, about both rest points. Reflection:
-    x(t + T/2) = shift - x(t). Reversal: q(T/2 + t) = 2 q(T/2) - q(T/2 - t).
-    """
-    symmetry, n = problem.boundary, problem.model.degrees_of_freedom
-    if symmetry.name == "none":
+    """Nodes at equal times over the whole period from those over the symmetric part of it."""
+    symmetry, end = problem.boundary, None
+    if not symmetry.maps:
         return nodes
-    end = None
-    if "brake" in symmetry.name or symmetry.name == "reversal":
-        reverse = np.concatenate([np.ones(n), -np.ones(n)])
+    if symmetry.reverses:
         horizon = symmetry.fraction * period
-        step = horizon / len(nodes)
-        end = segment(flow, nodes[-1], (horizon - step, horizon), tail_of(flow))[-1:]
-        mirrored = nodes[:0:-1] * reverse
-        if symmetry.name == "brake":
-            return np.vstack([nodes, end, mirrored])
-        if symmetry.name == "reversal":
-            centre = boundary_shift(problem, nodes, end[0])[n:]
-            return np.vstack([nodes, end, np.concatenate([2 * centre, np.zeros(n)]) - mirrored])
-    shift = np.concatenate([boundary_shift(problem, nodes, None if end is None else end[0]), np.zeros(n)])
-    if end is not None:
-        nodes = np.vstack([nodes, end, shift - mirrored])
-    return np.vstack([nodes, shift - nodes])
+        end = segment(flow, nodes[-1], (horizon - horizon / len(nodes), horizon), tail_of(flow))[-1]
+    constant = boundary_constants(problem, nodes, end)
+    if end is None:
+        matrix, moved = symmetry.displaced(constant)
+        end = matrix @ nodes[0] + moved
+    return symmetry.whole(np.arange(len(nodes) + 1.0), np.vstack([nodes, end]), constant)[1][:-1]
 
 
 def dense(flow: Flow, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
+from orbitfinder.loops.symmetry import NONE, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, vector_field
 
@@ -25,8 +26,6 @@ FIRST = 48
 """Samples from whose error the number needed is estimated."""
 INTERPOLATION = 0.005
 """Largest error of the page's interpolation, relative to the extent of the picture."""
-SHARES = {"none": 1.0, "brake": 0.5, "reflection": 0.5, "reversal": 0.5, "brake+reflection": 0.25}
-"""The part of a period that each symmetry of a family leaves free."""
 STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
 ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
@@ -103,15 +102,16 @@ class Films:
         if found is None or len(entry["state"]) != len(found[0].state_names):
             return None
         model, field = found
-        symmetry = str(entry.get("symmetry", "none"))
-        if symmetry not in SHARES:
+        symmetry = symmetries_of(model).get(str(entry.get("symmetry", NONE.name)))
+        if symmetry is None:
             return None
         nodes = np.asarray(entry.get("nodes", [entry["state"]]), float)
-        edges = np.asarray(entry.get("edges", [0.0, SHARES[symmetry]]), float) * period
+        edges = np.asarray(entry.get("edges", [0.0, symmetry.fraction]), float) * period
         path = _pieces(field, nodes, edges)
-        if path is None or not _joins(path[1], symmetry, np.array(model.angles or (True,) * model.degrees_of_freedom)):
+        angles = np.array(model.angles or (True,) * model.degrees_of_freedom)
+        if path is None or not symmetry.closes(path[1], angles) <= GAP:
             return None
-        return _motion(model, *path_completed(*path, symmetry), period)
+        return _motion(model, *symmetry.whole(*path), period)
 
 
 def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray | None:
@@ -150,58 +150,9 @@ def _pieces(field: Any, nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarra
     return np.concatenate(times), np.vstack(states)
 
 
-def path_completed(times: np.ndarray, states: np.ndarray, symmetry: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states over a whole period from those over the part that a symmetry leaves free."""
-    end = times[-1]
-    if symmetry == "reflection":
-        times = np.concatenate([times, end + times[1:]])
-    elif symmetry in ("brake", "reversal", "brake+reflection"):
-        times = np.concatenate([times, 2 * end - times[-2::-1]])
-    if symmetry == "brake+reflection":
-        times = np.concatenate([times, 4 * end - times[-2::-1]])
-    return times, completed(states, symmetry)
-
-
-def completed(states: np.ndarray, symmetry: str) -> np.ndarray:
-    """States over a whole period from those over the part that a symmetry leaves free (see `families`).
-
-    brake: q(T-t) = q(t); reflection: q(t+T/2) = q(0) + q(T/2) - q(t); reversal: q(T-t) = 2 q(T/2) - q(t);
-    brake+reflection: q(T/2-t) = 2 q(T/4) - q(t), then brake. Velocities are their derivatives.
-    """
-    n = states.shape[1] // 2
-    q, v = states[:, :n], states[:, n:]
-    if symmetry == "brake":
-        return np.vstack([states, np.hstack([q, -v])[-2::-1]])
-    if symmetry == "reflection":
-        return np.vstack([states, np.hstack([q[0] + q[-1] - q, -v])[1:]])
-    if symmetry == "reversal":
-        return np.vstack([states, np.hstack([2 * q[-1] - q, v])[-2::-1]])
-    if symmetry == "brake+reflection":
-        half = np.vstack([states, np.hstack([2 * q[-1] - q, v])[-2::-1]])
-        return completed(half, "brake")
-    return states
-
-
 def _closes(states: np.ndarray) -> bool:
     """True when the velocities return; the coordinates may have turned by whole turns."""
-    return _joins(states, "none", np.ones(states.shape[1] // 2, bool))
-
-
-def _joins(states: np.ndarray, symmetry: str, angles: np.ndarray) -> bool:
-    """Whether the end of the part that a symmetry leaves free meets the part that follows, to GAP of the extent.
-
-    Velocities return (none), vanish (brake) or are reversed (reflection); coordinates are at 0, angles at 0 or pi
-    (reversal, brake+reflection).
-    """
-    n = states.shape[1] // 2
-    first, last = states[0], states[-1]
-    if symmetry in ("reversal", "brake+reflection"):
-        q = last[:n]
-        gap, extent = np.where(angles, (2 * q + np.pi) % (2 * np.pi) - np.pi, 2 * q) / 2, states[:, :n]
-    else:
-        sign = {"none": -1.0, "brake": 0.0, "reflection": 1.0}[symmetry]
-        gap, extent = last[n:] + sign * first[n:], states[:, n:]
-    return bool(np.abs(gap).max() <= GAP * max(float(np.ptp(extent, axis=0).max()), 1e-12))
+    return NONE.closes(states, np.ones(states.shape[1] // 2, bool)) <= GAP
 
 
 def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
