@@ -15,8 +15,9 @@ from orbitfinder.guesses import balance as harmonic_balance
 from orbitfinder.guesses.balance import Series
 from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.integrate import chain as quarter
-from orbitfinder.integrate.chain import MOST_DOUBLINGS, Quarter
+from orbitfinder.integrate.chain import Quarter
 from orbitfinder.integrate.cvodes import build_flow, transition
+from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
