@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from orbitfinder.families.normal_modes import mode_problem
 
 import orbitfinder as of
 from orbitfinder.errors import InputError
 from orbitfinder.families.start import begin
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.conditions import pin
