@@ -35,6 +35,7 @@ from orbitfinder.mechanics.lagrange import (
     mass_matrix_and_bias,
     mechanical_model,
     polyline,
+    strangers,
 )
 from orbitfinder.mechanics.model import Baumgarte, HolonomicConstraint, Invariant, Model, constraint_of
 
@@ -86,8 +87,6 @@ def _check_expressions(
 ) -> None:
     _, q, v, p = symbols.arguments
     count, clock = ca.SX(constraint).numel(), [] if symbols.time is None else [symbols.time]
-    if q.numel() != v.numel():
-        raise InputError(f"velocities: {v.numel()} given for {q.numel()} coordinates; give one per coordinate")
     if not 0 < count < q.numel():
         raise InputError(
             f"constraint: {count} equations for {q.numel()} coordinates leave no motion to compute; "
@@ -102,8 +101,7 @@ def _check_expressions(
         expression = ca.SX(size, 1) if value is None else ca.SX(value)
         if expression.shape != (size, 1):
             raise InputError(f"{name}: expected {size} x 1 expressions, got shape {expression.shape}")
-        stray = [str(one) for one in ca.symvar(expression) if not ca.depends_on(ca.vertcat(*known), one)]
-        if stray:
+        if stray := strangers(expression, known):
             raise InputError(f"{name}: depends on {', '.join(stray)}; use only the symbols passed (time: forces only)")
     at_rest = ca.substitute(ca.vertcat(kinetic, ca.gradient(kinetic, v)), v, ca.SX.zeros(v.numel()))
     if ca.depends_on(ca.hessian(ca.SX(kinetic), v)[0], v) or not ca.simplify(at_rest).is_zero():

@@ -38,6 +38,9 @@ class Symbols:
             symbols = getattr(self, name)
             if symbols is not None and not (isinstance(symbols, ca.SX) and symbols.is_valid_input()):
                 raise InputError(f"{name}: {symbols} is no symbol of its own; make one by ca.SX.sym({name[0]!r}, n)")
+        n, rates = self.coordinates.numel(), self.velocities.numel()
+        if n != rates:
+            raise InputError(f"velocities: {rates} given for {n} coordinates; give one per coordinate")
         count = 0 if self.parameters is None else self.parameters.numel()
         found = len(self.parameter_names), len(self.parameter_values)
         if found != (count, count):
@@ -237,6 +240,11 @@ def coordinate_angles(angles: Sequence[bool] | None, symbols: Symbols) -> tuple[
     return (False,) * count if angles is None else tuple(bool(one) for one in angles)
 
 
+def strangers(expression: ca.SX, known: Sequence[ca.SX]) -> list[str]:
+    """Symbols of an expression that are not among the known ones."""
+    return [str(one) for one in ca.symvar(expression) if not ca.depends_on(ca.vertcat(*known), one)]
+
+
 def polyline(name: str, expression: ca.SX | None, arguments: Sequence[ca.SX]) -> ca.Function | None:
     """Positions (2 x k) as a Function of (q, p), or none. Raises `InputError`."""
     if expression is None:
@@ -254,17 +262,13 @@ def _check_energies(kinetic: ca.SX, potential: ca.SX, forces: ca.SX | None, argu
     for name, value in (("kinetic", kinetic), ("potential", potential)):
         if ca.SX(value).numel() != 1:
             raise InputError(f"{name}: expected a scalar expression, got shape {ca.SX(value).shape}")
-    if q.numel() != v.numel():
-        raise InputError(f"velocities: {v.numel()} given for {q.numel()} coordinates; give one per coordinate")
     if forces is not None and ca.SX(forces).shape != (q.numel(), 1):
         raise InputError(f"forces: shape {ca.SX(forces).shape} for {q.numel()} coordinates; give one per coordinate")
     allowed = {"kinetic": "t, q, v and p", "potential": "t, q and p", "forces": "t, q, v and p"}
     for name, value, known in (
         ("kinetic", kinetic, arguments), ("potential", potential, [t, q, p]), ("forces", forces, arguments)
     ):  # fmt: skip
-        symbols = [] if value is None else ca.symvar(ca.SX(value))
-        stray = [str(s) for s in symbols if not ca.depends_on(ca.vertcat(*known), s)]
-        if stray:
+        if value is not None and (stray := strangers(ca.SX(value), known)):
             raise InputError(f"{name}: depends on {', '.join(stray)}; it may depend on {allowed[name]} only")
     hessian = ca.hessian(ca.SX(kinetic), v)[0]
     if ca.depends_on(hessian, v):
