@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder._runtime.threads import one_thread
 from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.integrate.threads import one_thread
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Invariant, Model, wrapped

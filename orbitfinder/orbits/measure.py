@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import trapezoid
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, invariant_gradients, with_action
 from orbitfinder.loops.ipopt import SolveSettings

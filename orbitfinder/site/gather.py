@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import InputError
 from orbitfinder.families.journal import FORMAT as FAMILY
 from orbitfinder.families.journal import family_to_document, load_family
@@ -173,8 +174,6 @@ def _with_nodes(family: Family) -> dict[str, Any]:
 
 def _from_database(file: Path) -> AtlasFile:
     """The atlas of a database. Raises `InputError`."""
-    from orbitfinder.atlas.store import Atlas
-
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.certify import certify
