@@ -19,8 +19,9 @@ from benchmarks.validation.literature import ARENSTORF, arenstorf_orbit
 from orbitfinder.errors import IntegrationError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.certify import LARGEST_SCALE, Tolerances, gather
+from orbitfinder.orbits.certify import LARGEST_SCALE, Tolerances
 from orbitfinder.orbits.closure import EPSILON
+from orbitfinder.orbits.evidence import gather
 
 ROOT = Path(__file__).parents[1]
 RULE = Tolerances()

@@ -28,15 +28,15 @@ import casadi as ca
 import numpy as np
 from peers.auto_family import AUTO, Clock, Run, auto_runs
 
-from orbitfinder.families.closure import closure_check
 from orbitfinder.families.follow import follow
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilyPoint, FamilySettings
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.evidence import ClosureCheck
 
 ROOT = Path(__file__).parents[1]
 POINTS = 40
@@ -123,7 +123,7 @@ def ours(start: Start, points: int, clock: Clock, events: bool, judge: bool = Fa
 
 def judged(model: Model, points: Iterable[FamilyPoint]) -> float:
     """Worst closure over max(1, largest multiplier)."""
-    check, turns = closure_check(model), np.zeros(model.degrees_of_freedom)
+    check, turns = ClosureCheck(model), np.zeros(model.degrees_of_freedom)
     return max(check(point.state, point.period, turns, 1e-15) / point.scale for point in points)
 
 

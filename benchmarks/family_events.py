@@ -29,7 +29,7 @@ from orbitfinder.families.switching import branches, described
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.certify import gather
+from orbitfinder.orbits.evidence import gather
 from orbitfinder.problemfile.read import load_problem
 
 ROOT = Path(__file__).parents[1]

@@ -18,8 +18,8 @@ from closure_rule import Case, shipped, unstable, upright
 import orbitfinder as of
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.certify import certify, gather
-from orbitfinder.orbits.evidence import Evidence
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.evidence import Evidence, gather
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("five-bar-fast-mode", "six-bar-middle-mode", "four-bar-drag-link", "cart-chain-three", "fermi-pasta-ulam",

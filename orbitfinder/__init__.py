@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from orbitfinder.atlas.store import Atlas as Atlas
     from orbitfinder.atlas.store import Filter as Filter
     from orbitfinder.exports.write import export_orbit as export_orbit
-    from orbitfinder.guesses.linkages import first_return as first_return
-    from orbitfinder.guesses.linkages import linkage_equilibrium as linkage_equilibrium
-    from orbitfinder.guesses.linkages import linkage_mode as linkage_mode
-    from orbitfinder.guesses.linkages import linkage_modes as linkage_modes
+    from orbitfinder.guesses.equilibria import linkage_equilibrium as linkage_equilibrium
+    from orbitfinder.guesses.modes import linkage_mode as linkage_mode
+    from orbitfinder.guesses.modes import linkage_modes as linkage_modes
     from orbitfinder.guesses.modes import normal_mode as normal_mode
     from orbitfinder.guesses.modes import normal_modes as normal_modes
     from orbitfinder.guesses.returns import close_returns as close_returns
+    from orbitfinder.guesses.returns import first_return as first_return
     from orbitfinder.guesses.returns import normal_mode_sum as normal_mode_sum
     from orbitfinder.guesses.returns import recurrences as recurrences
     from orbitfinder.integrate.cvodes import IntegratorSettings as IntegratorSettings
@@ -134,10 +134,10 @@ _HOMES = {
     "simulation_clip": "show.animate",
     "save_figures": "show.plot",
     "minimal_linkage": "mechanics.linkage",
-    "first_return": "guesses.linkages",
-    "linkage_equilibrium": "guesses.linkages",
-    "linkage_mode": "guesses.linkages",
-    "linkage_modes": "guesses.linkages",
+    "first_return": "guesses.returns",
+    "linkage_equilibrium": "guesses.equilibria",
+    "linkage_mode": "guesses.modes",
+    "linkage_modes": "guesses.modes",
     "Refined": "orbits.refine",
     "Refiner": "orbits.refine",
     "load_problem": "problemfile.read",

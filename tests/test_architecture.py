@@ -41,15 +41,9 @@ SPELLING = ("loops.symmetry", "problemfile.schema")
 """The only files that spell the name of a symmetry"""
 
 OWED_LIBRARIES = {
-    "casadi": {
-        "guesses.balanced", "guesses.linkages", "guesses.modes", "orbits.dae_evidence",
-        "orbits.evidence", "orbits.hamilton", "orbits.instability", "orbits.long_chain", "orbits.measure",
-        "orbits.prepare",
-    },
     "click": {"problemfile.reference"},
 }  # fmt: skip
 OWED_CYCLES = {
-    ("orbits.find", "orbits.long_chain"),
     ("cli.completion", "cli.group"),
 }
 

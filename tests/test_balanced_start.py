@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.guesses.balanced import balanced_guess, suits
+from orbitfinder.guesses.balance import balanced_guess, suits
 from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem

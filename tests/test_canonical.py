@@ -9,6 +9,10 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.hamilton import canonical
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energies
+from orbitfinder.orbits.evidence import ClosureCheck, gather
+from orbitfinder.orbits.formulations import Hamiltonian
+from orbitfinder.orbits.measure import frame
+from orbitfinder.systems import henon_heiles, pendulum_on_cart
 
 
 def unequal(links):
@@ -64,3 +68,28 @@ def test_the_monodromy_is_symplectic_and_the_action_is_the_integral_of_twice_the
     states = np.stack([np.concatenate([row[:links], field(0.0, row)[:links]]) for row in momenta[1:-1]])
     kinetic, _ = energies(model, states)
     assert path[-1, -1] == pytest.approx(0.6 * weights @ (2 * kinetic), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [chain(3), chain(2, gravity=0.0), pendulum_on_cart(), henon_heiles()],
+    ids=["hanging", "free", "cart", "star"],
+)
+def test_gradients_and_directions_are_the_same_in_both_coordinates(model):
+    """Canonical directions are those in (q, v) carried over, canonical gradients those that pull back to them."""
+    x = np.random.default_rng(0).normal(size=len(model.state_names))
+    equations = Hamiltonian(model)
+    gradients, directions, held = equations.frame(x, equations.start(x))
+    lift = equations.equations.lift(*np.split(x, 2)).full()
+    wanted, moved = frame(model, x)
+    np.testing.assert_allclose(gradients @ lift, wanted, atol=1e-12)
+    np.testing.assert_allclose(directions, moved @ lift.T, atol=1e-12)
+    assert not held.size and gradients.shape == directions.shape
+    assert np.abs(directions @ gradients.T).max() < 1e-12  # every invariant is kept by every symmetry
+
+
+def test_one_path_serves_the_closure_and_the_certificate():
+    """What says that a point of a family closes is the motion that a certificate measures."""
+    model, x = chain(2), np.array([0.4, -0.3, 0.2, 0.1])
+    found = ClosureCheck(model).ends(x[None], np.array([0.7]))[0]
+    np.testing.assert_allclose(found, gather(model, x, 0.7, np.zeros(2)).states[-1], atol=1e-12)

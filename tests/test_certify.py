@@ -10,7 +10,8 @@ import pytest
 from orbitfinder.integrate.cvodes import Flow
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.orbits.certify import Tolerances, certify, gather
+from orbitfinder.orbits.certify import Tolerances, certify
+from orbitfinder.orbits.evidence import gather
 from orbitfinder.records.orbit import Orbit, load_orbit, save_orbit
 
 NAMES = ["triple-1", "triple-2", "quadruple-1", "quadruple-2"]

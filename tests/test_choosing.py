@@ -13,7 +13,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.orbits.find import find_orbit
-from orbitfinder.orbits.instability import rank
+from orbitfinder.orbits.objectives import rank
 
 DOUBLE = of.chain(2)
 GUESS = of.normal_mode(DOUBLE, 2, 0.9)

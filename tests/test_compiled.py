@@ -18,6 +18,7 @@ from platformdirs.macos import MacOS
 from platformdirs.unix import Unix
 
 from orbitfinder._runtime import locks
+from orbitfinder._runtime.caches import Kept
 from orbitfinder.cli.options import compile_option
 from orbitfinder.errors import InputError
 from orbitfinder.integrate import compiled as rooms
@@ -47,8 +48,8 @@ def fresh(tmp_path, monkeypatch):
     """An empty cache, mode auto and no memory of earlier tests."""
     monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("ORBITFINDER_COMPILE", raising=False)
-    for name, value in (("_known", {}), ("_libraries", {}), ("_chosen", []), ("_statistics", rooms.Statistics())):
-        monkeypatch.setattr(rooms, name, value)
+    forget(monkeypatch)
+    monkeypatch.setattr(rooms, "_chosen", [])
     return tmp_path / "cache" / "compiled"
 
 
@@ -59,7 +60,7 @@ def example(factor: float = 2.0) -> ca.Function:
 
 def forget(monkeypatch) -> None:
     """As if the process had just started."""
-    for name, value in (("_known", {}), ("_libraries", {}), ("_statistics", rooms.Statistics())):
+    for name, value in (("_known", Kept(32)), ("_libraries", Kept(32)), ("_statistics", rooms.Statistics())):
         monkeypatch.setattr(rooms, name, value)
 
 

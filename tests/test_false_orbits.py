@@ -11,7 +11,8 @@ import orbitfinder as of
 from orbitfinder.errors import InputError
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.orbits.certify import certify, gather
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.evidence import gather
 from orbitfinder.systems import pendulum_on_cart
 
 RESULTS = Path(__file__).parents[1] / "results"

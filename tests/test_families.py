@@ -17,20 +17,21 @@ from scipy.special import ellipk
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families import events
 from orbitfinder.families.branches import switch
-from orbitfinder.families.closure import closure_check
 from orbitfinder.families.folder import continue_command
 from orbitfinder.families.follow import follow
 from orbitfinder.families.journal import load_family, read_journal
-from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.stability import matched
 from orbitfinder.families.start import begin, curve_of
+from orbitfinder.guesses.equilibria import equilibria
+from orbitfinder.guesses.modes import mode_problem, normal_modes, oscillating
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.continued import at_place
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
+from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.measure import multipliers
 
 DATA = Path(__file__).parent / "data"
@@ -102,7 +103,7 @@ def test_modes_of_every_equilibrium():
     model = chain(3)
     places = equilibria(model)
     assert len(places) == 8
-    counts = [len(normal_modes(model, place).centres) for place in places]
+    counts = [oscillating(normal_modes(model, place)[0]).size for place in places]
     assert counts[0] == 3 and counts[-1] == 0
     assert counts == [3 - round(place.sum() / np.pi) for place in places]
     with pytest.raises(InputError, match="oscillating"):
@@ -114,7 +115,7 @@ def test_family_of_an_upright_equilibrium(tmp_path):
     model, place = chain(3), np.array([0.0, 0.0, np.pi])
     settings = FamilySettings(directions="forward", events=False)
     family = continue_command(mode_problem(model, 1, 1e-3, place), points=5, out=tmp_path, settings=settings)
-    linear = 2 * np.pi / normal_modes(model, place).frequencies[0]
+    linear = 2 * np.pi / np.sqrt(next(one for one in normal_modes(model, place)[0] if one > 0))
     assert abs(family.points[0].period - linear) < 1e-5
     assert all(point.stability == "unstable" for point in family.points)
 
@@ -128,7 +129,7 @@ def second_mode():
 def walked(mode, until):
     settings = FamilySettings()
     start = begin(mode_problem(chain(3), mode), settings)
-    check = closure_check(start.curve.equations.model)
+    check = ClosureCheck(start.curve.equations.model)
     origin = first_point(start, settings, check)
     batches = list(follow(Walk(start.curve, settings, 1, origin, check, until)))
     points = [origin, *(point for batch in batches for point in batch.points)]
@@ -138,7 +139,7 @@ def walked(mode, until):
 def branch_at(start, energy, points=80):
     """Follow a branch away from where it was born; the point at an energy."""
     settings = FamilySettings(events=False, points=points)
-    check = closure_check(start.curve.equations.model)
+    check = ClosureCheck(start.curve.equations.model)
     origin = first_point(start, settings, check)
     sign = 1 if np.sum(start.curve.weights * origin.tangent * start.direction) > 0 else -1
     for batch in follow(Walk(start.curve, settings, sign, origin, check, at=(energy,))):
@@ -228,7 +229,7 @@ def test_physical_parameter_at_constant_energy(tmp_path):
     assert last.free["length2"] == pytest.approx(1.3, abs=1e-13)
     assert abs(last.energy - family.points[0].energy) < 1e-12 * abs(last.energy) + 1e-12
     changed = chain(2, length=[1.0, 1.3])
-    assert closure_check(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
+    assert ClosureCheck(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
 
 
 def test_unknown_parameter_is_refused(tmp_path):
@@ -261,7 +262,7 @@ SCRIPT = """
 import sys
 sys.path.insert(0, {root!r})
 from orbitfinder.families.folder import continue_command
-from orbitfinder.families.normal_modes import mode_problem
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.mechanics.chain import chain
@@ -333,7 +334,7 @@ def wild():
     """The double pendulum's slow mode where its largest multiplier is far above what one turn can close to."""
     settings = FamilySettings(events=False)
     start = begin(mode_problem(chain(2), 1, 0.5), settings, symmetry="brake+reflection")
-    check = closure_check(start.curve.equations.model)
+    check = ClosureCheck(start.curve.equations.model)
     walk = Walk(start.curve, settings, 1, first_point(start, settings, check), check, until=19.55)
     points = [point for batch in follow(walk) for point in batch.points]
     return walk, points[-1]

@@ -8,15 +8,13 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.closure import closure_check
 from orbitfinder.families.folder import continue_command
 from orbitfinder.families.minimal import bar_states, dead_point, minimal_problem, native_state
 from orbitfinder.families.motions import motions
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import begin
-from orbitfinder.guesses.linkages import linkage_mode
+from orbitfinder.guesses.modes import linkage_mode, mode_problem
 from orbitfinder.integrate.cvodes import build_flow, end_state
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
@@ -25,6 +23,7 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.model import energy
+from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.systems import henon_heiles, pendulum_on_cart
@@ -104,7 +103,7 @@ def test_five_bar_family_agrees_with_the_native_dae(tmp_path):
     assert np.abs(np.sum(orbit.floquet_multipliers) - np.sum(point.floquet_multipliers)) < 1e-8
     assert abs(begin(orbit).found.place.period - point.period) < 1e-9  # from the linkage's own orbit.json
     rebuilt = build_model(family.system)
-    assert closure_check(rebuilt)(point.state, point.period, np.zeros(2)) < 1e-11
+    assert ClosureCheck(rebuilt)(point.state, point.period, np.zeros(2)) < 1e-11
 
 
 def longer_third_bar(family, length, point):
@@ -141,7 +140,7 @@ def test_linkage_families_in_other_parameters(name, until, hold, tmp_path):
     kept = "energy" if hold == "energy" else "period"
     assert getattr(last, kept) == pytest.approx(getattr(family.points[0], kept), rel=1e-12)
     changed = build_model(with_parameters(build_model(family.system), last.free).system)
-    assert closure_check(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
+    assert ClosureCheck(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
     joints = motions(family, build_model(family.system), 3)[-1].joints
     assert np.allclose(joints[:, :, -1], FIVE_BAR["ground"], atol=1e-10)  # drawn with the point's own lengths
     again = continue_command(problem, name, until=until, out=tmp_path, settings=settings)

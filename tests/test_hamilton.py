@@ -6,18 +6,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from orbitfinder.integrate import equations as module
 from orbitfinder.integrate.compiled import available, compiling
+from orbitfinder.integrate.equations import KEPT, accelerations, hamilton, prepare
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.orbits import hamilton as module
 from orbitfinder.orbits.certify import certify
-from orbitfinder.orbits.hamilton import KEPT, accelerations, hamilton, prepare
 
 
 @pytest.fixture(autouse=True)
-def forgetful(monkeypatch):
+def forgetful():
     """Each test begins with nothing remembered."""
-    monkeypatch.setattr(module, "_known", {})
+    module._derived.clear()
 
 
 def test_equations_are_derived_once():
@@ -41,7 +41,7 @@ def test_only_so_many_are_remembered():
     """The oldest equations make room; they are derived again when asked for."""
     models = [chain(1, length=1.0 + k) for k in range(KEPT + 1)]
     first, *_ = [hamilton(one) for one in models]
-    assert len(module._known) == KEPT and hamilton(models[0]) is not first
+    assert len(module._derived) == KEPT and hamilton(models[0]) is not first
 
 
 @pytest.mark.skipif(not available()[0], reason="no C compiler")

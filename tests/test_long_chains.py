@@ -15,18 +15,18 @@ from orbitfinder.guesses import balance as harmonic_balance
 from orbitfinder.guesses.balance import Series
 from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.integrate import chain as quarter
-from orbitfinder.integrate.chain import MOST_DOUBLINGS, Quarter
+from orbitfinder.integrate.chain import Quarter
 from orbitfinder.integrate.cvodes import build_flow, transition
+from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.chain_lagrange import chain_lagrange
+from orbitfinder.mechanics.chain_lagrange import chain_lagrange, is_long
 from orbitfinder.mechanics.model import energies
-from orbitfinder.orbits import certify as certifying
-from orbitfinder.orbits import chain_evidence
-from orbitfinder.orbits.certify import certify, gather
-from orbitfinder.orbits.evidence import is_long
+from orbitfinder.orbits import evidence, formulations
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.evidence import gather
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.long_chain import balanced, build_chain, find_long_chain, measured, shot, suits
 from orbitfinder.systems import henon_heiles
@@ -207,7 +207,7 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
     orbit = find_long_chain(problem, BARE)
     turns = np.zeros(8, int)
     generic = gather(problem.model, orbit.state, orbit.period, turns)
-    monkeypatch.setattr(certifying, "is_long", lambda _: True)
+    monkeypatch.setattr(evidence, "is_long", lambda _: True)
     found = gather(problem.model, orbit.state, orbit.period, turns)
     assert max(generic.closure, found.closure) <= 1e-12
     assert found.action == pytest.approx(generic.action, rel=1e-11)
@@ -219,23 +219,23 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
 
 def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
     """Of a reflection symmetric motion; one that is not at -x(0) after T/2 is followed all the way."""
-    lengths, transitions = [], chain_evidence._transitions
+    lengths, transitions = [], formulations._chain_pieces
 
     def noted(closed, state, duration, units):
         lengths.append(duration / twelve.period)
         return transitions(closed, state, duration, units)
 
-    monkeypatch.setattr(chain_evidence, "_transitions", noted)
+    monkeypatch.setattr(formulations, "_chain_pieces", noted)
     turns = np.zeros(12, int)
     half = gather(chain(12), twelve.state, twelve.period, turns)
     assert lengths == [0.5]
-    monkeypatch.setattr(chain_evidence, "REFLECTED", -1.0)
+    monkeypatch.setattr(formulations, "REFLECTED", -1.0)
     whole = gather(chain(12), twelve.state, twelve.period, turns)
     assert lengths == [0.5, 1.0]
     assert largest_difference(half.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
     assert half.symplectic <= 1e-9 and half.trivial <= 1e-9
     monkeypatch.undo()
-    monkeypatch.setattr(chain_evidence, "_transitions", noted)
+    monkeypatch.setattr(formulations, "_chain_pieces", noted)
     gather(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)
     assert lengths[-1] == pytest.approx(1.0)
 

@@ -30,9 +30,9 @@ from orbitfinder.cli.jobs import check_consistent
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.folder import continue_command
 from orbitfinder.families.journal import JOURNAL, SEAL, _seal, assemble, load_family, read_journal, save_family
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.problemfile.read import load_problem_file

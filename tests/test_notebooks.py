@@ -13,8 +13,8 @@ import orbitfinder as of
 from orbitfinder._runtime import notebook as display
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.families.folder import continue_command
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.show import svg
 from orbitfinder.show.html import html
 

@@ -16,7 +16,7 @@ from orbitfinder.loops.ipopt import SolveSettings, hessian
 from orbitfinder.loops.shooting import transcribe
 from orbitfinder.loops.symmetry import NONE, SYMMETRIES
 from orbitfinder.orbits.find import find_orbit, initial_nodes
-from orbitfinder.orbits.instability import instability, measured, rank
+from orbitfinder.orbits.objectives import instability, instability_of, rank
 
 FAST = SolveSettings(with_certificate=False)
 DOUBLE = of.chain(2)
@@ -81,11 +81,11 @@ def test_measure_of_instability_has_its_derivative(conservative):
     random = np.random.default_rng(3)
     matrix = np.eye(6) + 0.6 * random.normal(size=(6, 6))
     trivial = 2 if conservative else 1
-    value, slope = measured(matrix, trivial, conservative)
+    value, slope = instability_of(matrix, trivial, conservative)
     for i, j in ((0, 0), (2, 5), (4, 1)):
         step = np.zeros((6, 6))
         step[i, j] = 1e-6
-        ends = [measured(matrix + s * step, trivial, conservative)[0] for s in (1, -1)]
+        ends = [instability_of(matrix + s * step, trivial, conservative)[0] for s in (1, -1)]
         assert slope[i, j] == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-5, abs=1e-8)
     assert value > 0
 
@@ -96,8 +96,9 @@ def test_a_complex_quadruple_is_measured_by_its_radius():
     block = np.array([[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]])
     matrix = np.zeros((6, 6))
     matrix[:2, :2], matrix[2:4, 2:4], matrix[4:, 4:] = r * block, block / r, np.eye(2)
-    assert measured(matrix, 2, True)[0] == pytest.approx(0.25 * (r + 1 / r) ** 2)
-    assert measured(np.diag([3.0, 1 / 3, 0.9, 1 / 0.9, 1.0, 1.0]), 2, True)[0] == pytest.approx(0.25 * (3 + 1 / 3) ** 2)
+    assert instability_of(matrix, 2, True)[0] == pytest.approx(0.25 * (r + 1 / r) ** 2)
+    matrix = np.diag([3.0, 1 / 3, 0.9, 1 / 0.9, 1.0, 1.0])
+    assert instability_of(matrix, 2, True)[0] == pytest.approx(0.25 * (3 + 1 / 3) ** 2)
 
 
 def test_min_instability_is_the_minimum_of_the_family():

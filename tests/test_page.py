@@ -19,8 +19,8 @@ from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.folder import continue_command
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model

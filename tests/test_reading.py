@@ -18,8 +18,8 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.folder import continue_command
 from orbitfinder.families.journal import JOURNAL, SEAL, load_family, read_journal
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.records.orbit import load_orbit, save_orbit
 from orbitfinder.records.reading import inflated, json_document

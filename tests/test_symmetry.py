@@ -7,8 +7,8 @@ import pytest
 
 import orbitfinder as of
 from orbitfinder.errors import InputError
-from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.start import begin
+from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.conditions import pin

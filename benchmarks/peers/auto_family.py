@@ -20,12 +20,12 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from orbitfinder.families.closure import closure_check
 from orbitfinder.families.start import Start, full_samples
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.rk8 import block, variational_field
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import energy, vector_field
+from orbitfinder.orbits.evidence import ClosureCheck
 
 AUTO = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))
 EVERY = 4
@@ -180,7 +180,7 @@ class AutoFamily:
 
     def judged(self, seconds: float, detail: str) -> Run:
         """The last run, its closures by an independent integration."""
-        check, n = closure_check(self.model), self.model.degrees_of_freedom
+        check, n = ClosureCheck(self.model), self.model.degrees_of_freedom
         energies = self.energies()
         closures = [
             check(state, period, np.zeros(n), 1e-15) / growth(self.start, state, period)

@@ -63,6 +63,6 @@ def tasks() -> list[Task]:
 
 def closure(task: Task, answer: Answer) -> float:
     """The certificate's closure: Hamilton's equations by DOP853 at its tightest."""
-    from orbitfinder.orbits.certify import gather
+    from orbitfinder.orbits.evidence import gather
 
     return gather(of.chain(task.links), answer.state, answer.period, np.zeros(task.links, int)).closure

@@ -20,12 +20,9 @@ from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.square import segments_needed
-from orbitfinder.loops.symmetry import recognise
-from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certified, return_distances
-from orbitfinder.orbits.evidence import gap
 from orbitfinder.orbits.floquet import analyse, reduce_monodromy
-from orbitfinder.orbits.measure import action, frame, full_period
+from orbitfinder.orbits.measure import action, frame, full_period, recorded
 from orbitfinder.records.orbit import Orbit
 
 Numbers = tuple[float, float, float]
@@ -128,7 +125,7 @@ def name_of(one: Bench, seed: int, start: Start) -> str:
 def loop_signature(one: Bench, loop: Found) -> Signature:
     """The signature of a loop that is not measured yet."""
     energy, period, action = loop.numbers
-    angles = tuple(one.model.angles) or (False,) * one.model.degrees_of_freedom
+    angles = tuple(map(bool, one.model.angular))
     return Signature(energy, period, action, resampled(loop.times, loop.states), angles)
 
 
@@ -158,7 +155,7 @@ def turns(one: Bench, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ...]:
     """Whole turns of each coordinate over the guess, to the nearest."""
     n = one.model.degrees_of_freedom
     whole = np.round((end - nodes[0])[:n] / (2 * np.pi))
-    return tuple(int(k) for k in np.where(np.asarray(one.model.angles or (False,) * n), whole, 0))
+    return tuple(int(k) for k in np.where(one.model.angular, whole, 0))
 
 
 def solved(one: Bench, problem: Problem, w: Unknowns, settings: QuickSettings) -> Found:
@@ -193,22 +190,16 @@ def whole_period(one: Bench, problem: Problem, w: Unknowns) -> tuple[np.ndarray,
 
 def measured(one: Bench, loop: Found) -> Orbit:
     """The Orbit of a loop, as `periodic.measure` makes it, by the compiled march."""
-    model, problem, march = one.model, loop.problem, one.equations["none"].march
+    problem, march = loop.problem, one.equations["none"].march
     period, mesh = loop.w.period, loop.times / loop.times[-1]
-    tail, monodromy = np.append(period, np.zeros(march.unfolding)), np.eye(2 * model.degrees_of_freedom)
+    tail, monodromy = np.append(period, np.zeros(march.unfolding)), np.eye(2 * one.model.degrees_of_freedom)
     for matrix in march.varied(loop.nodes, mesh, tail).transitions:
         monodromy = matrix @ monodromy
-    gradients, directions = frame(model, one.flows["none"], loop.nodes[0])
+    gradients, directions = frame(one.model, loop.nodes[0])
     floquet = analyse(reduce_monodromy(monodromy, gradients, directions), conservative=True)
     end = march.ends(loop.nodes[:1], mesh, tail)[0]
-    return Orbit(
-        name=problem.name, system=model.system, state=loop.nodes[0], period=period,
-        energy=energy(model, loop.nodes[0]), action=loop.action, closure=gap(loop.nodes[0], end, problem.turns),
-        symmetry=recognise(loop.times, loop.states, model),
-        winding=tuple(int(k) for k in problem.turns), floquet_multipliers=floquet.multipliers,
-        pair_defect=floquet.pair_defect, stability=floquet.stability,
-        unfolding=tuple(float(s) for s in loop.w.unfolding), nodes=loop.nodes, times=loop.times,
-        samples=loop.states, tolerance=problem.tolerance,
+    return recorded(
+        problem, period, end, loop.nodes, loop.times, loop.states, loop.w.unfolding, loop.action, floquet
     )  # fmt: skip
 
 
@@ -217,7 +208,7 @@ def centred(one: Bench, problem: Problem, nodes: np.ndarray) -> np.ndarray:
     n = one.model.degrees_of_freedom
     if problem.boundary.forward is not None:
         return nodes
-    whole = np.ceil((nodes[0, :n] - np.pi) / (2 * np.pi)) * np.asarray(one.model.angles or (False,) * n)
+    whole = np.ceil((nodes[0, :n] - np.pi) / (2 * np.pi)) * one.model.angular
     return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(n)])
 
 
@@ -226,11 +217,10 @@ def minimal(one: Bench, loop: Found, settings: QuickSettings) -> Found:
     low, high = one.target.periods
     if not low <= loop.w.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
-    angles = np.asarray(one.model.angles or (False,) * one.model.degrees_of_freedom)
     covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
     near: list[bool] = []
     if covers:
-        near = [far < COVER for far in return_distances(loop.times, loop.states, angles, covers)]
+        near = [far < COVER for far in return_distances(loop.times, loop.states, one.model.angular, covers)]
     if any(near):
         loop = uncovered(one, loop, max(compress(covers, near)), settings)
     if not low <= loop.w.period <= high:

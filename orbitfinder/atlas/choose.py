@@ -8,6 +8,7 @@ the one with the smallest spectral radius is taken.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 STARTS = 200
 """Starts where the file does not say how many."""
 NEAR = 1e-6
-"""Periods and actions that agree to this, relative, may belong to one orbit."""
+"""A period that changes by more than this, relative, is another orbit's."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,7 @@ def candidates(problem: Problem, starts: int, seed: int, progress: Callback | No
     import time
 
     from orbitfinder.atlas.attempt import attempt
+    from orbitfinder.atlas.signature import among
     from orbitfinder.atlas.starts import Target, bench
     from orbitfinder.loops.ipopt import Progress
 
@@ -109,7 +111,8 @@ def candidates(problem: Problem, starts: int, seed: int, progress: Callback | No
     found: list[Candidate] = []
     _own(problem, found)
     for index in range(starts):
-        one = attempt(shared, seed, index, lambda numbers: any(_near(numbers, each) for each in found))
+        known = np.array([each.signature.numbers for each in found]).reshape(-1, 3)
+        one = attempt(shared, seed, index, partial(among, known))
         if one.signature is not None:
             _add(found, one.signature, one.orbit)
         if progress and index % 20 == 19 and found:
@@ -132,15 +135,9 @@ def _own(problem: Problem, found: list[Candidate]) -> None:
         _add(found, signature_of(orbit, problem.model), orbit)
 
 
-def _near(numbers: tuple[float, float, float], one: Candidate) -> bool:
-    """True when energy, period and |action| could be those of a known orbit."""
-    pairs = zip(numbers[1:], (one.signature.period, one.signature.action), strict=True)
-    return all(abs(a - b) <= NEAR * max(abs(a), abs(b)) for a, b in pairs)
-
-
 def _add(found: list[Candidate], signature: Signature, orbit: Orbit | None) -> None:
     from orbitfinder.atlas.signature import same_orbit
-    from orbitfinder.orbits.instability import rank
+    from orbitfinder.orbits.objectives import rank
 
     for k, each in enumerate(found):
         if same_orbit(each.signature, signature):

@@ -15,7 +15,7 @@ import numpy as np
 from orbitfinder._runtime import limit
 from orbitfinder.atlas.attempt import Attempt, Numbers, attempt
 from orbitfinder.atlas.continuing import CONTINUATION, continued
-from orbitfinder.atlas.signature import AGREEMENT
+from orbitfinder.atlas.signature import among
 from orbitfinder.atlas.starts import Bench, Target, bench, strategy_of
 from orbitfinder.errors import LimitError
 from orbitfinder.integrate.threads import one_thread
@@ -71,9 +71,7 @@ class Known:
 
     def __call__(self, numbers: Numbers) -> bool:
         """True when an orbit with these numbers is among them."""
-        gaps = np.abs(self._numbers - numbers)
-        scale = np.maximum(1.0, np.maximum(np.abs(self._numbers), np.abs(numbers)))
-        return bool(np.any(np.all(gaps <= AGREEMENT * scale, axis=1)))
+        return among(self._numbers, numbers)
 
 
 @lru_cache(maxsize=4)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit
 
@@ -45,6 +45,11 @@ class Signature:
     angles: tuple[bool, ...]
 
     @property
+    def numbers(self) -> tuple[float, float, float]:
+        """Energy, period and |action|."""
+        return self.energy, self.period, self.action
+
+    @property
     def bins(self) -> tuple[int, int]:
         """Quantised period and action: the key of the look-up, with its neighbours."""
         return quantised(self.period), quantised(self.action)
@@ -71,7 +76,7 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
         period=orbit.period,
         action=abs(orbit.action),
         loop=resampled(times, samples),
-        angles=tuple(model.angles) or (False,) * model.degrees_of_freedom,
+        angles=tuple(map(bool, model.angular)),
     )
 
 
@@ -90,8 +95,13 @@ def same_orbit(first: Signature, second: Signature) -> bool:
 
 def agree(first: Signature, second: Signature) -> bool:
     """Energy, period and action agree to `AGREEMENT`."""
-    pairs = ((first.energy, second.energy), (first.period, second.period), (first.action, second.action))
-    return all(abs(a - b) <= AGREEMENT * max(1.0, abs(a), abs(b)) for a, b in pairs)
+    return among(np.array([first.numbers]), second.numbers)
+
+
+def among(known: np.ndarray, numbers: tuple[float, float, float]) -> bool:
+    """Whether energy, period and |action| agree to `AGREEMENT` with those of a known orbit (k x 3)."""
+    scale = np.maximum(1.0, np.maximum(np.abs(known), np.abs(numbers)))
+    return bool(np.any(np.all(np.abs(known - numbers) <= AGREEMENT * scale, axis=1)))
 
 
 def distance(first: Signature, second: Signature) -> float:
@@ -119,13 +129,6 @@ def _extents(loop: np.ndarray, n: int) -> np.ndarray:
     coordinates = min(max(float(np.ptp(loop[:, :n], axis=0).max()), 1e-300), np.pi)
     rates = max(float(np.abs(loop[:, n:]).max()), 1e-300)
     return np.concatenate([np.full(n, coordinates), np.full(n, rates)])
-
-
-def wrapped(gaps: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
-    """Differences of states (... x 2n) with angles brought to [-pi, pi)."""
-    turning = np.zeros(gaps.shape[-1], bool)
-    turning[: len(angles)] = angles
-    return np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
 
 
 def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder.atlas.resting import reach_of, resting_place
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.guesses.equilibria import reach_of, resting_place
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.cvodes import Flow, build_flow
+from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import (
@@ -29,8 +30,7 @@ from orbitfinder.loops.symmetry import (
     off_centre,
     undeclared_mirrors,
 )
-from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.hamilton import prepare
+from orbitfinder.mechanics.model import Model, wrapped
 
 METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
@@ -249,8 +249,7 @@ def _centre(one: Bench, random: np.random.Generator) -> np.ndarray:
 
 def _crossing(one: Bench, random: np.random.Generator) -> np.ndarray:
     """Passing a configuration that the reflection keeps: every angle 0 or a half turn, as the energy allows."""
-    n = one.model.degrees_of_freedom
-    angles = np.asarray(one.model.angles or (False,) * n)
+    n, angles = one.model.degrees_of_freedom, one.model.angular
     for _ in range(ATTEMPTS):
         q = np.where(angles, np.pi * random.integers(0, 2, n), 0.0) * (random.uniform() < 0.5)
         if potential(one, q) < one.target.energy:
@@ -261,7 +260,7 @@ def _crossing(one: Bench, random: np.random.Generator) -> np.ndarray:
 def _mirrored(one: Bench, random: np.random.Generator) -> np.ndarray:
     """In the fixed set of one of the model's mirrors: some coordinates at 0 (or a half turn), the others at rest."""
     signs = np.asarray(one.mirrors[random.integers(len(one.mirrors))].signs)
-    angles = np.asarray(one.model.angles or (False,) * signs.size)
+    angles = one.model.angular
     for _ in range(ATTEMPTS):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(one, random))
         if potential(one, q) < one.target.energy:
@@ -290,28 +289,20 @@ TURNS = (
 """Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
 
 
-def wrapping(model: Model) -> np.ndarray:
-    """Which components of a state (2n) count modulo 2 pi."""
-    n = model.degrees_of_freedom
-    return np.concatenate([np.asarray(model.angles or (False,) * n, bool), np.zeros(n, bool)])
-
-
 def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
-    n = one.model.degrees_of_freedom
+    n, angular = one.model.degrees_of_freedom, one.model.angular
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
     if symmetry in HALVES:
-        angles = np.asarray(one.model.angles or (False,) * n)
         known = REVERSAL.maps if symmetry == REVERSAL.name else one.mirrors
         scaled = states / np.repeat([1.0, rate], n)
-        gaps = [np.abs(off_centre(mirror, scaled, angles)).max(axis=1) for mirror in known]
-        return min(gaps, key=lambda gap: float(gap[0]))
+        each = (np.abs(off_centre(mirror, scaled, angular)).max(axis=1) for mirror in known)
+        return min(each, key=lambda gap: float(gap[0]))
     imposed = SYMMETRIES[symmetry]
     first, last = imposed.rows(n)
     gaps, units = states @ last.T, np.abs(last) @ np.concatenate([np.ones(n), np.full(n, rate)])
     if not imposed.reverses:
-        gaps = gaps + first @ states[0]
-        gaps = np.where(wrapping(one.model), (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+        gaps = wrapped(gaps + first @ states[0], angular)
     return np.asarray((np.abs(gaps) / np.where(units > 0, units, 1.0)).max(axis=1))
 
 

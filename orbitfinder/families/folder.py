@@ -13,7 +13,6 @@ from orbitfinder._runtime import limit, locks
 from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, LimitError
 from orbitfinder.families.certified import batch_certified, certified
-from orbitfinder.families.closure import closure_check
 from orbitfinder.families.follow import follow
 from orbitfinder.families.journal import (
     FORMAT,
@@ -32,14 +31,18 @@ from orbitfinder.families.point import CLOSURE, Batch, Family, FamilyPoint, Fami
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin, curve_of, entry_of
 from orbitfinder.families.switching import Branch
+from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.orbit import Orbit, load_orbit
 
 SAVE_EVERY = 50
 """Steps between two rewritings of family.json while a family grows."""
+EFFORT = 1.0
+"""Seconds of interpreted integration in the checks of a family of moderate length, for `compiled`."""
 
 Progress = Callable[[Batch], None]
 Origin = str | Path | Orbit | Problem | Start | Branch
@@ -85,9 +88,17 @@ def continue_command(
         return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
 
 
+def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
+    """What the family's orbits are checked with, its equations compiled where that pays for a dozen certificates."""
+    if not settings.certify:
+        return None
+    prepare(curve.equations.model, EFFORT)
+    return ClosureCheck(curve.equations.model)
+
+
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
-    check = closure_check(curve.equations.model)
+    check = ClosureCheck(curve.equations.model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         closure = check(point.state, point.period, winding(curve), allowed, point.free)
@@ -144,7 +155,7 @@ def _fresh(
     folder: Path, name: str, start: Start, settings: FamilySettings, request: dict[str, Any], source: dict[str, Any]
 ) -> Journal:
     curve = start.curve
-    origin = first_point(start, settings, closure_check(curve.equations.model) if settings.certify else None)
+    origin = first_point(start, settings, _independent(curve, settings))
     header = {
         "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.equations.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
@@ -191,7 +202,7 @@ def _finish(
 ) -> Family:
     """Walk what is left in each direction, journalling every step."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    check = closure_check(curve.equations.model) if settings.certify else None
+    check = _independent(curve, settings)
     batches = list(journal.batches)
     for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1))):
         done, end = journal.steps(sign), journal.end(sign)

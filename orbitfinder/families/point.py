@@ -10,12 +10,12 @@ import numpy as np
 
 from orbitfinder._runtime import notebook as display
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.closure import ClosureCheck
 from orbitfinder.families.scale import extents
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.closure import carried
+from orbitfinder.orbits.evidence import ClosureCheck
 
 CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.continued import Curve, Solution
-from orbitfinder.orbits.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
+from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reciprocal_pairs, symplectic_unit
 
 UNRESOLVED = 1e7
 """The reciprocal of a multiplier beyond this is taken from it, not from the eigenvalue solver."""
@@ -43,9 +43,8 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
     p, place = curve.equations, found.place
     root_map, root = _root_map(curve, found)
-    gradients, directions = _frame(curve, found)
-    reduced = reduce_monodromy(root_map, gradients, directions)
-    basis = _basis(gradients, directions)
+    basis = complement(*_frame(curve, found))
+    reduced = np.asarray(basis.T @ root_map @ basis)
     conservative = p.model.conservative
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
@@ -96,38 +95,23 @@ def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
     before = curve.equations.momentum_slopes(place.nodes[0], place.free)
     after = curve.equations.momentum_slopes(end, place.free)
     canonical = after @ matrix @ np.linalg.inv(before)
-    unit = _symplectic_unit(len(matrix) // 2)
+    unit = symplectic_unit(len(matrix) // 2)
     return np.asarray(np.linalg.solve(before, -unit @ canonical.T @ unit @ after))
-
-
-def _symplectic_unit(n: int) -> np.ndarray:
-    return np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
 
 
 def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of the invariants and symmetry directions, the flow first, at x(0). Raises `ConvergenceError`."""
-    p, place = curve.equations, found.place
-    x, n = place.nodes[0], p.size // 2
-    directions = [p.march.rates(x[None], place.tail)[0]]
-    if not np.any(directions[0]):
+    p, place, x = curve.equations, found.place, found.place.nodes[0]
+    rate = p.march.rates(x[None], place.tail)
+    if not np.any(rate):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
-    values = p.model.parameter_values
-    directions += [one.generator(x[:n], x[n:], values).full().ravel() for one in p.model.invariants if one.generator]
-    gradients = p.quantities_at(x, place.free)[1][: p.energy]
-    return gradients, np.asarray(directions)
-
-
-def _basis(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """The orthonormal complement that `reduce_monodromy` works in (2n x 2n-2)."""
-    removed = np.vstack([gradients, directions])
-    _, singular, rows = np.linalg.svd(removed / np.linalg.norm(removed, axis=1, keepdims=True))
-    return np.asarray(rows[int(np.sum(singular > 1e-10 * singular[0])) :].T)
+    return p.quantities_at(x, place.free)[1][: p.energy], np.vstack([rate, generated(p.model, x)])
 
 
 def _form(curve: Curve, x: np.ndarray, free: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """The symplectic form J, in canonical coordinates, on the space that a basis spans."""
     lift = curve.equations.momentum_slopes(x, free) @ basis
-    return np.asarray(lift.T @ _symplectic_unit(len(lift) // 2) @ lift)
+    return np.asarray(lift.T @ symplectic_unit(len(lift) // 2) @ lift)
 
 
 def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:

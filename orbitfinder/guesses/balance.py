@@ -3,7 +3,8 @@
 Such a motion is a series of odd cosines, q(t) = sum_j c_j cos((2 j + 1) w t), j = 0 .. N - 1. Asking for
 q'' = a(q, q') at the N times w t_k = (2 k + 1) pi / (4 N) and for one pin makes N n + 1 equations in
 (c, w). Nothing is integrated: a mode that is faster than the last harmonic is slaved to the slow
-ones, where shooting would follow hundreds of its oscillations. Source: Z. Yan, H. Dai, Q. Wang,
+ones, where shooting would follow hundreds of its oscillations. The family of the linear mode that a guess
+resembles most is followed up to the pin; shooting starts from there. Source: Z. Yan, H. Dai, Q. Wang,
 S. N. Atluri, "Harmonic Balance Methods: A Review and Recent Developments", CMES 137 (2023)
 1419-1459 (the time-domain form, whose aliased solutions shooting must sort out afterwards).
 """
@@ -11,12 +12,20 @@ S. N. Atluri, "Harmonic Balance Methods: A Review and Recent Developments", CMES
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, LinAlgWarning, solve
 
 from orbitfinder._runtime import limit
+from orbitfinder.errors import InputError
+from orbitfinder.guesses.modes import normal_modes
+from orbitfinder.integrate.equations import linearised
+from orbitfinder.loops.conditions import Pin, pinned_at_rest
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import QUARTER
+from orbitfinder.mechanics.model import Model, energy
 
 Accelerations = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """(q, v) -> a (n), da/dq, da/dv (n x n each)"""
@@ -37,6 +46,8 @@ LARGEST_CORRECTION = 0.2
 SMALLEST_STEP, FIRST_STEP, LARGEST_STEP = 1e-3, 0.1, 0.5
 QUICK = 4
 """Newton iterations up to which the next step is larger"""
+GROWTHS = (1.7, 1.4, 1.2)
+"""Growths of the steps along the family, tried in turn: a resonance that stops one is stepped over by another."""
 
 
 @dataclass(frozen=True)
@@ -190,3 +201,103 @@ def _predicted(known: list[tuple[float, Series]], fraction: float) -> Series:
         return Series(series.coefficients * (fraction / at), series.frequency)
     (first, one), (second, other) = known
     return one.towards(other, (fraction - first) / (second - first))
+
+
+def balanced_guess(problem: Problem) -> Guess | None:
+    """Rest state and period near the orbit; None for a problem of another kind or a family that is lost on the way."""
+    if not suits(problem):
+        return None
+    try:
+        squared, shapes = normal_modes(problem.model)
+    except InputError:  # q = 0 is no equilibrium
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = along_family(problem, squared, shapes, linearised(problem.model), pins(problem.model))
+    return None if found is None else Guess(np.append(found.start, np.zeros(found.start.size)), found.period)
+
+
+def suits(problem: Problem) -> bool:
+    """True for brake and reflection symmetric motions of a conservative model from a guess at rest, with one pin."""
+    model, n = problem.model, problem.model.degrees_of_freedom
+    plain = model.conservative and not model.forced and model.constraint is None and model.gyroscopic is None
+    return (
+        plain
+        and model.forces is None
+        and only_pinned(problem)
+        and problem.pin[0].name in ("energy", "period", *model.state_names[:n])
+        and not np.any(np.asarray(problem.guess.state, float)[n:])
+        and bool(np.any(np.asarray(problem.guess.state, float)[:n]))
+    )
+
+
+def only_pinned(problem: Problem) -> bool:
+    """True where a brake and reflection symmetric motion near a state is asked for by one pin and nothing else."""
+    chosen = problem.free or problem.bounds or problem.constraints or problem.objective != "nearest"
+    symmetric = problem.boundary == QUARTER and problem.phase_condition is None
+    return symmetric and not chosen and problem.guess.states is None and len(problem.pin) == 1
+
+
+def pins(model: Model) -> Callable[[Pin], PinRow]:
+    """A pin's residual at rest and its derivatives in q(0), T, as a NumPy function for each pin."""
+    known: dict[str, Any] = {}
+
+    def made(one: Pin) -> PinRow:
+        if one.name not in known:
+            known[one.name] = pinned_at_rest(model, one.name)
+
+        def row(place: np.ndarray, duration: float) -> tuple[float, np.ndarray, float]:
+            value, by_place, by_period = known[one.name](place, duration)
+            return float(value) - one.value, by_place.full().ravel(), float(by_period)
+
+        return row
+
+    return made
+
+
+def along_family(
+    problem: Problem,
+    squared: np.ndarray,
+    shapes: np.ndarray,
+    accelerations: Accelerations,
+    pinned: Callable[[Pin], PinRow],
+    report: Callable[[float, Series], None] = lambda *_: None,
+) -> Series | None:
+    """The orbit that a problem pins in the family of the linear mode nearest to its guess, None where it is lost.
+
+    On the way the pin has its value at rest plus the fraction (squared for the energy) of the rest of it. The period
+    tells nothing near the linear mode, so the guess's largest coordinate takes its place.
+    """
+    model, pin, start = problem.model, problem.pin[0], np.asarray(problem.guess.state, float)[: len(shapes)]
+    linear = _linear(model, pin, start, squared, shapes)
+    walked, rest, power = pin, 0.0, 1
+    if pin.name == "period":
+        largest = int(np.abs(start).argmax())
+        walked = Pin(model.state_names[largest], float(start[largest]))
+    if pin.name == "energy":
+        rest, power = energy(model, np.zeros(2 * start.size)), 2
+
+    def at(fraction: float) -> PinRow:
+        return pinned(replace(walked, value=rest + fraction**power * (walked.value - rest)))
+
+    if linear is None:
+        return None
+    for growth in GROWTHS:
+        found = follow(linear, accelerations, at, report, growth)
+        if found is not None and pin.name == "period":
+            again = resolved(found, accelerations, pinned(pin), FINE_TAIL)
+            found = None if again is None else again[0]
+        if found is not None:
+            return found
+    return None
+
+
+def _linear(model: Model, pin: Pin, start: np.ndarray, squared: np.ndarray, shapes: np.ndarray) -> Series | None:
+    """The linear mode that moves most in the guess, at the first step of the way; None where it does not oscillate."""
+    shares = np.linalg.solve(shapes, start)
+    mode = int(np.abs(shares * np.abs(shapes).max(axis=0)).argmax())
+    if not squared[mode] > 0:
+        return None
+    shape = shapes[:, mode] * shares[mode]
+    index = model.state_index(pin.name) if pin.name in model.state_names else None
+    factor = pin.value / shape[index] if index is not None and shape[index] else 1.0
+    return Series(FIRST_STEP * factor * shape[None, :], float(np.sqrt(squared[mode])))

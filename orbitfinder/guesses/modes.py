@@ -1,16 +1,32 @@
-"""Starting points that need no search: the linear normal modes of an equilibrium."""
+"""Starting points that need no search: the linear normal modes of an equilibrium.
+
+To every imaginary pair of eigenvalues i w of an equilibrium of a conservative system, of which no
+other is an integer multiple, belongs a family of periodic orbits whose period tends to 2 pi / w and
+whose shape to the linear mode (A. M. Lyapunov, 1907; K. R. Meyer, D. C. Offin, Introduction to
+Hamiltonian Dynamical Systems and the N-Body Problem (2017), section 9.2). Under constraints the small motions
+are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space of J (see `equilibria`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError
-from orbitfinder.loops.problem import Guess
+from orbitfinder.guesses.equilibria import linkage_equilibrium, stationary_terms
+from orbitfinder.integrate.equations import at_rest
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import QUARTER
+from orbitfinder.mechanics.constrained import tangent_basis
+from orbitfinder.mechanics.linkage import assemble, linkage_state
 from orbitfinder.mechanics.model import Model
+
+AMPLITUDE = 0.02
+"""Largest deviation (rad or m) at which a family is begun, unless said otherwise."""
+OSCILLATES = 1e-12
+"""Squared frequencies beyond this, relative to the largest, are of modes that oscillate."""
 
 
 def normal_modes(
@@ -24,14 +40,10 @@ def normal_modes(
     from scipy.linalg import eigh
 
     n = model.degrees_of_freedom
-    q, v, values = ca.MX.sym("q", n), ca.MX.sym("v", n), ca.DM(model.parameter_values)
-    slope, momentum = ca.gradient(model.potential(q, values), q), ca.gradient(model.kinetic(q, v, values), v)
     place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
     if place.shape != (n,):
         raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")
-    # column by column: CasADi's Hessians of 2000 links take minutes. Momenta are linear in the rates
-    column = ca.Function("at_rest", [q, v], [momentum, ca.jtimes(slope, q, v), slope])
-    columns = []
+    column, columns = at_rest(model), []
     for unit in np.eye(n):
         limit.check()
         columns.append([part.full().ravel() for part in column(place, unit)])
@@ -65,7 +77,7 @@ def normal_mode(
         raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
     squared, shapes = normal_modes(model, equilibrium)
     chosen = float(squared[mode - 1])
-    if chosen <= 1e-12 * float(np.abs(squared).max(initial=0.0)):
+    if mode - 1 not in oscillating(squared):
         raise InputError(
             f"guess.mode: mode {mode} does not oscillate (squared frequency {chosen:.3g}); "
             "give a state and a period, or use gravity so that the system hangs"
@@ -74,3 +86,62 @@ def normal_mode(
     largest = shape[np.abs(shape).argmax()]
     place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
     return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
+
+
+def oscillating(squared: np.ndarray) -> np.ndarray:
+    """Positions of the modes that oscillate among the squared frequencies of all."""
+    return np.flatnonzero(squared > OSCILLATES * np.abs(squared).max(initial=0.0))
+
+
+def mode_problem(
+    model: Model,
+    mode: int,
+    amplitude: float = AMPLITUDE,
+    equilibrium: Sequence[float] | np.ndarray | None = None,
+    name: str | None = None,
+) -> Problem:
+    """The Problem that starts the family of a mode, in the quarter-period formulation.
+
+    `mode` counts the oscillating modes of the equilibrium from 1, slowest first. Raises `InputError`.
+    """
+    found = oscillating(normal_modes(model, equilibrium)[0])
+    if isinstance(mode, bool) or not 1 <= mode <= found.size:
+        raise InputError(
+            f"mode: must be between 1 and {found.size}, got {mode}; this equilibrium has "
+            f"{found.size} oscillating modes out of {model.degrees_of_freedom}"
+        )
+    guess = normal_mode(model, int(found[mode - 1]) + 1, amplitude, equilibrium)
+    return Problem(model, guess, symmetry=QUARTER.name, name=name or f"mode-{mode}")
+
+
+def linkage_modes(
+    model: Model, equilibrium: Sequence[float] | np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Squared angular frequencies (n - 2, rad^2/s^2, slowest first) and shapes (n x n-2) in the link angles."""
+    from scipy.linalg import eigh
+
+    theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
+    _, jacobian, hessian, mass = stationary_terms(model, theta)
+    basis = tangent_basis(jacobian)
+    squared, shapes = eigh(basis.T @ hessian @ basis, basis.T @ mass @ basis)
+    return np.asarray(squared), np.asarray(basis @ shapes)
+
+
+def linkage_mode(
+    model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray | None = None
+) -> Guess:
+    """Guess on a linear normal mode, at rest at its turning point: `mode` from 1, largest angle `amplitude` (rad)."""
+    theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
+    squared, shapes = linkage_modes(model, theta)
+    if isinstance(mode, bool) or not 1 <= mode <= squared.size:
+        raise InputError(
+            f"guess.mode: must be between 1 and {squared.size}, got {mode}; this linkage has {squared.size} modes"
+        )
+    if not (np.isfinite(amplitude) and amplitude != 0):
+        raise InputError(f"guess.amplitude: must be finite and not 0, got {amplitude}; give an angle in rad")
+    if squared[mode - 1] <= 0:
+        raise InputError(f"guess.mode: mode {mode} does not oscillate (squared frequency {squared[mode - 1]:.3g})")
+    shape = shapes[:, mode - 1]
+    moved = theta + amplitude * shape / shape[np.abs(shape).argmax()]
+    state = linkage_state(model, assemble(model, {}, guess=moved))
+    return Guess(state, 2 * np.pi / float(np.sqrt(squared[mode - 1])))

@@ -10,8 +10,9 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.guesses.modes import normal_mode, normal_modes
 from orbitfinder.integrate.cvodes import build_flow, sample
+from orbitfinder.integrate.idas import simulate_dae
 from orbitfinder.loops.problem import Guess
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, wrapped
 
 MOST_SAMPLES = 3000
 """Samples of a trajectory that are compared with each other, in all pairs."""
@@ -20,6 +21,8 @@ AWAY = 0.25
 SAME_PERIOD = 0.02
 """Of returns whose periods differ by less than this, relative, only the closest is kept."""
 MOST_MODES_PERIODS = 12
+NEAR_RETURN = 0.1
+"""A motion has come back when it is this near its start, relative to its extent."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,26 @@ def recurrences(
     return [_on_the_beat(one, times, states, float(model.forcing_period(model.parameter_values))) for one in found]
 
 
+def first_return(model: Model, state: np.ndarray, longest: float = 20.0) -> float:
+    """Time (s) at which the motion from a state (2n) is first back near its start, angles modulo 2 pi.
+
+    Of a linkage of one degree of freedom that is its period, to the sampling. Raises `InputError` when it
+    does not come back.
+    """
+    count = int(200 * longest) + 1
+    motion = simulate_dae(model, state, longest, count)
+    n, away = model.degrees_of_freedom, wrapped(motion.states - motion.states[0], model.angles)
+    clock = np.ptp(motion.states[:, n:]) or 1.0
+    distance = np.maximum(np.abs(away[:, :n]).max(axis=1), np.abs(away[:, n:]).max(axis=1) / clock)
+    near = NEAR_RETURN * float(distance.max())
+    left = int(np.argmax(distance > near))
+    lowest = (distance[1:-1] < near) & (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])
+    back = [k for k in np.flatnonzero(lowest) + 1 if k > left]
+    if not left or not back:
+        raise InputError(f"guess.period: the motion does not come back within {longest:g} s; give a period")
+    return float(motion.times[back[0]])
+
+
 def normal_mode_sum(
     model: Model,
     modes: Sequence[int],
@@ -120,9 +143,7 @@ def _regular(times: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _distance(after: np.ndarray, before: np.ndarray, extent: np.ndarray, wrapping: np.ndarray) -> np.ndarray:
-    gaps = after - before
-    gaps = np.where(wrapping, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
-    return np.asarray(np.abs(gaps / extent).max(axis=1))
+    return np.asarray(np.abs(wrapped(after - before, wrapping) / extent).max(axis=1))
 
 
 def _local_minima(table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

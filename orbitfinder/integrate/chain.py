@@ -17,7 +17,7 @@ from scipy.integrate import DOP853
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.rk8 import AGREEMENT, MOST_DOUBLINGS
+from orbitfinder.integrate.rk8 import AGREEMENT, refined
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
 from orbitfinder.mechanics.model import Model, vector_field
 
@@ -76,16 +76,14 @@ class Quarter:
 
         Or until halving no longer helps: at 100 links the rates' round-off is about `AGREEMENT` itself.
         """
-        coarse, before = self.path(state, duration, count, inner), np.inf
-        for _ in range(MOST_DOUBLINGS):
-            inner *= 2
-            fine = self.path(state, duration, count, inner)
+        changes = [np.inf]
+
+        def settled(coarse: np.ndarray, fine: np.ndarray) -> bool:
             scale = max(1.0, float(np.abs(fine[-1]).max()))
-            change = float(np.abs(fine[-1] - coarse[-1]).max()) / scale
-            if change <= AGREEMENT or before / STALLED < change < ROUND_OFF:
-                break
-            coarse, before = fine, change
-        return fine
+            changes.append(float(np.abs(fine[-1] - coarse[-1]).max()) / scale)
+            return changes[-1] <= AGREEMENT or changes[-2] / STALLED < changes[-1] < ROUND_OFF
+
+        return refined(lambda steps: self.path(state, duration, count, steps), inner, settled)
 
     def columns(self, state: np.ndarray, duration: float, steps: int, directions: np.ndarray) -> np.ndarray:
         """Phi(duration) times `directions` (2n x k) from `state` (2n), in so many steps.

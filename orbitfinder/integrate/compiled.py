@@ -35,13 +35,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import platformdirs
 
 from orbitfinder._runtime import locks
+from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError
 
@@ -88,8 +88,7 @@ class Statistics:
 
 _chosen: list[str] = []
 _statistics = Statistics()
-_known: dict[tuple[Any, ...], tuple[ca.Function, ca.Function]] = {}
-_libraries: dict[str, ca.Function] = {}
+_known, _libraries = Kept[ca.Function](REMEMBERED), Kept[ca.Function](REMEMBERED)
 
 
 def mode() -> str:
@@ -154,19 +153,17 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     if mode() != "on" and effort is not None and effort < STARTING:
         return function
     surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
-    remembered = (function.__hash__(), mode(), *surroundings, mode() == "on" or effort is None or effort)
-    if remembered in _known:
-        _known[remembered] = _known.pop(remembered)  # the latest used is the last to go
-        return _known[remembered][1]
+    key = (Same(function), mode(), *surroundings, mode() == "on" or effort is None or effort)
+    return _known(key, lambda: _tried(function, effort))
+
+
+def _tried(function: ca.Function, effort: float | None) -> ca.Function:
     try:
         with captured():
-            result = _library(function, effort)
+            return _library(function, effort)
     except (Unavailable, OSError, RuntimeError) as error:
         _count(left=1, reason=f"{function.name()}: {error}")
-        result = function
-    _make_room(_known)
-    _known[remembered] = (function, result)  # holding the function keeps its hash from being reused
-    return result
+        return function
 
 
 def interpreted_seconds(function: ca.Function, calls: float) -> float:
@@ -189,8 +186,11 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
     code = _code(function)
     compiler = find_compiler()
     key = key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
-    if key in _libraries:
-        return _libraries[key]
+    return _libraries(key, lambda: _fetched(function, effort, code, compiler, key))
+
+
+def _fetched(function: ca.Function, effort: float | None, code: str, compiler: Compiler, key: str) -> ca.Function:
+    """The compiled function from the disk or made now."""
     place = usable()
     found = _loaded(find_entry(place, key), function)
     if found is None:
@@ -203,15 +203,7 @@ def _library(function: ca.Function, effort: float | None) -> ca.Function:
                     raise Unavailable("another process is compiling the same")
                 found = _opened(publish(make_library(compiler, code, place), place, key), function, new=True)
                 _count(made=1)
-    _make_room(_libraries)
-    _libraries[key] = found
     return found
-
-
-def _make_room(remembered: dict[Any, Any]) -> None:
-    """Forget the oldest entry where there are as many as are kept."""
-    if len(remembered) >= REMEMBERED:
-        remembered.pop(next(iter(remembered)))
 
 
 def _code(function: ca.Function) -> str:

@@ -14,13 +14,14 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
+from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.limit import alarm
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, IntegrationError
@@ -129,44 +130,18 @@ def remembered(
     units: tuple[float, ...] = (),
 ) -> Flow:
     """The Flow of this kind that was built last from the same things, or a new one."""
-    kept = _small if 2 * model.degrees_of_freedom <= SMALL else _large
+    names, invariants, settings = tuple(free), tuple(unfolded), settings or IntegratorSettings()
     conditions = (mode(), os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))  # what decides on compiling
-    return kept(
-        Same(kind), Same(model), model.parameter_values.tobytes(), tuple(free), tuple(map(Same, unfolded)),
-        settings or IntegratorSettings(), conditions, units,
-    )  # fmt: skip
+    key = (Same(kind), Same(model), model.parameter_values.tobytes(), names, *map(Same, invariants), settings,
+           conditions, units)  # fmt: skip
+
+    def built() -> Flow:
+        return kind(model, settings, names, invariants, vector_field(model, names, invariants), units)
+
+    return (_small if 2 * model.degrees_of_freedom <= SMALL else _large)(key, built)
 
 
-class Same:
-    """Something as a key of a cache, equal to nothing but itself."""
-
-    def __init__(self, thing: Any) -> None:
-        self.thing = thing
-
-    def __hash__(self) -> int:
-        return id(self.thing)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Same) and other.thing is self.thing
-
-
-def _built(
-    kind: Same,
-    model: Same,
-    _values: bytes,
-    free: tuple[str, ...],
-    unfolded: tuple[Same, ...],
-    settings: IntegratorSettings,
-    _conditions: tuple[str | None, ...],
-    units: tuple[float, ...],
-) -> Flow:
-    invariants = tuple(one.thing for one in unfolded)
-    field = vector_field(model.thing, free, invariants)
-    found: Flow = kind.thing(model.thing, settings, free, invariants, field, units)
-    return found
-
-
-_small, _large = lru_cache(maxsize=2)(_built), lru_cache(maxsize=1)(_built)
+_small, _large = Kept["Flow"](2), Kept["Flow"](1)
 
 
 def _integrator(name: str, ode: tuple[Any, Any, Any, Any], settings: IntegratorSettings) -> ca.Function:

@@ -67,6 +67,8 @@ def vector_field(function: ca.Function) -> VectorField:
     mapped: list[Buffered] = []
 
     def many(times: np.ndarray, states: np.ndarray) -> np.ndarray:
+        if len(times) == 1:
+            return call(times[0], states[0])[None]
         if not mapped:
             mapped.append(Buffered(dense.map(TOGETHER)))
         filled = -(-len(times) // TOGETHER) * TOGETHER  # whole blocks, the last one padded with the last state
@@ -161,6 +163,18 @@ def integrate(
     if not np.all(np.isfinite(states)):
         raise IntegrationError("the state is not finite", time=float(times[-1]), state=start)
     return states
+
+
+def integrate_in(
+    units: np.ndarray,
+    field: VectorField,
+    start: np.ndarray,
+    times: np.ndarray,
+    settings: ReferenceSettings = TIGHTEST,
+    longest_step: float = np.inf,
+) -> np.ndarray:
+    """`integrate` with the components measured in `units`; states in their own."""
+    return integrate(scaled(field, units), start / units, times, settings, longest_step) * units
 
 
 def _stepped(

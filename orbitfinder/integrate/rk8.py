@@ -7,6 +7,7 @@ no step control to pay for, so the polish costs a few milliseconds in the interp
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -96,12 +97,22 @@ def refined_march(
 
     They agree in `units` (2n), or where there are none relative to the state.
     """
-    steps = least
-    coarse = march(field, state, duration, steps, tail, start)
+    return refined(
+        lambda steps: march(field, state, duration, steps, tail, start),
+        least,
+        lambda coarse, fine: agree(coarse[-1], fine[-1], units),
+    )
+
+
+def refined(
+    path: Callable[[int], np.ndarray], steps: int, agreed: Callable[[np.ndarray, np.ndarray], bool]
+) -> np.ndarray:
+    """The path by 2, 4, ... times so many steps: the first that half its steps confirm, or the last."""
+    coarse = path(steps)
     for _ in range(MOST_DOUBLINGS):
         steps *= 2
-        fine = march(field, state, duration, steps, tail, start)
-        if agree(coarse[-1], fine[-1], units):
+        fine = path(steps)
+        if agreed(coarse, fine):
             break
         coarse = fine
     return fine

@@ -285,7 +285,7 @@ def _check_winding(problem: Problem) -> None:
     n = problem.model.degrees_of_freedom
     if len(problem.winding) != n:
         raise InputError(f"winding: {len(problem.winding)} numbers for {n} coordinates; give one per coordinate")
-    if any(k and not angle for k, angle in zip(problem.winding, problem.model.angles or (False,) * n, strict=True)):
+    if any(k and not angle for k, angle in zip(problem.winding, problem.model.angular, strict=True)):
         raise InputError(f"winding: {list(problem.winding)} turns a coordinate that is not an angle; set it to 0")
     if np.any(np.asarray(problem.winding)[~problem.boundary.may_turn(n)]):
         raise InputError(

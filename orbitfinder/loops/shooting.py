@@ -114,8 +114,7 @@ def units_of(problem: Problem) -> tuple[float, ...]:
     acceleration = model.acceleration(0.0, state[:n], state[n:], model.parameter_values).full().ravel()
     places, rates = np.split(np.abs(states).max(axis=0), 2)
     lengths, pushed = np.maximum(places, rates * clock), np.abs(np.nan_to_num(acceleration)) * clock**2
-    angular = np.asarray(model.angles or (False,) * n)
-    for group in (angular, ~angular):
+    for group in (model.angular, ~model.angular):
         lengths[group] = _rounded(lengths[group].max(initial=0.0) or pushed[group].max(initial=0.0))
     units = np.concatenate([lengths, lengths / _rounded(clock)])
     return () if np.all(units == 1.0) else tuple(float(one) for one in units)
@@ -238,11 +237,10 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
 def boundary_constants(problem: Problem, nodes: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:
     """The constants (2n) of the boundary rows that a guess is nearest to: the motion may be symmetric about an upright
     link. Of an orbit that repeats mirrored, about its mean over the part."""
-    angles = np.asarray(problem.model.angles or (False,) * problem.model.degrees_of_freedom)
     start = nodes[0]
     if problem.boundary.maps and not problem.boundary.reverses:
         start = end = nodes.mean(axis=0)
-    return problem.boundary.constants(angles, start, end, problem.winding)
+    return problem.boundary.constants(problem.model.angular, start, end, problem.winding)
 
 
 def half_turns(angles: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.model import Invariant, Model, wrapped
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -467,7 +467,7 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
 
     Looked for are rest and x -> -x, else a centre, and then, with `own`, what the model declares.
     """
-    angles = np.asarray(model.angles or (False,) * model.degrees_of_freedom)
+    angles = model.angular
     found = [one for one in QUARTER.maps if has(one, times, states, angles)]
     for one in (REVERSAL_MAP, *(declared(model) if own else ())):
         taken = {each.sense for each in found}
@@ -487,21 +487,15 @@ def has(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarr
 
 def half_period_gaps(one: Involution, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """|x(t + T/2) - S x(t)| of samples over a period, angles modulo 2 pi."""
-    half, n = (len(states) - 1) // 2, angles.size
-    total = states[half : 2 * half] - states[:half] @ one.matrix(n).T
-    total[:, :n] = np.where(angles, _wrapped(total[:, :n]), total[:, :n])
-    return np.abs(total)
+    half = (len(states) - 1) // 2
+    return np.abs(wrapped(states[half : 2 * half] - states[:half] @ one.matrix(angles.size).T, angles))
 
 
 def off_centre(one: Involution, states: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
     """rows x - constant (k x n) at states (k x 2n): how far they are from the fixed set, the nearest for angles."""
     fixed = _fixed(one, len(angles))
     gaps = states @ fixed.rows.T
-    return np.where(fixed.turning(angles), _wrapped(gaps / fixed.share) * fixed.share, gaps)
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+    return wrapped(gaps / fixed.share, fixed.turning(angles)) * fixed.share
 
 
 def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:

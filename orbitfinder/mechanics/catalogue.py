@@ -137,7 +137,9 @@ def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]
 
 
 def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
-    """The same Model with some physical parameters changed, its description included."""
+    """The same Model with some physical parameters changed, its description included; itself where none is."""
+    if not values:
+        return model
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value

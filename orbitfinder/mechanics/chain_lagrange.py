@@ -21,6 +21,8 @@ from orbitfinder.mechanics.model import Model
 
 AGREEMENT = 1e-10
 """The closed form must give the Model's energies to this, relative, at states it was not read from."""
+FEWEST_LINKS = 11
+"""Chains from this length on are long: Hamilton's equations as one graph take seconds to derive, later minutes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,12 @@ class ChainLagrange:
             [self.modes.T @ slope, self.modes.T @ self.mass_matrix(q)],
         ])  # fmt: skip
 
+    def carried(self, before: np.ndarray, after: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Phi in the coordinates of `momentum_frame` between two states, from variations (2n x 2n) of the modes."""
+        modes = np.kron(np.eye(2), self.modes)
+        first, last = self.momentum_frame(before) @ modes, self.momentum_frame(after) @ columns
+        return np.asarray(np.linalg.solve(first.T, last.T).T)
+
     def canonical(self, states: np.ndarray) -> np.ndarray:
         """(eta, pi) along states (k x 2n): the coordinates of `momentum_frame`."""
         q, v = np.split(states, 2, axis=1)
@@ -136,6 +144,12 @@ def _solved(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _backed(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The solution for more right-hand sides (n x k), which are overwritten where they are stored by columns."""
     return np.asarray(dpotrs(factor, right, lower=True, overwrite_b=True)[0])
+
+
+def is_long(model: Model) -> bool:
+    """True for chains that are certified on these equations."""
+    plain = model.forces is None and model.gyroscopic is None and not model.forced
+    return plain and model.system.get("kind") == "chain" and model.degrees_of_freedom >= FEWEST_LINKS
 
 
 def chain_lagrange(model: Model) -> ChainLagrange:

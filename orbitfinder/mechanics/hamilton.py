@@ -16,12 +16,14 @@ class Canonical:
     """Canonical equations y' = (dH/dp, -dH/dq + Q) in y = (q, momentum), 2n numbers.
 
     `field(t, y)` is y'; `variational(t, z)` is z' for z = (y, vec Y, S) with Y' = (dy'/dy) Y
-    and S' = momentum.v the rate of the action; `momentum(q, v)` is dL/dv.
+    and S' = momentum.v the rate of the action; `momentum(q, v)` is dL/dv, `lift(q, v)` the Jacobian (2n x 2n)
+    of y in (q, v).
     """
 
     field: ca.Function
     variational: ca.Function
     momentum: ca.Function
+    lift: ca.Function
 
 
 def canonical(model: Model) -> Canonical:
@@ -44,6 +46,8 @@ def canonical(model: Model) -> Canonical:
         velocity = solve_positive_definite(matrix, y[n:] - offset)
     else:
         velocity = ca.solve(matrix, y[n:] - offset, "ldl")
+    lower = ca.horzcat(ca.jacobian(momentum, q), ca.jacobian(momentum, v))
+    upper = ca.horzcat(type(y).eye(n), type(y)(n, n))
     slope = ca.Function("slope", [q, v], [ca.gradient(kinetic - potential, q)])
     force = slope(y[:n], velocity)
     if model.forces is not None:
@@ -64,4 +68,5 @@ def canonical(model: Model) -> Canonical:
         field=ca.Function("canonical_field", [t, y], [rate]),
         variational=ca.Function("canonical_variational", [t, inputs], [variation]),
         momentum=ca.Function("momentum", [q, v], [momentum]),
+        lift=ca.Function("lift", [q, v], [ca.densify(ca.vertcat(upper, lower))]),
     )

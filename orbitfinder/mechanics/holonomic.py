@@ -48,7 +48,7 @@ class HolonomicEquations:
 
     `field(t, y)` is y'; `variational(t, z)` is z' for z = (y, vec Y, S), Y' = (dy'/dy) Y and
     S' = p.q'; `momentum(q, v)` = M v; `velocity(y)` = M^-1 p; `tangent(y)` is the matrix (2m x 2k) of
-    (d phi, d(J q')), whose null space is tangent to the motions; `energy(y)` = T + V.
+    (d phi, d(J q')), whose null space is tangent to the motions; `gradient(y)` is that of T + V (2k).
     """
 
     field: ca.Function
@@ -56,7 +56,7 @@ class HolonomicEquations:
     momentum: ca.Function
     velocity: ca.Function
     tangent: ca.Function
-    energy: ca.Function
+    gradient: ca.Function
 
 
 def holonomic(model: Model) -> Holonomic:
@@ -109,5 +109,5 @@ def holonomic_equations(system: Holonomic) -> HolonomicEquations:
         momentum=ca.Function("momentum", [q, v], [mass @ v]),
         velocity=ca.Function("velocity", [y], [velocity]),
         tangent=ca.Function("tangent", [y], [ca.densify(ca.jacobian(level, y))]),
-        energy=ca.Function("energy", [y], [system.kinetic(q, velocity) + potential]),
+        gradient=ca.Function("gradient", [y], [ca.gradient(system.kinetic(q, velocity) + potential, y)]),
     )

@@ -125,6 +125,11 @@ class Model:
         """n, the number of generalized coordinates."""
         return len(self.state_names) // 2
 
+    @property
+    def angular(self) -> np.ndarray:
+        """Which coordinates (n) are angles, none where the model does not say."""
+        return np.asarray(self.angles or (False,) * self.degrees_of_freedom, bool)
+
     def forcing_cycles(self, period: float) -> int:
         """Periods of the forcing in `period` (s), to the nearest and at least 1; 0 for an autonomous model."""
         if self.forcing_period is None:
@@ -194,6 +199,13 @@ def check_states(model: Model, states: Any) -> np.ndarray:
 def _missized(name: str, found: str, model: Model, what: str) -> str:
     n = len(model.state_names) // 2
     return f"{name}: {found} for {n} coordinates; give {what}{2 * n} numbers ({', '.join(model.state_names)})"
+
+
+def wrapped(gaps: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
+    """Differences of states (... x 2n) or of coordinates, the first of which are `angles`, these in [-pi, pi)."""
+    turning = np.zeros(gaps.shape[-1], bool)
+    turning[: len(angles)] = angles
+    return np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
 
 
 def energy(model: Model, state: np.ndarray) -> float:

@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, vector_field
 from orbitfinder.integrate.threads import one_thread
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.chain_evidence import chain_motion
+from orbitfinder.mechanics.model import Invariant, Model, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents
-from orbitfinder.orbits.dae_evidence import constrained_motion, constraint_defect, native_closure
-from orbitfinder.orbits.evidence import (
-    VARIED,
-    Evidence,
-    evenly,
-    hamiltonian_motion,
-    integrate_in,
-    is_long,
-    measured,
-    relative_gap,
-)
+from orbitfinder.orbits.evidence import Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
-from orbitfinder.orbits.hamilton import accelerations
-from orbitfinder.orbits.premises import premises
+from orbitfinder.orbits.formulations import VARIED
 from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document
 
 COVERS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89, 97, 101)
@@ -41,6 +28,16 @@ NODES_OFF, SAMPLES_OFF, LARGEST_PICTURE = 1e-9, 1e-6, 1e-3
 LARGEST_GROWTH = 1e10
 """Growth of errors between any two instants that may excuse the trivial multipliers"""
 RECORDED = "recorded - recomputed, relative"
+TRIED = 12
+"""States about the motion at which the equations are compared."""
+EXACT = 1e-10
+"""Relative difference of the accelerations between two moments that should be alike."""
+DRIFT = 1e-9
+"""Drift of an invariant along the motion, relative to how much it varies about it."""
+ROUNDED = 64 * float(np.finfo(float).eps)
+"""Relative error of an invariant's value."""
+LATER = 7
+"""Periods of the forcing after which the equations are compared again, at most."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +82,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     moments = np.concatenate([orbit.period * shares.ravel(), *(times for _, times, _, _ in pictured)])
     try:
         evidence = gather(model, orbit.state, orbit.period, turns, moments)
-        second = _second_closure(model, orbit, turns, evidence)
+        second = second_closure(model, orbit.state, orbit.period, turns, evidence.extents)
     except IntegrationError as error:
         return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
     found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
@@ -101,7 +98,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         if model.conservative
         else None,
         _forcing_check(orbit, model),
-        *premises(model, evidence.times, evidence.states, evidence.extents, turns),
+        *_premises(model, evidence, turns),
         _minimal_period(orbit, covers, allowed.cover, evidence),
         _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, "extent of the motion"),
         _at_most("trivial_multipliers", evidence.trivial, max(allowed.trivial, passing), "flow and gradients are kept")
@@ -131,25 +128,6 @@ def certified(orbit: Orbit, model: Model) -> Orbit:
     return replace(orbit, certificate=certificate, closure=closure)
 
 
-def gather(
-    model: Model,
-    state: np.ndarray,
-    period: float,
-    turns: np.ndarray,
-    moments: np.ndarray | None = None,
-    settings: ReferenceSettings = TIGHTEST,
-) -> Evidence:
-    """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
-    formulation = hamiltonian_motion
-    if model.constraint is not None:
-        formulation = constrained_motion
-    elif is_long(model):
-        formulation = chain_motion
-    wanted = np.zeros(0) if moments is None else np.asarray(moments, float)
-    motion = formulation(model, state, period, turns, np.unique(np.append(evenly(period), wanted)), settings)
-    return measured(model, motion, state, period, turns, wanted)
-
-
 def _turns(orbit: Orbit, model: Model) -> np.ndarray:
     """Whole turns (n) of the coordinates. Raises `InputError` where the record contradicts its system."""
     n = model.degrees_of_freedom
@@ -167,13 +145,6 @@ def _at_most(name: str, value: float, tolerance: float, note: str = "") -> Check
 
 def _at_least(name: str, value: float, tolerance: float, note: str = "") -> Check:
     return Check(name, float(value), float(tolerance), bool(value >= tolerance), note)
-
-
-def _second_closure(model: Model, orbit: Orbit, turns: np.ndarray, evidence: Evidence) -> float:
-    """Closure of the accelerations themselves at a second tolerance: other equations, other steps."""
-    field, span = vector_field(accelerations(model)), np.array([0.0, orbit.period])
-    ends = integrate_in(evidence.extents, field, orbit.state, span, SECOND)
-    return relative_gap(ends[0], ends[-1], turns, evidence.extents)
 
 
 def _constraint_checks(
@@ -194,7 +165,7 @@ def _constraint_checks(
 def _motion(evidence: Evidence, model: Model) -> float:
     """Extent of the coordinates, of angles or of others, relative to their size."""
     n = model.degrees_of_freedom
-    places, angular = evidence.states[:, :n], np.asarray(model.angles or (False,) * n)
+    places, angular = evidence.states[:, :n], model.angular
     groups = [places[:, angular], places[:, ~angular]]
     return max(float(np.ptp(group, axis=0).max() / max(np.abs(group).max(), 1e-300)) for group in groups if group.size)
 
@@ -228,14 +199,6 @@ def _minimal_period(orbit: Orbit, covers: Sequence[int], tolerance: float, evide
     found = far.reshape(-1, 2).max(axis=1)
     note = f"nearest early return at T/{covers[int(found.argmin())]}"
     return _at_least("minimal_period", found.min(), tolerance, note)
-
-
-def distances(state: np.ndarray, reached: np.ndarray, angles: Sequence[bool], units: np.ndarray) -> np.ndarray:
-    """Distance of each of the states reached (k x 2n) from a state, in `units`, angles modulo 2 pi."""
-    moved = reached - state
-    turning = np.append(np.asarray(angles or (False,) * (state.size // 2)), np.zeros(state.size // 2, bool))
-    moved = np.where(turning, (moved + np.pi) % (2 * np.pi) - np.pi, moved)
-    return np.asarray(np.abs(moved / units).max(axis=1))
 
 
 Picture = tuple[str, np.ndarray, np.ndarray, float]
@@ -273,7 +236,7 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
     there = np.hstack([spline(moments), spline(moments, 1)])
     moved, rushed = np.split(np.ptp(states, axis=0), 2)
     units = np.concatenate(extents(moved, rushed, np.ones(n), float(times[-1])))
-    return [float(one) for one in distances(states[0], there, tuple(angles), units)]
+    return [float(one) for one in np.abs(wrapped(there - states[0], angles) / units).max(axis=1)]
 
 
 def _picture_checks(pictured: Sequence[Picture], reached: np.ndarray, evidence: Evidence) -> list[Check]:
@@ -352,3 +315,78 @@ def _expected_checks(orbit: Orbit, model: Model) -> list[Check]:
             raise InputError(f"expected: unknown quantity {name!r}; use period, energy, action or a physical parameter")
         checks.append(_at_most(f"expected_{name}", abs(found - value), tolerance, f"against {value!r}"))
     return checks
+
+
+def _premises(model: Model, evidence: Evidence, turns: np.ndarray) -> list[Check]:
+    """What a certificate would otherwise take on trust: that the system is what its description says.
+
+    A period declared for the forcing, the absence of time, angles that turn and invariants are tried on the
+    equations themselves, at seeded states about the motion.
+    """
+    near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
+    return [near.time_dependence(), *near.windings(turns), *near.invariants()]
+
+
+class _Nearby:
+    """Seeded moments and states about a motion, and the accelerations there in extents."""
+
+    def __init__(self, model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> None:
+        random = np.random.default_rng(0)
+        self.model, self.period = model, float(times[-1])
+        self.along, self.units = states, units
+        self.rows = states[random.integers(0, len(states), TRIED)]
+        if model.constraint is None:  # off the constraints a motion has no meaning
+            self.rows = self.rows + 0.1 * units * random.normal(size=self.rows.shape)
+        self.moments = np.append(0.0, random.uniform(0.0, self.period, TRIED - 1))
+        self.ahead = random.integers(1, LATER + 1, TRIED)
+        self.here = self._accelerations(self.moments, self.rows)
+
+    def _accelerations(self, moments: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        n = self.model.degrees_of_freedom
+        found = self.model.acceleration.map(len(rows))(moments[None], rows.T[:n], rows.T[n:], self._values(len(rows)))
+        return np.asarray(found.full().T * self.period / self.units[n:])
+
+    def _values(self, count: int) -> np.ndarray:
+        return np.tile(self.model.parameter_values[:, None], (1, count))
+
+    def _differ(self, there: np.ndarray) -> float:
+        """Largest relative difference from the accelerations here, where both are finite."""
+        known = np.isfinite(self.here) & np.isfinite(there)
+        size = max(1.0, float(np.abs(self.here[known]).max(initial=0.0)))
+        return float(np.abs(there - self.here)[known].max(initial=0.0)) / size
+
+    def time_dependence(self) -> Check:
+        """The equations one and a few periods of the forcing later; without a forcing, at any time."""
+        clock = self.model.forcing_period
+        wait = self.period if clock is None else float(clock(self.model.parameter_values))
+        by = np.random.default_rng(1).uniform(0.1, 1.0, TRIED) * wait if clock is None else wait * self.ahead
+        found = max(self._differ(self._accelerations(self.moments + step, self.rows)) for step in (by, wait))
+        note = "equations of motion at other times" if clock is None else "equations of motion forcing periods later"
+        return _at_most("time_dependence", found, EXACT, note)
+
+    def windings(self, turns: np.ndarray) -> Iterator[Check]:
+        """A coordinate that turns is an angle, and the equations are the same a turn later."""
+        for k in np.flatnonzero(turns):
+            name = self.model.state_names[k]
+            if not self.model.angular[k]:
+                yield Check("winding", float(abs(turns[k])), 0.0, False, f"{name} turns and is not an angle")
+                continue
+            turned = self.rows.copy()
+            turned[:, k] += 2 * np.pi
+            there = self._accelerations(self.moments, turned)
+            yield _at_most("winding", self._differ(there), EXACT, f"equations of motion with {name} a turn further")
+
+    def invariants(self) -> Iterator[Check]:
+        """Each declared invariant is constant along the motion."""
+        for one in self.model.invariants:
+            values = self._constants(one, self.along[:: max(1, len(self.along) // 64)])
+            varied = self._constants(one, self.along[:1] + self.units * (self.rows - self.rows.mean(axis=0) + 1e-3))
+            size = max(float(np.abs(varied - values[0]).max()), 1e-300)
+            lost = ROUNDED * float(max(np.abs(values).max(), np.abs(varied).max()))
+            drift = max(float(np.ptp(values)) - lost, 0.0) / size
+            yield _at_most(f"invariant_{one.name}", drift, DRIFT, "drift along the motion beyond round-off")
+
+    def _constants(self, one: Invariant, states: np.ndarray) -> np.ndarray:
+        """An invariant's values (k) at states (k x 2n)."""
+        q, v = np.split(states.T, 2)
+        return np.asarray(one.value.map(len(states))(q, v, self._values(len(states))).full().ravel())

@@ -14,10 +14,13 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from orbitfinder.mechanics.model import Model
 
 EPSILON = float(np.finfo(float).eps)
 LEAST_SHARE = 0.1
@@ -83,3 +86,28 @@ def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, r
     beyond = np.maximum(np.abs(left.T @ gap) - round_off, 0.0)
     steps = np.divide(beyond, singular, out=np.where(beyond > 0, np.inf, 0.0), where=singular > 0)
     return float(np.linalg.norm(steps))
+
+
+def masses_of(kinetic: Callable[..., Any], state: np.ndarray, model: Model | None = None) -> np.ndarray:
+    """Diagonal (n) of the mass matrix at a state (2n): twice the kinetic energy of each unit velocity."""
+    n = state.size // 2
+    given = [] if model is None else [model.parameter_values]
+    return np.array([2.0 * float(kinetic(state[:n], unit, *given)) for unit in np.eye(n)])
+
+
+def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
+    """Extents (2n) of a motion of a Model (k x 2n) over its period."""
+    moved, rushed = np.split(np.ptp(states, axis=0), 2)
+    return np.concatenate(extents(moved, rushed, masses_of(model.kinetic, states[0], model), period))
+
+
+def gap(
+    start: np.ndarray, end: np.ndarray, turns: np.ndarray | Sequence[int], units: np.ndarray | float = 1.0
+) -> float:
+    """Largest component of x(T) - x(0) - 2 pi k, in `units`."""
+    return float(np.abs((end - start - shift(turns, start.size)) / units).max())
+
+
+def shift(turns: np.ndarray | Sequence[int], size: int) -> np.ndarray:
+    """2 pi k in the coordinates of a state (2n) and 0 in the others."""
+    return np.concatenate([2 * np.pi * np.asarray(turns), np.zeros(size - len(turns))])

@@ -6,14 +6,13 @@ import time
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.limit import limited
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
-from orbitfinder.guesses.balanced import balanced_guess
+from orbitfinder.guesses.balance import balanced_guess
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
 from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.integrate.threads import one_thread
@@ -27,12 +26,20 @@ from orbitfinder.loops.shooting import Shooting, transcribe, units_of
 from orbitfinder.loops.square import segments_for
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits import hints
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.evidence import extents_of, relative_gap
-from orbitfinder.orbits.measure import dense, measure
+from orbitfinder.orbits.closure import extents_of, gap
+from orbitfinder.orbits.long_chain import find_long_chain, suits
+from orbitfinder.orbits.measure import dense, measure, provenance
 from orbitfinder.orbits.objectives import chosen
-from orbitfinder.orbits.prepare import at_forcing_period, at_section, check_invariants, winding_of
+from orbitfinder.orbits.prepare import (
+    at_forcing_period,
+    at_section,
+    check_invariants,
+    degrees_taken_for_radians,
+    hint,
+    unexplained_multipliers,
+    winding_of,
+)
 from orbitfinder.records.orbit import Orbit
 
 NEAR_BOUND = 1e-6
@@ -60,13 +67,11 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
 
 
 def _found(problem: Problem, settings: SolveSettings, progress: Callback | None) -> Orbit:
-    from orbitfinder.orbits.long_chain import find_long_chain, suits
-
     began = time.perf_counter()
     problem.check_count()
     if settings.with_certificate:
         _certifiable(problem.model)
-    hints.say(hints.of_degrees(problem))
+    hint(degrees_taken_for_radians(problem))
     if suits(problem):
         return find_long_chain(problem, settings, progress)
     check_invariants(problem)
@@ -91,7 +96,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
         orbit = certified(orbit, refined.problem.model)
-        hints.say(hints.of_invariants(problem, orbit))
+        hint(unexplained_multipliers(problem, orbit))
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
@@ -281,30 +286,6 @@ def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float
         if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
             continue
         reached = np.concatenate([spline(period / cover), spline(period / cover, 1)])
-        if relative_gap(states[0], reached, problem.turns // cover, units) < tolerance:
+        if gap(states[0], reached, problem.turns // cover, units) < tolerance:
             return cover
     return 1
-
-
-def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[str, Any]:
-    """Versions, tolerances, wall time and guess: enough to repeat the search."""
-    import platform
-
-    import scipy
-
-    from orbitfinder._runtime import __version__
-
-    return {
-        "orbitfinder": __version__,
-        "casadi": ca.__version__,
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "python": platform.python_version(),
-        "relative_tolerance": settings.integrator.relative_tolerance,
-        "absolute_tolerance": settings.integrator.absolute_tolerance,
-        "ipopt_tolerance": settings.ipopt_tolerance,
-        "guess": {"state": [float(x) for x in problem.guess.state], "period": float(problem.guess.period)},
-        "pin": {one.name: one.value for one in problem.pin},
-        "invariants": [one.name for one in problem.model.invariants],
-        "wall_time": round(time.perf_counter() - began, 3),
-    }

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfinder.mechanics.model import Model
+
 ERROR_FACTOR = 30.0
 """A verdict needs its margin to exceed this many times the error bar."""
 ERROR_FLOOR = 1e-8
@@ -28,6 +30,19 @@ class Floquet:
     stability: str
 
 
+def symplectic_unit(n: int) -> np.ndarray:
+    """J (2n x 2n), which takes the gradient of a function of (q, p) to the motion that it generates."""
+    zero, one = np.zeros((n, n)), np.eye(n)
+    return np.block([[zero, one], [-one, zero]])
+
+
+def generated(model: Model, state: np.ndarray) -> np.ndarray:
+    """The symmetry directions (k x 2n) in (q, v) that a model's invariants generate at a state (2n)."""
+    q, v = np.split(state, 2)
+    found = [one.generator(q, v, model.parameter_values).full().ravel() for one in model.invariants if one.generator]
+    return np.asarray(found).reshape(-1, state.size)
+
+
 def reduce_monodromy(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """The monodromy on the level set of the invariants modulo the symmetry directions.
 
@@ -36,14 +51,18 @@ def reduce_monodromy(monodromy: np.ndarray, gradients: np.ndarray, directions: n
     with an orthonormal basis B of the complement of both, B^T Phi B is Phi on the quotient and
     the trivial multipliers (exactly 1, in Jordan blocks) never enter an eigenvalue solver.
     """
+    basis = complement(gradients, directions)
+    return np.asarray(basis.T @ monodromy @ basis)
+
+
+def complement(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The orthonormal basis (columns) of what is orthogonal to the gradients (k x 2n) and the directions (k x 2n)."""
     removed = np.vstack([gradients, directions])
     if not removed.size:  # forced: nothing is trivial
-        return monodromy
+        return np.eye(removed.shape[1])
     scale = np.linalg.norm(removed, axis=1, keepdims=True)
     _, singular, rows = np.linalg.svd(removed / np.maximum(scale, 1e-300))  # at an equilibrium the flow is 0
-    rank = int(np.sum(singular > 1e-10 * singular[0]))
-    basis = rows[rank:].T
-    return np.asarray(basis.T @ monodromy @ basis)
+    return np.asarray(rows[int(np.sum(singular > 1e-10 * singular[0])) :].T)
 
 
 def analyse(reduced: np.ndarray, conservative: bool = True) -> Floquet:

@@ -13,27 +13,30 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import lu_factor, lu_solve
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
-from orbitfinder.guesses import balance as harmonic_balance
-from orbitfinder.guesses.balance import PinRow, Series
+from orbitfinder.guesses.balance import (
+    FEWEST,
+    FINE_TAIL,
+    PinRow,
+    Series,
+    along_family,
+    near,
+    only_pinned,
+    pins,
+    resolved,
+)
 from orbitfinder.integrate.chain import CHUNK, Quarter
-from orbitfinder.loops.conditions import Pin, pin_row
+from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.symmetry import QUARTER, recognise
-from orbitfinder.mechanics.chain_lagrange import ChainLagrange
-from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.model import energy as total_energy
+from orbitfinder.mechanics.chain_lagrange import ChainLagrange, is_long
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.evidence import gap, is_long
-from orbitfinder.orbits.find import provenance
-from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy
-from orbitfinder.orbits.measure import action
+from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy, symplectic_unit
+from orbitfinder.orbits.measure import action, provenance, recorded
 from orbitfinder.records.orbit import Orbit
 
 SAMPLES = 512
@@ -42,9 +45,6 @@ NODES = 8
 PATH_PHASE, NEWTON_PHASE, MULTIPLIER_PHASE = 0.5, 1.0, 0.3
 """Radians of the fastest linear mode in a step. Relative errors of the variations at 100 links: 2e-5 at 1
 (enough for a Newton matrix), 2e-9 at 0.3."""
-GROWTHS = (1.7, 1.4, 1.2)
-"""Step growths with which the family is followed in turn: an internal resonance that stops one is stepped over by
-another."""
 DIRECT = 0.05
 """A guess that misses q = 0 by less than this, relative, after a quarter of its period is corrected directly."""
 AGREEMENT = 1e-8
@@ -90,11 +90,7 @@ def suits(problem: Problem) -> bool:
         is_long(model)
         and model.acceleration.is_a("SXFunction")
         and float(model.system["gravity"]) > 0
-        and problem.boundary == QUARTER
-        and len(problem.pin) == 1
-        and not (problem.free or problem.bounds or problem.constraints or problem.objective != "nearest")
-        and problem.phase_condition is None
-        and problem.guess.states is None
+        and only_pinned(problem)
         and float(np.abs(np.asarray(problem.guess.state)[: model.degrees_of_freedom]).max()) < np.pi
     )
 
@@ -126,28 +122,7 @@ def build_chain(problem: Problem) -> Chain:
     n = model.degrees_of_freedom
     if name in model.state_names[n:]:
         raise InputError(f"pin: {name} is 0 where a brake orbit starts; pin an angle, the energy or the period")
-    return Chain(problem, Quarter(model), _pin_rows(model))
-
-
-def _pin_rows(model: Model) -> Callable[[Pin], PinRow]:
-    """A pin's residual and its derivatives in q(0), T at rest, as a NumPy function for each pin."""
-    n, values = model.degrees_of_freedom, ca.DM(model.parameter_values)
-    q, period = ca.MX.sym("q", n), ca.MX.sym("T")
-    known: dict[str, ca.Function] = {}
-
-    def made(one: Pin) -> PinRow:
-        if one.name not in known:
-            row = pin_row(model, Pin(one.name, 0.0), ca.vertcat(q, ca.DM.zeros(n)), period, values)
-            slopes = [ca.densify(ca.gradient(row, q)), ca.densify(ca.gradient(row, period))]
-            known[one.name] = ca.Function("pin", [q, period], [row, *slopes])
-
-        def rows(place: np.ndarray, duration: float) -> tuple[float, np.ndarray, float]:
-            value, by_place, by_period = known[one.name](place, duration)
-            return float(value) - one.value, by_place.full().ravel(), float(by_period)
-
-        return rows
-
-    return made
+    return Chain(problem, Quarter(model), pins(model))
 
 
 def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> Series:
@@ -156,20 +131,14 @@ def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> 
     direct = _from_guess(chain)
     if direct is not None:
         return direct
-    start = _linear(chain)
 
     def told(fraction: float, found: Series) -> None:
         report(f"harmonic balance at {fraction:.3f} of the pin", len(found.coefficients), found.tail, found.period)
 
-    for growth in GROWTHS:
-        found = harmonic_balance.follow(start, chain.closed.linearised, _walk(chain), told, growth)
-        if found is not None and pin.name == "period":
-            again = harmonic_balance.resolved(
-                found, chain.closed.linearised, chain.pin(pin), harmonic_balance.FINE_TAIL
-            )
-            found = None if again is None else again[0]
-        if found is not None:
-            return found
+    closed = chain.closed
+    found = along_family(chain.problem, closed.squared, closed.modes, closed.linearised, chain.pin, told)
+    if found is not None:
+        return found
     raise ConvergenceError(
         f"no orbit found: the family of the guess's linear mode could not be followed to {pin.name} = {pin.value:g}; "
         "give a smaller value, or start from the state and period of an orbit nearer to it"
@@ -189,49 +158,12 @@ def _from_guess(chain: Chain) -> Series | None:
         return None
     spline = CubicHermiteSpline(np.linspace(0, np.pi / 2, len(states)), states[:, :n],
                                 states[:, n:] * guess.period / (2 * np.pi))  # fmt: skip
-    count = 2 * harmonic_balance.FEWEST
+    count = 2 * FEWEST
     orders = 2 * np.arange(count) + 1
     cosines = np.cos(np.outer(orders, orders) * np.pi / (4 * count))
     series = Series(2 / count * cosines.T @ spline(orders * np.pi / (4 * count)), 2 * np.pi / guess.period)
-    found = harmonic_balance.resolved(
-        series, chain.closed.linearised, chain.pin(chain.problem.pin[0]), harmonic_balance.FINE_TAIL
-    )
-    return found[0] if found is not None and harmonic_balance.near(series, found[0]) else None
-
-
-def _linear(chain: Chain) -> Series:
-    """The linear mode nearest to the guess, signed like it, as a series at the first step of the walk."""
-    n, closed = chain.quarter.links, chain.closed
-    start = np.asarray(chain.problem.guess.state, float)[:n]
-    shares = closed.modes.T @ closed.coupling @ start
-    mode = int(np.abs(shares).argmax())
-    shape = closed.modes[:, mode] * np.sign(shares[mode])
-    pin, size = chain.problem.pin[0], float(np.abs(start).max())
-    if pin.name in chain.problem.model.state_names and shape[index := chain.problem.model.state_index(pin.name)]:
-        factor = pin.value / shape[index]
-    else:
-        factor = size / float(np.abs(shape).max())
-    first = harmonic_balance.FIRST_STEP
-    return Series(first * factor * shape[None, :], float(np.sqrt(closed.squared[mode])))
-
-
-def _walk(chain: Chain) -> Callable[[float], PinRow]:
-    """The pin along the way: its value at rest plus the fraction (squared for the energy) of the rest of it.
-
-    The period tells nothing near the linear mode, so the guess's largest angle takes its place.
-    """
-    problem, n = chain.problem, chain.quarter.links
-    pin, start = problem.pin[0], np.asarray(problem.guess.state, float)[:n]
-    if pin.name == "period":
-        largest = int(np.abs(start).argmax())
-        pin = Pin(problem.model.state_names[largest], float(start[largest]))
-    angle = pin.name in problem.model.state_names
-    rest = 0.0 if angle else total_energy(problem.model, np.zeros(2 * n))
-
-    def at(fraction: float) -> PinRow:
-        return chain.pin(Pin(pin.name, rest + (fraction if angle else fraction**2) * (pin.value - rest)))
-
-    return at
+    found = resolved(series, chain.closed.linearised, chain.pin(chain.problem.pin[0]), FINE_TAIL)
+    return found[0] if found is not None and near(series, found[0]) else None
 
 
 def shot(
@@ -285,14 +217,12 @@ def multipliers(chain: Chain, start: np.ndarray, period: float) -> Floquet:
     A^-1 = -J A^T J by symplecticity, so that the pair defect of W^2 is a true error bar.
     """
     n, closed = chain.quarter.links, chain.closed
-    modes = np.kron(np.eye(2), closed.modes)
-    first = np.concatenate([start, np.zeros(n)])
+    first, modes = np.concatenate([start, np.zeros(n)]), np.kron(np.eye(2), closed.modes)
     columns = chain.quarter.columns(first, period / 4, CHUNK * chain.chunks(period, MULTIPLIER_PHASE), modes)
-    before, after = closed.momentum_frame(first), closed.momentum_frame(chain.end(start, period))
-    matrix = np.linalg.solve((before @ modes).T, (after @ columns).T).T
-    unit = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+    matrix = closed.carried(first, chain.end(start, period), columns)
+    unit = symplectic_unit(n)
     half, _ = chain.problem.boundary.root(matrix, lambda other: -unit @ matrix.T @ unit @ other, 2 * n)
-    flow = before @ chain.quarter.field(0.0, first, [], []).full().ravel()
+    flow = closed.momentum_frame(first) @ chain.quarter.field(0.0, first, [], []).full().ravel()
     gradient = np.concatenate([-flow[n:], flow[:n]])
     reduced = reduce_monodromy(half, gradient[None, :], flow[None, :])
     return analyse(reduced @ reduced)
@@ -300,7 +230,7 @@ def multipliers(chain: Chain, start: np.ndarray, period: float) -> Floquet:
 
 def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
     """The Orbit (without certificate) that starts at rest at `start` (n)."""
-    problem, model = chain.problem, chain.problem.model
+    problem = chain.problem
     state = np.concatenate([start, np.zeros(start.size)])
     states = chain.quarter.refined(state, period, SAMPLES, chain.chunks(4 * period, PATH_PHASE, SAMPLES))
     times = np.linspace(0.0, period, SAMPLES + 1)
@@ -310,14 +240,7 @@ def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
             f"multipliers: the closed form of this chain's equations and the derivatives of its accelerations differ "
             f"by {apart:.2g}, relative; please report this with the problem file"
         )
-    floquet = multipliers(chain, start, period)
-    turns = np.zeros(start.size, int)
-    return Orbit(
-        name=problem.name, title=problem.title, source=problem.source, system=model.system,
-        state=state, period=period, energy=total_energy(model, state), action=action(model, times, states),
-        closure=gap(state, states[-1], turns), symmetry=recognise(times, states, model),
-        winding=tuple(int(k) for k in turns), floquet_multipliers=floquet.multipliers,
-        pair_defect=floquet.pair_defect, stability=floquet.stability, unfolding=(),
-        nodes=states[: -1 : SAMPLES // NODES], times=times, samples=states,
-        tolerance=problem.tolerance, expected=problem.expected,
+    return recorded(
+        problem, period, states[-1], states[: -1 : SAMPLES // NODES], times, states, np.zeros(0),
+        action(problem.model, times, states), multipliers(chain, start, period),
     )  # fmt: skip

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import platform
+import time
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 from scipy.integrate import trapezoid
 
+from orbitfinder._runtime import __version__
 from orbitfinder.integrate.cvodes import Flow, transition
+from orbitfinder.integrate.equations import accelerations, invariant_gradients, with_action
+from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.shooting import boundary_constants
@@ -15,8 +21,8 @@ from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.model import energy as total_energy
-from orbitfinder.orbits.evidence import gap
-from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy
+from orbitfinder.orbits.closure import gap
+from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
 
 RESOLVED = 1e-6
@@ -28,30 +34,63 @@ def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfo
     model = problem.model
     whole = full_period(problem, flow, nodes, period)
     times, states = dense(flow, whole, period)
-    floquet = multipliers(model, flow, whole, period)
     end = end_of(flow, whole[0], (0.0, period), tail_of(flow), least_steps(1))
+    return recorded(
+        problem, period, end, whole, times, states, unfolding,
+        loop_action(model, flow, whole, times, states), multipliers(model, flow, whole, period),
+    )  # fmt: skip
+
+
+def recorded(
+    problem: Problem,
+    period: float,
+    end: np.ndarray,
+    nodes: np.ndarray,
+    times: np.ndarray,
+    samples: np.ndarray,
+    unfolding: np.ndarray,
+    action: float,
+    floquet: Floquet,
+) -> Orbit:
+    """The Orbit (without certificate) that begins at the first of its nodes and is at `end` after a period."""
     return Orbit(
         name=problem.name,
         title=problem.title,
         source=problem.source,
-        system=model.system,
-        state=whole[0],
+        system=problem.model.system,
+        state=nodes[0],
         period=period,
-        energy=total_energy(model, whole[0]),
-        action=loop_action(model, flow, whole, times, states),
-        closure=gap(whole[0], end, problem.turns),
-        symmetry=recognise(times, states, model),
+        energy=total_energy(problem.model, nodes[0]),
+        action=action,
+        closure=gap(nodes[0], end, problem.turns),
+        symmetry=recognise(times, samples, problem.model),
         winding=tuple(int(k) for k in problem.turns),
         floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect,
         stability=floquet.stability,
         unfolding=tuple(float(s) for s in unfolding),
-        nodes=whole,
+        nodes=nodes,
         times=times,
-        samples=states,
+        samples=samples,
         tolerance=problem.tolerance,
         expected=problem.expected,
     )
+
+
+def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[str, Any]:
+    """Versions, tolerances, wall time and guess: enough to repeat the search."""
+    return {
+        "orbitfinder": __version__,
+        **{name: version(name) for name in ("casadi", "numpy", "scipy")},
+        "python": platform.python_version(),
+        "relative_tolerance": settings.integrator.relative_tolerance,
+        "absolute_tolerance": settings.integrator.absolute_tolerance,
+        "ipopt_tolerance": settings.ipopt_tolerance,
+        "guess": {"state": [float(x) for x in problem.guess.state], "period": float(problem.guess.period)},
+        "pin": {one.name: one.value for one in problem.pin},
+        "invariants": [one.name for one in problem.model.invariants],
+        "wall_time": round(time.perf_counter() - began, 3),
+    }
 
 
 def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) -> np.ndarray:
@@ -87,7 +126,7 @@ def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> F
     monodromy = np.eye(2 * n)
     for k, node in enumerate(nodes):
         monodromy = transition(flow, node, period / count, k * period / count)[1] @ monodromy
-    gradients, directions = frame(model, flow, nodes[0])
+    gradients, directions = frame(model, nodes[0])
     if flow.units:
         units = np.asarray(flow.units)
         monodromy = monodromy * units / units[:, None]
@@ -98,21 +137,12 @@ def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> F
     return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=model.conservative)
 
 
-def frame(model: Model, flow: Flow, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def frame(model: Model, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of the invariants (k x 2n) and symmetry directions, the flow first, in (q, v)."""
-    import casadi as ca
-
-    n = model.degrees_of_freedom
-    x, p = ca.MX.sym("x", 2 * n), ca.DM(model.parameter_values)
-    free = ca.DM(tail_of(flow)[len(flow.unfolded) :])
-    rate = flow.field(0.0, state, ca.DM.zeros(len(flow.unfolded)), free).full().ravel()
-    rows, directions = [], [] if model.forced else [rate]
-    for one in model.invariants:
-        gradient = ca.Function("gradient", [x], [ca.gradient(one.value(x[:n], x[n:], p), x)])
-        rows.append(gradient(state).full().ravel())
-        if one.generator is not None:
-            directions.append(one.generator(state[:n], state[n:], p).full().ravel())
-    return np.asarray(rows).reshape(len(rows), 2 * n), np.asarray(directions).reshape(len(directions), 2 * n)
+    rate = accelerations(model)(0.0, state).full().ravel()
+    return invariant_gradients(model)(state).full(), np.vstack(
+        [*([] if model.forced else [rate]), generated(model, state)]
+    )
 
 
 def loop_action(model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, states: np.ndarray) -> float:
@@ -120,26 +150,12 @@ def loop_action(model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, 
     found = action(model, times, states)
     if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
         return found
-    field, duration = action_field(model, flow), times[-1] / len(nodes)
+    field, duration = with_action(model, flow.field), times[-1] / len(nodes)
     ends = [
         graded_end(field, np.append(node, 0.0), (k * duration, (k + 1) * duration), tail_of(flow))
         for k, node in enumerate(nodes)
     ]
     return found if any(end is None for end in ends) else float(sum(end[-1] for end in ends if end is not None))
-
-
-def action_field(model: Model, flow: Flow) -> Any:
-    """The flow's field with the action as a last state: (x, S)' = (f, 2 T + G)."""
-    import casadi as ca
-
-    n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
-    inputs = [ca.MX.sym("t"), ca.MX.sym("z", 2 * n + 1), ca.MX.sym("s", flow.field.size1_in(2)),
-              ca.MX.sym("free", flow.field.size1_in(3))]  # fmt: skip
-    t, z, s, free = inputs
-    rate = 2.0 * model.kinetic(z[:n], z[n:-1], p)
-    if model.gyroscopic is not None:
-        rate += model.gyroscopic(z[:n], z[n:-1], p)
-    return ca.Function("action_field", inputs, [ca.vertcat(flow.field(t, z[:-1], s, free), rate)])
 
 
 def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:

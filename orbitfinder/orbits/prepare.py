@@ -1,27 +1,32 @@
-"""What is found out about a Problem before it is solved: do its invariants hold, how often do angles turn."""
+"""What is found out about a Problem before it is solved: do its invariants hold, how often do angles turn.
+
+And what looks like a slip without being one: hints go with a search, as warnings, and stop nothing.
+"""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
-from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.errors import Hint, InputError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, end_state
-from orbitfinder.integrate.dop853 import SECOND, vector_field
+from orbitfinder.integrate.dop853 import SECOND, integrate_in, vector_field
+from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.polish import segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import boundary_constants, far_end, units_of
 from orbitfinder.loops.square import whole_turns
 from orbitfinder.loops.symmetry import off_centre
-from orbitfinder.mechanics.model import vector_field as equations_of_motion
-from orbitfinder.orbits.evidence import integrate_in
+from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
 SECTION = 1e-3
 """Coordinates this near to where an odd motion starts are left to the solver."""
+NEAR_ONE = 1e-3
+"""A multiplier this near to +1 may be one of an invariant: a double one is known to the root of its matrix's error."""
 DERIVED = ("chain", "linkage")
 """Systems whose invariants this library derives; those of all others are tried on a simulation."""
 
@@ -37,8 +42,7 @@ def check_invariants(problem: Problem) -> None:
     if not model.invariants or model.constraint is not None or model.system.get("kind") in DERIVED:
         return
     n, values = model.degrees_of_freedom, model.parameter_values
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * n)
-    field = vector_field(ca.Function("plain", [t, x], [equations_of_motion(model, (), ())(t, x, [], [])]))
+    field = vector_field(accelerations(model))
     units = np.asarray(units_of(problem) or np.ones(2 * n))
     start = np.asarray(problem.guess.state, float) + 0.01 * units * np.random.default_rng(0).normal(size=2 * n)
     try:
@@ -109,3 +113,40 @@ def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ..
             return None
     turns = whole_turns(model, nodes[0], end)
     return None if turns is None else tuple(int(k) for k in turns)
+
+
+def hint(text: str) -> None:
+    """Give a hint as a warning of the caller's caller."""
+    if text:
+        warnings.warn(text, Hint, stacklevel=5)
+
+
+def degrees_taken_for_radians(problem: Problem) -> str:
+    """A sentence where an angle of the guess is of several turns and winds nowhere, as 60 degrees taken for rad."""
+    guess, model = problem.guess, problem.model
+    if guess.states is not None:
+        return ""
+    angles = np.where(model.angular, np.asarray(guess.state, float)[: model.degrees_of_freedom], 0.0)
+    worst = int(np.abs(angles).argmax())
+    if abs(angles[worst]) <= 2 * np.pi:
+        return ""
+    value = angles[worst]
+    return (
+        f"guess.state: {model.state_names[worst]} = {value:.6g} rad is {abs(value) / (2 * np.pi):.3g} turns; angles "
+        f"are in rad, and {value:.6g} degrees are {np.radians(value):.6g} rad"
+    )
+
+
+def unexplained_multipliers(problem: Problem, orbit: Orbit) -> str:
+    """A sentence where an orbit that is rejected has multipliers at +1 that no declared invariant explains."""
+    if orbit.certificate is None or orbit.certificate.passed or not problem.model.conservative:
+        return ""
+    extra = int(np.sum(np.abs(orbit.floquet_multipliers - 1) < NEAR_ONE))
+    if extra < 2:
+        return ""
+    known = ", ".join(one.name for one in problem.model.invariants)
+    return (
+        f"invariants: {extra} multipliers are at +1 beyond those of the declared ones ({known}); if the system has "
+        "another (a rotation that no coordinate shows), give it as of.Invariant in lagrange(..., invariants=...), or "
+        "use a coordinate that it turns"
+    )

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, linkage_mode
-from orbitfinder.guesses.modes import normal_mode
-from orbitfinder.guesses.returns import normal_mode_sum, recurrences
+from orbitfinder.guesses.equilibria import linkage_equilibrium
+from orbitfinder.guesses.modes import linkage_mode, normal_mode
+from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.problem import Guess
 from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
 from orbitfinder.mechanics.maximal import maximal_states

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError
-from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.model import energy, wrapped
 from orbitfinder.problemfile.read import ProblemFile
 
 if TYPE_CHECKING:
@@ -104,8 +104,8 @@ def own(loaded: ProblemFile) -> list[Proposal]:
 
 def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
     """The linear normal modes of the equilibrium at 0, or of a linkage's lowest one, slowest first."""
-    from orbitfinder.guesses.linkages import linkage_equilibrium, linkage_mode, linkage_modes
-    from orbitfinder.guesses.modes import normal_mode, normal_modes
+    from orbitfinder.guesses.equilibria import linkage_equilibrium
+    from orbitfinder.guesses.modes import linkage_mode, linkage_modes, normal_mode, normal_modes
 
     model = loaded.model
     if model.degrees_of_freedom > MOST_COORDINATES:
@@ -181,10 +181,7 @@ def motion(loaded: ProblemFile, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
 
 def missed(loaded: ProblemFile, states: np.ndarray) -> float:
     """The largest gap between end and start, each component relative to its extent, angles modulo 2 pi."""
-    n = loaded.model.degrees_of_freedom
-    gaps = states[-1] - states[0]
-    turning = np.concatenate([np.asarray(loaded.model.angles or (False,) * n, bool), np.zeros(n, bool)])
-    gaps = np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+    gaps = wrapped(states[-1] - states[0], loaded.model.angles)
     return float(np.abs(gaps / np.maximum(np.ptp(states, axis=0), 1e-12)).max())
 
 

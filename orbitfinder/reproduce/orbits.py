@@ -14,7 +14,7 @@ from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model, energy, positions
-from orbitfinder.orbits.evidence import gap
+from orbitfinder.orbits.closure import gap
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit, save_orbit

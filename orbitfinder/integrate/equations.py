@@ -1,0 +1,149 @@
+"""What is derived from a Model once: Hamilton's equations, its accelerations, the gradients of its invariants.
+
+All of it is remembered for the models seen last, and compiled for those of which many orbits are to be certified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime.caches import Kept, Same
+from orbitfinder.integrate.buffered import Buffered
+from orbitfinder.integrate.compiled import compiled
+from orbitfinder.mechanics.hamilton import Canonical, canonical
+from orbitfinder.mechanics.holonomic import Holonomic, HolonomicEquations, holonomic, holonomic_equations
+from orbitfinder.mechanics.model import Model, vector_field
+
+KEPT = 16
+"""Sets of equations that are remembered."""
+
+_derived = Kept[Any](KEPT)
+
+
+def hamilton(model: Model) -> Canonical:
+    """Hamilton's equations of a Model with its parameter values."""
+    return _remembered(model, canonical)
+
+
+def constrained_hamilton(model: Model) -> tuple[Holonomic, HolonomicEquations]:
+    """The coordinates of a Model under constraints, with its parameter values, and Hamilton's equations in them."""
+    return _remembered(model, _constrained)
+
+
+def accelerations(model: Model) -> ca.Function:
+    """The equations of motion x' = f(t, x) of a Model with its parameter values, nothing unfolded."""
+    return _remembered(model, _plain)
+
+
+def invariant_gradients(model: Model) -> ca.Function:
+    """The gradients (k x 2n) of a Model's invariants at a state x, with its parameter values."""
+    return _remembered(model, _gradients)
+
+
+def at_rest(model: Model) -> ca.Function:
+    """(q, u) -> M u, K u and dV/dq of a Model at rest: column by column, Hessians of 2000 links take minutes."""
+    return _remembered(model, _at_rest)
+
+
+def under_constraints(model: Model) -> Rest:
+    """What the equilibria and small motions of a Model under constraints are found from."""
+    return _remembered(model, _rest)
+
+
+def linearised(model: Model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """(q, v) -> the accelerations (n) of an autonomous Model and their slopes in q and in v (n x n each)."""
+    n = model.degrees_of_freedom
+    symbol = ca.SX.sym if model.acceleration.is_a("SXFunction") else ca.MX.sym
+    q, v = symbol("q", n), symbol("v", n)
+    a = model.acceleration(0.0, q, v, ca.DM(model.parameter_values))
+    slopes = [ca.densify(ca.jacobian(a, q)), ca.densify(ca.jacobian(a, v))]
+    function = Buffered(ca.Function("accelerations", [q, v], [a, *slopes]))
+
+    def call(place: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        found, by_place, by_rate = function(place[None], rate[None])
+        return found[0], by_place.T, by_rate.T
+
+    return call
+
+
+def with_action(model: Model, field: ca.Function) -> ca.Function:
+    """A field f(t, x, s, free) with the action as a last state: (x, S)' = (f, 2 T + G)."""
+    n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
+    t, z, s, free = inputs = [ca.MX.sym("y", field.size1_in(k) + int(k == 1)) for k in range(4)]
+    rate = 2.0 * model.kinetic(z[:n], z[n:-1], p)
+    if model.gyroscopic is not None:
+        rate += model.gyroscopic(z[:n], z[n:-1], p)
+    return ca.Function("action_field", inputs, [ca.vertcat(field(t, z[:-1], s, free), rate)])
+
+
+def prepare(model: Model, effort: float | None = None) -> None:
+    """Have the equations of a Model compiled: many of its orbits are to be certified, in `effort` (s) or more."""
+    slow = hamilton(model)
+    fast = replace(
+        slow, field=compiled(slow.field, effort=effort), variational=compiled(slow.variational, effort=effort)
+    )
+    _derived[_key(model, canonical)] = fast
+    _derived[_key(model, _plain)] = compiled(accelerations(model), effort=effort)
+
+
+def _constrained(model: Model) -> tuple[Holonomic, HolonomicEquations]:
+    system = holonomic(model)
+    return system, holonomic_equations(system)
+
+
+def _plain(model: Model) -> ca.Function:
+    field = vector_field(model, (), ())
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * model.degrees_of_freedom)
+    return ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])
+
+
+def _gradients(model: Model) -> ca.Function:
+    n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
+    x = ca.MX.sym("x", 2 * n)
+    rows = [ca.gradient(one.value(x[:n], x[n:], p), x).T for one in model.invariants]
+    return ca.Function("gradients", [x], [ca.densify(ca.vertcat(*rows)) if rows else ca.MX(0, 2 * n)])
+
+
+def _at_rest(model: Model) -> ca.Function:
+    n, values = model.degrees_of_freedom, ca.DM(model.parameter_values)
+    q, v = ca.MX.sym("q", n), ca.MX.sym("v", n)
+    slope = ca.gradient(model.potential(q, values), q)
+    momentum = ca.gradient(model.kinetic(q, v, values), v)  # linear in the rates
+    return ca.Function("at_rest", [q, v], [momentum, ca.jtimes(slope, q, v), slope])
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """`first(q)` = (dV/dq, J, phi), `second(q, mu)` = d2(V + mu.phi)/dq2, `mass(q)` and `potential(q)` in k angles."""
+
+    size: int
+    first: ca.Function
+    second: ca.Function
+    mass: ca.Function
+    potential: ca.Function
+
+
+def _rest(model: Model) -> Rest:
+    system = holonomic(model)
+    q, v = ca.SX.sym("q", system.size), ca.SX.sym("v", system.size)
+    potential, phi = system.potential(q), system.constraint(q)
+    mu = ca.SX.sym("mu", phi.numel())
+    first = ca.Function("first", [q], [ca.gradient(potential, q), ca.jacobian(phi, q), phi])
+    second = ca.Function("second", [q, mu], [ca.hessian(potential + ca.dot(mu, phi), q)[0]])
+    mass = ca.Function("mass", [q], [ca.hessian(system.kinetic(q, v), v)[0]])
+    return Rest(system.size, first, second, mass, system.potential)
+
+
+def _key(model: Model, derive: Callable[..., Any]) -> tuple[Any, ...]:
+    parts = (model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces, model.constraint,
+             *(one.value for one in model.invariants))  # fmt: skip
+    return (derive, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
+
+
+def _remembered(model: Model, derive: Callable[..., Any]) -> Any:
+    return _derived(_key(model, derive), lambda: derive(model))
