@@ -228,7 +228,10 @@ def test_every_public_name_is_in_the_reference():
 
     named = re.findall(r"^::: orbitfinder\.([\w.]+)", (DOCS / "reference" / "python.md").read_text(), re.MULTILINE)
     homes = {f"{home}.{name}" if home else name for name, home in of._HOMES.items()}
-    assert homes - {"systems"} <= set(named) and {"mechanics.library.mechanisms", "mechanics.library.oscillators"} <= set(named)
+    assert homes - {"systems"} <= set(named) and {
+        "mechanics.library.mechanisms",
+        "mechanics.library.oscillators",
+    } <= set(named)
 
 
 def test_nothing_is_loaded_from_the_network():

@@ -9,7 +9,8 @@ pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof'
 
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.proof.record import read_entry, replay
-from orbitfinder.records.orbit import digest, load_orbit
+from orbitfinder.records.orbit import digest
+from orbitfinder.records.store import load_orbit
 
 RESULTS = Path(__file__).parents[1] / "results"
 RECORDS = sorted((RESULTS / "proofs").glob("*.json"))

@@ -31,7 +31,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
     from orbitfinder.problemfile.read import checked_name
 
     seen: dict[str, Path] = {}
-    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    orbits = [(file, *orbit_and_model(file, trust, pictured=True)) for file in files]
     for file, orbit, _ in orbits:
         checked_name(orbit.name, f"{file}: name")
         if out is not None and seen.setdefault(orbit.name, file) != file:

@@ -61,7 +61,7 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     from orbitfinder.problemfile.read import checked_name
     from orbitfinder.show.plot import save_figures
 
-    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    orbits = [(file, *orbit_and_model(file, trust, pictured=True)) for file in files]
     for file, orbit, model in orbits:
         name = checked_name(orbit.name, f"{file}: name")
         folder = file.parent if out is None else (out if len(orbits) == 1 else out / name)
@@ -91,7 +91,7 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
         check_suffix(out)
     if single and len(files) > 1:
         raise InputError(f"--out: {out} is one file for {len(files)} orbits; name a folder")
-    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    orbits = [(file, *orbit_and_model(file, trust, pictured=True)) for file in files]
     for file, orbit, model in orbits:
         name = checked_name(orbit.name, f"{file}: name")
         if single and out is not None:
