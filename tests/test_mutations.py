@@ -366,7 +366,7 @@ def use_proof(path):
     pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
     from orbitfinder.proof.record import contradictions, options_of, read_entry
 
-    found = read_entry(path)
+    found = read_entry(load_orbit(path), path)
     options_of(found)
     contradictions(found, json.loads((ROOT / "results" / "proofs" / "triple-7.json").read_text())["proof"])
 

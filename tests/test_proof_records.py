@@ -40,5 +40,5 @@ def test_fifty_orbits_of_the_shipped_atlas_are_proved():
 @pytest.mark.parametrize("file", RECORDS, ids=lambda file: file.stem)
 def test_record_replays(file):
     """The proof done again contradicts nothing that is recorded."""
-    proof, wrong = replay(load_orbit(file), read_entry(file))
+    proof, wrong = replay(load_orbit(file), read_entry(load_orbit(file), file))
     assert proof.proved and not wrong

@@ -180,7 +180,7 @@ def verify_file(file: Path, trust: bool = False) -> tuple[Orbit, Certificate]:
         orbit, model = orbit_and_model(file, trust)
         return orbit, certify(orbit, model)
     except InputError as error:
-        where = "" if str(file) in str(error) else f"{file}: "
+        where = "" if str(file).split("#")[0] in str(error) else f"{file}: "
         raise InputError(f"{where}{error}") from error
 
 

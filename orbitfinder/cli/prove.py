@@ -20,7 +20,7 @@ SYMMETRIES = ("none", "reflection", "brake", "reversal", "brake+reflection")
 
 
 @click.command(name="prove")
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
 @click.option("--symmetry", type=click.Choice(SYMMETRIES), default=None,
               help="Prove in this symmetry; default: the recorded one. none: unique among all near.")  # fmt: skip
 @click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
@@ -38,6 +38,7 @@ def prove_command(
 
     Needs the extra `proof` (python-flint). A proof encloses the orbit, its minimal period and its
     multipliers, and is recorded in the file. Exit code 0: all proved; 1: some not, with the reason.
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas; its proof is not recorded.
 
     \b
     Examples:

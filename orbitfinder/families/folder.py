@@ -124,11 +124,8 @@ def _source(origin: Orbit | Problem | Start | Branch) -> dict[str, Any]:
     """What the family was started from, for its file."""
     if isinstance(origin, Branch):
         return {"kind": "branch", **origin.described()}
-    kinds = {Orbit: "orbit", Problem: "problem", Start: "start"}
-    return {
-        "kind": next(name for kind, name in kinds.items() if isinstance(origin, kind)),
-        "name": getattr(origin, "name", ""),
-    }
+    kind = "orbit" if isinstance(origin, Orbit) else "problem" if isinstance(origin, Problem) else "start"
+    return {"kind": kind, "name": getattr(origin, "name", "")}
 
 
 def _request(

@@ -38,11 +38,11 @@ def member(path: str | Path) -> tuple[Path, int | None]:
     return Path(path).with_name(name), int(number)
 
 
-def chosen(members: Sequence[Any], number: int, file: Path, what: str) -> Any:
+def _chosen(members: Sequence[Any], number: int, path: str | Path) -> Any:
     """The member with a number, counted from 0, or `InputError`."""
     if number < len(members):
         return members[number]
-    raise InputError(f"{file}: #{number}: no such {what}; give a number from 0 to {len(members) - 1}")
+    raise InputError(f"{path}: #{number}: no such orbit in the file; give a number from 0 to {len(members) - 1}")
 
 
 def load_orbit(path: str | Path) -> Orbit:
@@ -54,10 +54,10 @@ def load_orbit(path: str | Path) -> Orbit:
         return read_orbit(file)
     kind = kind_of(file)
     if kind == "family":
-        point: Orbit = chosen(load_family(file).points, number, file, "point of the family")
+        point: Orbit = _chosen(load_family(file).points, number, path)
         return point
     if kind == "export":
-        document = check_document(chosen(json_file(file, "atlas export", AGAIN), number, file, "orbit"), str(path))
+        document = check_document(_chosen(json_file(file, "atlas export", AGAIN), number, path), str(path))
         return orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
     if kind == "atlas":
         raise InputError(f"{path}: an atlas database; open it: Atlas({str(file)!r}).orbit({number})")
