@@ -10,6 +10,7 @@ import numpy as np
 from orbitfinder._runtime.threads import one_thread
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, vector_field
+from orbitfinder.loops.conditions import SYMMETRIES
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
@@ -321,8 +322,8 @@ def _same(name: str, recorded: str, found: str) -> Check:
 
 def _same_symmetry(orbit: Orbit, found: str) -> Check:
     """The recorded symmetry; a family's point claims that of its formulation, and may have more."""
-    parts = found.split("+")  # who has two of the three has all
-    more = isinstance(orbit, FamilyPoint) and (orbit.symmetry in ("none", *parts) or len(parts) > 1)
+    had = SYMMETRIES if "+" in found else ("none", found)  # who has two of the three has all
+    more = isinstance(orbit, FamilyPoint) and orbit.symmetry in had
     return _same("symmetry", orbit.symmetry, orbit.symmetry if more else found)
 
 
