@@ -13,7 +13,7 @@ import orbitfinder as of
 from orbitfinder.atlas.store import Atlas, orbit_of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families.motions import whole
+from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify

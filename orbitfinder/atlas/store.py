@@ -219,7 +219,7 @@ class Atlas:
     def orbit(self, number: int) -> Orbit:
         """An orbit by its id, certificate included; its dense samples are left out."""
         document = self.document(number)
-        return orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+        return orbit_from_document(document)
 
     def documents(self, chosen: Filter | None = None) -> Iterator[dict[str, Any]]:
         """The orbit.json documents that pass a filter, by energy and period."""
@@ -293,7 +293,7 @@ def unpacked(data: bytes, where: str) -> dict[str, Any]:
     """The document that `packed` made; `InputError` when it is damaged."""
     document = check_document(json_document(inflated(data, where, RESTORE), where, RESTORE), where)
     try:
-        orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+        orbit_from_document(document)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     return document

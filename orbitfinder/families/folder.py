@@ -12,9 +12,9 @@ import numpy as np
 from orbitfinder._runtime import limit, locks
 from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, LimitError
-from orbitfinder.families.certified import batch_certified, certified
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.follow import follow
+from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings, winding
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin, curve_of
