@@ -343,7 +343,7 @@ def test_motion_more_symmetric_than_its_system():
     model = lagrange(ca.dot(v, v) / 2, potential, Symbols(q, v), names=["x", "y"])
     problem = Problem(model, Guess(np.array([0.5, 0.0, 0.0, 0.0]), 2 * np.pi), pin(energy=0.125), name="line")
     orbit, start = find_orbit(problem), begin(problem)
-    assert orbit.symmetry == "brake+reflection" and start.curve.propagator.symmetry.name == "brake"
+    assert orbit.symmetry == "brake+reflection" and start.curve.equations.symmetry.name == "brake"
     found = spectrum(start.curve, start.found).floquet.multipliers
     assert np.sort(found.real) == pytest.approx(np.sort(orbit.floquet_multipliers.real), rel=1e-9)
     assert orbit.stability == "unstable"

@@ -17,7 +17,7 @@ from orbitfinder._runtime.suggest import closest
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, select, transaction
 from orbitfinder.errors import InputError
-from orbitfinder.loops.conditions import SYMMETRIES
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import Orbit, check_document, orbit_from_document, orbit_to_document

@@ -9,11 +9,11 @@ from typing import TypeVar
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.point import FamilySettings, place_of, winding
+from orbitfinder.families.point import FamilySettings, unknowns_of, winding
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import curve_of, full_samples
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.loops.continued import Curve, Place, at_place
+from orbitfinder.loops.continued import Curve, at_place
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model, energy, positions
@@ -53,25 +53,23 @@ def whole(orbit: Orbit, model: Model) -> Orbit:
         times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     else:
         curve = curve_of(orbit.curve, model, FamilySettings(parameter=next(iter(orbit.free), "energy")))
-        times, samples = full_samples(curve, at_place(curve, place_of(orbit)), SAMPLES)
+        times, samples = full_samples(curve, at_place(curve, unknowns_of(curve, orbit)), SAMPLES)
     kept = {one.name: getattr(orbit, one.name) for one in fields(Orbit)} | {"times": times, "samples": samples}
     if not isinstance(orbit, FamilyPoint):
         return Orbit(**kept)
-    symmetry = recognise(times, samples, np.asarray(model.angles))
+    symmetry = recognise(times, samples, model)
     return with_certificate(Orbit(**kept | {"symmetry": symmetry, "closure": 0.0}), model)
 
 
 def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
     """The orbit of an event, without certificate; the model has its freed parameters."""
-    place = Place(event.shooting_nodes, event.period, np.zeros(curve.propagator.unfolding),
-                  np.array(list(event.free.values())), event.mesh)  # fmt: skip
-    found = at_place(curve, place)
+    found = at_place(curve, unknowns_of(curve, event))
     floquet = spectrum(curve, found).floquet
     times, states = full_samples(curve, found, SAMPLES)
     return Orbit(
         name="event", system=model.system, state=event.state, period=event.period, energy=energy(model, event.state),
-        action=found.march.action / curve.propagator.symmetry.fraction, closure=0.0,
-        symmetry=recognise(times, states, np.asarray(model.angles)), winding=winding(curve),
+        action=found.march.integral / curve.equations.symmetry.fraction, closure=0.0,
+        symmetry=recognise(times, states, model), winding=winding(curve),
         floquet_multipliers=floquet.multipliers, pair_defect=floquet.pair_defect, stability=floquet.stability,
         unfolding=(), nodes=event.state[None], times=np.zeros(0), samples=np.zeros((0, event.state.size)),
         tolerance=CLOSURE,
@@ -80,7 +78,7 @@ def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
 
 def certified(curve: Curve, member: Member) -> Member:
     """The same, `certified` where its orbit passes every check."""
-    model = with_parameters(curve.propagator.model, member.free)
+    model = with_parameters(curve.equations.model, member.free)
     orbit = member if isinstance(member, FamilyPoint) else orbit_at(curve, member, model)
     return replace(member, certified=certify(orbit, model).passed)
 
@@ -102,7 +100,7 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
     chosen = sorted({int(np.argmin(np.abs(places - place))) for place in wanted})
     found = []
     for k in chosen:
-        states = full_samples(curve, at_place(curve, place_of(points[k])), MOTION)[1]
+        states = full_samples(curve, at_place(curve, unknowns_of(curve, points[k])), MOTION)[1]
         there = at_values(model, points[k].free)
         found.append(Motion(points[k], states, positions(there, states) if model.points is not None else None))
     return found
