@@ -20,7 +20,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
-from orbitfinder.records.orbit import Orbit, check_document, orbit_from_document, orbit_to_document
+from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document
 from orbitfinder.records.reading import inflated, json_document, read_as
 from orbitfinder.records.store import kind_of, load_orbit, member
 
@@ -291,11 +291,8 @@ def packed(orbit: Orbit) -> bytes:
 
 def unpacked(data: bytes, where: str) -> dict[str, Any]:
     """The document that `packed` made; `InputError` when it is damaged."""
-    document = check_document(json_document(inflated(data, where, RESTORE), where, RESTORE), where)
-    try:
-        orbit_from_document(document)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+    document: dict[str, Any] = json_document(inflated(data, where, RESTORE), where, RESTORE)
+    orbit_in(document, where)
     return document
 
 

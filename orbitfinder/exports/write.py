@@ -5,15 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from orbitfinder.errors import InputError
 from orbitfinder.exports.auto import auto_files
 from orbitfinder.exports.julia import julia_file
 from orbitfinder.exports.plain_c import c_file
 from orbitfinder.exports.source import Source, source_of
-from orbitfinder.exports.table import csv_file
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
+
+
+def csv_file(source: Source) -> str:
+    """The text of NAME.csv, as `[guess] csv = ...` reads it: a header line, then t (s) and the states, all digits."""
+    rows = np.column_stack([source.times, source.samples])
+    lines = [",".join(["t", *source.model.state_names]), *(",".join(repr(float(v)) for v in row) for row in rows)]
+    return "\n".join(lines) + "\n"
+
 
 FORMATS: dict[str, Callable[[Source], dict[str, str]]] = {
     "csv": lambda source: {f"{source.orbit.name}.csv": csv_file(source)},

@@ -227,6 +227,15 @@ def check_document(document: Any, where: str) -> dict[str, Any]:
     return document
 
 
+def orbit_in(document: Any, where: str) -> Orbit:
+    """The Orbit of an orbit document, without samples; `InputError` names where the document is from."""
+    checked = check_document(document, where)
+    try:
+        return orbit_from_document(checked)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
 def orbit_from_document(
     document: Mapping[str, Any], times: np.ndarray | None = None, samples: np.ndarray | None = None
 ) -> Orbit:

@@ -9,7 +9,7 @@ from typing import Any
 
 from orbitfinder.errors import InputError
 from orbitfinder.records.family import load_family
-from orbitfinder.records.orbit import AGAIN, Orbit, check_document, orbit_from_document, read_orbit
+from orbitfinder.records.orbit import AGAIN, Orbit, orbit_in, read_orbit
 from orbitfinder.records.reading import file_head, json_file
 
 DATABASES = (".sqlite", ".sqlite3", ".db")
@@ -55,8 +55,7 @@ def load_orbit(path: str | Path) -> Orbit:
         point: Orbit = _chosen(load_family(file).points, number, path)
         return point
     if kind == "export":
-        document = check_document(_chosen(json_file(file, "atlas export", AGAIN), number, path), str(path))
-        return orbit_from_document(document)
+        return orbit_in(_chosen(json_file(file, "atlas export", AGAIN), number, path), str(path))
     if kind == "atlas":
         raise InputError(f"{path}: an atlas database; open it: Atlas({str(file)!r}).orbit({number})")
     raise InputError(f"{path}: #{number}: not a family or an atlas, of which orbits have numbers; leave #{number} out")

@@ -16,7 +16,7 @@ from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.records.family import FORMAT as FAMILY
 from orbitfinder.records.family import Family, load_family
-from orbitfinder.records.orbit import AGAIN, check_document, dense_samples, orbit_from_document, orbit_to_document
+from orbitfinder.records.orbit import AGAIN, dense_samples, orbit_in, orbit_to_document
 from orbitfinder.records.orbit import FORMAT as ORBIT
 from orbitfinder.records.reading import json_file
 from orbitfinder.records.store import DATABASES, kind_of, member
@@ -132,18 +132,14 @@ def _take(file: Path, found: Gathered) -> None:
 
 def _orbit(document: Any, where: str) -> OrbitFile:
     """One orbit document, checked by building an Orbit from it."""
-    checked = check_document(document, where)
-    try:
-        orbit = orbit_from_document(checked)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+    orbit = orbit_in(document, where)
     if orbit.state.ndim != 1 or orbit.state.size < 2 or orbit.state.size % 2:
         raise InputError(f"{where}: state: {orbit.state.size} numbers; coordinates and then as many velocities")
     numbers = [orbit.period, orbit.energy, *orbit.state]
     if not np.all(np.isfinite(numbers)) or orbit.period <= 0:
         raise InputError(f"{where}: period, energy or state is not finite or not positive; run the problem again")
     try:
-        return OrbitFile(checked, json.dumps(checked, separators=(",", ":"), allow_nan=False))
+        return OrbitFile(document, json.dumps(document, separators=(",", ":"), allow_nan=False))
     except ValueError as error:
         raise InputError(f"{where}: holds a number that is not finite; run the problem again") from error
 
