@@ -50,30 +50,26 @@ if TYPE_CHECKING:
     from orbitfinder.loops.freedom import Variables as Variables
     from orbitfinder.loops.problem import Guess as Guess
     from orbitfinder.loops.problem import Problem as Problem
-    from orbitfinder.mechanics.assembly import assemble as assemble
-    from orbitfinder.mechanics.assembly import linkage_rates as linkage_rates
     from orbitfinder.mechanics.chain import chain as chain
-    from orbitfinder.mechanics.constrained import Baumgarte as Baumgarte
-    from orbitfinder.mechanics.constrained import ConstrainedModel as ConstrainedModel
     from orbitfinder.mechanics.constrained import constrained as constrained
     from orbitfinder.mechanics.lagrange import Symbols as Symbols
     from orbitfinder.mechanics.lagrange import lagrange as lagrange
+    from orbitfinder.mechanics.linkage import assemble as assemble
     from orbitfinder.mechanics.linkage import joint_forces as joint_forces
     from orbitfinder.mechanics.linkage import linkage as linkage
+    from orbitfinder.mechanics.linkage import linkage_rates as linkage_rates
     from orbitfinder.mechanics.linkage import linkage_state as linkage_state
+    from orbitfinder.mechanics.linkage import minimal_linkage as minimal_linkage
     from orbitfinder.mechanics.maximal import chain_dae as chain_dae
     from orbitfinder.mechanics.maximal import maximal_states as maximal_states
     from orbitfinder.mechanics.maximal import minimal_states as minimal_states
+    from orbitfinder.mechanics.model import Baumgarte as Baumgarte
     from orbitfinder.mechanics.model import Invariant as Invariant
     from orbitfinder.mechanics.model import Model as Model
     from orbitfinder.mechanics.model import energies as energies
     from orbitfinder.mechanics.model import energy as energy
     from orbitfinder.mechanics.model import positions as positions
-    from orbitfinder.mechanics.partition import minimal_linkage as minimal_linkage
     from orbitfinder.orbits.certify import certify as certify
-    from orbitfinder.orbits.dae_orbit import certify_dae as certify_dae
-    from orbitfinder.orbits.dae_orbit import dae_problem as dae_problem
-    from orbitfinder.orbits.dae_orbit import find_dae_orbit as find_dae_orbit
     from orbitfinder.orbits.find import SolveSettings as SolveSettings
     from orbitfinder.orbits.find import find_orbit as find_orbit
     from orbitfinder.orbits.refine import Refined as Refined
@@ -123,10 +119,9 @@ _HOMES = {
     "export_orbit": "exports.write",
     "DaeSettings": "integrate.idas",
     "simulate_dae": "integrate.idas",
-    "assemble": "mechanics.assembly",
-    "linkage_rates": "mechanics.assembly",
-    "Baumgarte": "mechanics.constrained",
-    "ConstrainedModel": "mechanics.constrained",
+    "assemble": "mechanics.linkage",
+    "linkage_rates": "mechanics.linkage",
+    "Baumgarte": "mechanics.model",
     "constrained": "mechanics.constrained",
     "joint_forces": "mechanics.linkage",
     "linkage": "mechanics.linkage",
@@ -138,10 +133,7 @@ _HOMES = {
     "save_animation": "show.animate",
     "simulation_clip": "show.animate",
     "save_figures": "show.plot",
-    "minimal_linkage": "mechanics.partition",
-    "certify_dae": "orbits.dae_orbit",
-    "dae_problem": "orbits.dae_orbit",
-    "find_dae_orbit": "orbits.dae_orbit",
+    "minimal_linkage": "mechanics.linkage",
     "first_return": "guesses.linkages",
     "linkage_equilibrium": "guesses.linkages",
     "linkage_mode": "guesses.linkages",

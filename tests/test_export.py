@@ -27,8 +27,8 @@ from orbitfinder.exports.julia import julia_file
 from orbitfinder.exports.source import dense_states, source_of
 from orbitfinder.exports.straightline import FORTRAN, PYTHON, C, fortran_number, straight_line
 from orbitfinder.exports.write import export_orbit
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import vector_field
 from orbitfinder.problemfile.trajectory import read_trajectory
 
 ROOT = Path(__file__).parents[1]

@@ -7,19 +7,21 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, linkage_mode
 from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.guesses.returns import normal_mode_sum, recurrences
 from orbitfinder.loops.problem import Guess
+from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
+from orbitfinder.mechanics.maximal import maximal_states
 from orbitfinder.mechanics.model import Model
-from orbitfinder.problemfile.guess_linkage import linkage_guess
 from orbitfinder.problemfile.schema import GuessTable
 from orbitfinder.problemfile.trajectory import read_trajectory
 
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
-    if model.native is not None and model.system.get("kind") == "linkage":
-        return linkage_guess(given, model, folder)
+    if model.constraint is not None and model.system.get("kind") == "linkage":
+        return _linkage_guess(given, model, folder)
     linkage_keys = [key for key in ("angles", "branch", "rates", "equilibrium") if getattr(given, key) is not None]
     if linkage_keys:
         raise InputError(f"guess.{linkage_keys[0]}: is for linkages only; give state and period, mode or csv")
@@ -40,3 +42,35 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
             f"guess.duration: the motion never came back near itself in {given.duration:g} s; simulate longer"
         )
     return found[0].guess
+
+
+def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
+    """The starting point of a linkage that a table stands for; a period left out is the first return."""
+    if given.csv is not None:
+        return read_trajectory(folder, given.csv, len(model.state_names))
+    if given.mode is not None:
+        if not isinstance(given.mode, int) or not isinstance(given.amplitude, float):
+            raise InputError("guess.mode: a linkage takes one mode with one amplitude; give numbers, not lists")
+        near = None if given.equilibrium is None else _angles(model, given.equilibrium)
+        found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
+        return found if given.period is None else Guess(found.state, given.period)
+    state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
+    return Guess(state, given.period or first_return(model, state, given.duration or 20.0))
+
+
+def _angles(model: Model, angles: list[float]) -> np.ndarray:
+    bars = dimensions(model)[0].size
+    if len(angles) != bars:
+        raise InputError(f"guess.equilibrium: {len(angles)} angles for {bars} bars; give one per bar")
+    return np.asarray(angles, float)
+
+
+def _assembled(given: GuessTable, model: Model) -> np.ndarray:
+    theta = assemble(model, given.angles or {}, branch=given.branch)
+    return linkage_state(model, theta, linkage_rates(model, theta, given.rates) if given.rates else None)
+
+
+def _state(model: Model, state: list[float]) -> np.ndarray:
+    """A state as given, or lifted from link angles and rates."""
+    numbers = np.asarray(state, float)
+    return maximal_states(model, numbers) if numbers.size == 2 * (model.degrees_of_freedom // 3) else numbers
