@@ -54,9 +54,9 @@ def spent() -> float:
 def one_size(links: int, amplitude: float) -> dict[str, Any]:
     """Find, measure and certify one chain; seconds and MB of each stage, and the orbit's numbers."""
     import orbitfinder as of
-    from orbitfinder._runtime.threads import one_thread
     from orbitfinder.guesses.balance import FEWEST
     from orbitfinder.guesses.modes import normal_mode
+    from orbitfinder.integrate.threads import one_thread
     from orbitfinder.orbits import long_chain
 
     row: dict[str, Any] = {"links": links, "start_mb": peak()}

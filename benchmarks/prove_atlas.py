@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.proof.formulation import PARTS
+from orbitfinder.loops.symmetry import NONE, SYMMETRIES
 from orbitfinder.proof.record import entry
 from orbitfinder.proof.theorem import prove
 from orbitfinder.records.orbit import orbit_from_document
@@ -33,7 +33,7 @@ from orbitfinder.records.reading import write_atomically
 def cost(document: dict[str, Any]) -> float:
     """A guess of how long a proof takes: the horizon, longer for unstable orbits."""
     largest = max((math.hypot(*mu) for mu in document["floquet_multipliers"]), default=1.0)
-    return document["period"] / PARTS.get(document["symmetry"], 1) * (1 + math.log10(max(largest, 1.0)))
+    return document["period"] / SYMMETRIES.get(document["symmetry"], NONE).parts * (1 + math.log10(max(largest, 1.0)))
 
 
 def attempt(task: tuple[str, dict[str, Any]]) -> tuple[str, dict[str, Any], dict[str, Any]]:

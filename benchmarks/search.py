@@ -31,7 +31,7 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import least_squares
 
 import orbitfinder as of
-from orbitfinder._runtime.threads import children_on_one_thread
+from orbitfinder._runtime.processes import NAMES, children_see
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.starts import Target, bench, make_start
 from orbitfinder.errors import ConvergenceError, IntegrationError
@@ -102,7 +102,7 @@ def by_hand(which: int, budget: float, processor: bool, found: multiprocessing.Q
 def search_by_hand(budget: float, processor: bool) -> Result:
     context = multiprocessing.get_context("spawn")
     found = context.Queue()
-    with children_on_one_thread():
+    with children_see(dict.fromkeys(NAMES, "1")):
         crew = [context.Process(target=by_hand, args=(which, budget, processor, found)) for which in range(PROCESSES)]
         for process in crew:
             process.start()

@@ -18,12 +18,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 import orbitfinder as of
 from orbitfinder.atlas.report import summarise
 from orbitfinder.atlas.store import Row
-from orbitfinder.show.atlas_plot import contact_sheet, save_atlas_figures
-from orbitfinder.show.style import save_png
+from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.show.atlas_plot import save_atlas_figures
+from orbitfinder.show.style import new_figure, save_png
+from orbitfinder.show.svg import COLOURS
 
 ROOT = Path(__file__).parents[1]
 PLACE = ROOT / "results" / "atlas"
@@ -116,6 +119,31 @@ def twelve(triple: list[Row], quadruple: list[Row]) -> list[Pick]:
             if any(wanted(row) and row.id not in taken for row in among):
                 found.append(Pick(why, name, least(among, taken, key, wanted)))
     return found
+
+
+def contact_sheet(model: Model, loops: list[tuple[np.ndarray, str]], across: int = 4) -> Figure:
+    """Orbits side by side: path of the last point, and the mechanism at equal times, paler as it was earlier.
+
+    `loops` are states (k x 2n) at equal times over one period, with a caption each.
+    """
+    rows = -(-len(loops) // across)
+    figure = new_figure(2.9 * across, 3.1 * rows, "")
+    grid = figure.subplots(rows, across, squeeze=False)
+    for axes in grid.ravel()[len(loops) :]:
+        axes.axis("off")
+    for axes, (loop, caption) in zip(grid.ravel(), loops, strict=False):
+        places = positions(model, loop)
+        for k in range(0, len(loop), max(1, len(loop) // 14)):
+            shade = 0.15 + 0.35 * k / len(loop)
+            axes.plot(places[k, 1], -places[k, 0], color="0.2", alpha=shade, linewidth=1.0)
+        closed = np.vstack([places[:, :, -1], places[:1, :, -1]])
+        axes.plot(closed[:, 1], -closed[:, 0], color=COLOURS[0], linewidth=1.4)
+        axes.plot(places[0, 1, 0], -places[0, 0, 0], "o", color="black", markersize=3)
+        axes.set_aspect("equal")
+        axes.margins(0.06)
+        axes.axis("off")
+        axes.set_title(caption, fontsize=8)
+    return figure
 
 
 def sheet(name: str, atlas: of.Atlas, picks: list[Pick], folder: Path) -> Path:

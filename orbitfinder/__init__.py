@@ -14,8 +14,8 @@ from importlib import import_module
 from inspect import isfunction
 from typing import TYPE_CHECKING, Any
 
+from orbitfinder._runtime import __version__ as __version__
 from orbitfinder._runtime import notebook as _display
-from orbitfinder._runtime.version import __version__ as __version__
 
 _display.drawn_by("orbitfinder.show.html")
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 import numpy as np
 
 
@@ -50,3 +53,9 @@ class Hint(UserWarning):
 
 class LimitError(OrbitfinderError):
     """A time limit was reached; the message says which and how far the work had come."""
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """ ", did you mean 'x'?" when a known name is near a misspelt one, else an empty string."""
+    found = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    return f", did you mean {found[0]!r}?" if found else ""

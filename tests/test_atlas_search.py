@@ -18,13 +18,13 @@ from orbitfinder.atlas import api, solver, valley, workers
 from orbitfinder.atlas import attempt as refine
 from orbitfinder.atlas.estimate import chao1, remarks, stratum, total
 from orbitfinder.atlas.job import Known, Order, Task, perform
-from orbitfinder.atlas.mirrors import mirrors, named
 from orbitfinder.atlas.report import discovery, summarise
 from orbitfinder.atlas.search import Limits, Search, register
 from orbitfinder.atlas.starts import Target, bench, make_start
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.workers import DIED, Inline, Local
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
+from orbitfinder.loops.symmetry import undeclared_mirrors
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
@@ -302,7 +302,7 @@ def polar():
 )
 def test_mirrors_are_read_off_the_equations(made, expected):
     model = made()
-    assert [named(model, signs) for signs in mirrors(model)] == expected
+    assert [one.moves(model.state_names[: model.degrees_of_freedom]) for one in undeclared_mirrors(model)] == expected
 
 
 def test_starts_on_the_section_of_a_mirror(tmp_path):

@@ -11,29 +11,29 @@ from pathlib import Path
 import casadi as ca
 import click
 import numpy as np
+import platformdirs
 import pytest
 from click.testing import CliRunner
+from platformdirs.macos import MacOS
+from platformdirs.unix import Unix
 
 from orbitfinder._runtime import locks
 from orbitfinder.cli.options import compile_option
 from orbitfinder.errors import InputError
 from orbitfinder.integrate import compiled as rooms
 from orbitfinder.integrate.compiled import (
+    Unavailable,
     available,
-    cache,
     compiled,
     compiling,
-    mode,
-    set_mode,
-    statistics,
-    with_derivatives,
-)
-from orbitfinder.integrate.compiled.compiler import (
-    CompilerError,
     expected_seconds,
     find_compiler,
     flags,
     make_library,
+    mode,
+    set_mode,
+    statistics,
+    with_derivatives,
 )
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
 from orbitfinder.integrate.rk8 import march, marcher
@@ -177,7 +177,7 @@ def test_two_processes_at_once_compile_once(fresh, tmp_path):
 def test_lock_that_is_never_released(fresh, monkeypatch):
     """Another process that hangs while holding the lock costs patience, not correctness."""
     fcntl = pytest.importorskip("fcntl")
-    cache.usable()
+    rooms.usable()
     monkeypatch.setattr(rooms, "expected_seconds", lambda size: -0.99)  # patience of 0.1 s
     with monkeypatch.context() as patched:
         handles = [(fresh / f"lock-{k:02x}").open("w") for k in range(256)]
@@ -195,14 +195,14 @@ def test_key_depends_on_everything(monkeypatch, fresh):
     compiled(example(3.0))
     assert len(list(fresh.glob("*.so"))) == 2
     forget(monkeypatch)
-    monkeypatch.setattr(rooms, "flags", lambda size, tuning: ("-O0",))
+    monkeypatch.setattr(rooms, "flags", lambda size, tuning: ("-O0", *rooms.ALWAYS))
     compiled(example())
     forget(monkeypatch)
     other = rooms.find_compiler
     monkeypatch.setattr(rooms, "find_compiler", lambda: type(other())(other().command, "another version"))
     compiled(example())
     assert len(list(fresh.glob("*.so"))) == 4
-    assert cache.key_of("ab", "c") != cache.key_of("a", "bc")
+    assert rooms.key_of("ab", "c") != rooms.key_of("a", "bc")
 
 
 # ---- when something is wrong -----------------------------------------------------------------------
@@ -243,7 +243,7 @@ def test_compiler_that_cannot_say_its_version(tmp_path, monkeypatch):
 def test_compiler_that_hangs(tmp_path, monkeypatch, fresh):
     """It is ended with its children after the time-out."""
     fake_compiler(tmp_path, monkeypatch, f"echo $$ > {tmp_path}/pid; sleep 60 & echo $! > {tmp_path}/child; wait")
-    monkeypatch.setattr("orbitfinder.integrate.compiled.compiler.TIMEOUT", 0.5)
+    monkeypatch.setattr("orbitfinder.integrate.compiled.TIMEOUT", 0.5)
     assert "took longer than 0.5 s" in stays_interpreted(example())
     for name in ("pid", "child"):
         process = Path(f"/proc/{(tmp_path / name).read_text().strip()}/stat")
@@ -294,7 +294,7 @@ def test_entry_with_the_right_digest_and_the_wrong_content(monkeypatch, fresh):
     (entry,) = fresh.glob("*.so")
     key = entry.stem.partition("-")[0]
     entry.unlink()
-    rubbish = fresh / f"{key}-{cache.digest(b'rubbish')}.so"
+    rubbish = fresh / f"{key}-{rooms.digest(b'rubbish')}.so"
     rubbish.write_bytes(b"rubbish")
     rubbish.chmod(0o700)
     forget(monkeypatch)
@@ -307,7 +307,7 @@ def test_entry_that_others_may_write_is_not_loaded(monkeypatch, fresh):
     compiled(example())
     (entry,) = fresh.glob("*.so")
     entry.chmod(0o777)
-    assert cache.find(fresh, entry.stem.partition("-")[0]) is None
+    assert rooms.find_entry(fresh, entry.stem.partition("-")[0]) is None
     assert stat.S_IMODE(fresh.stat().st_mode) == 0o700
 
 
@@ -451,14 +451,14 @@ def test_eviction_takes_the_least_recently_used(fresh):
     for name in ("making-dead.so", "making-gone"):
         os.utime(fresh / name, (1e9, 1e9))
     (fresh / "making-now.so").write_bytes(b"")
-    cache.evict(fresh, limit=200)
+    rooms.evict(fresh, limit=200)
     assert sorted(path.name for path in fresh.iterdir()) == ["making-now.so", "middle.so", "newest.so"]
-    cache.evict(fresh, keep=fresh / "middle.so", limit=0)
+    rooms.evict(fresh, keep=fresh / "middle.so", limit=0)
     assert sorted(path.name for path in fresh.glob("*.so")) == ["making-now.so", "middle.so"]
 
 
 def test_evicted_library_goes_on_working(monkeypatch, fresh):
-    monkeypatch.setattr(cache, "LIMIT", 1)
+    monkeypatch.setattr(rooms, "LIMIT", 1)
     one, two = compiled(example()), compiled(example(3.0))
     assert len(list(fresh.glob("*.so"))) == 1
     np.testing.assert_array_equal(one([1, 2, 3])[0], example()([1, 2, 3])[0])
@@ -476,21 +476,34 @@ def test_use_is_remembered(monkeypatch, fresh):
 
 def test_place_of_the_cache(monkeypatch, tmp_path):
     monkeypatch.delenv("ORBITFINDER_CACHE")
-    monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache.folder() == tmp_path / "orbitfinder" / "compiled"
-    monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache.folder() == tmp_path / ".cache" / "orbitfinder" / "compiled"
-    monkeypatch.setattr(sys, "platform", "darwin")
-    assert cache.folder() == tmp_path / "Library" / "Caches" / "orbitfinder" / "compiled"
-    monkeypatch.setattr(sys, "platform", "win32")
-    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path / "local"))
-    assert cache.folder() == tmp_path / "local" / "orbitfinder" / "compiled"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    monkeypatch.setattr(platformdirs, "PlatformDirs", Unix)
+    assert rooms.folder() == tmp_path / "xdg" / "orbitfinder" / "compiled"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert rooms.folder() == tmp_path / ".cache" / "orbitfinder" / "compiled"
+    monkeypatch.setattr(platformdirs, "PlatformDirs", MacOS)
+    assert rooms.folder() == tmp_path / "Library" / "Caches" / "orbitfinder" / "compiled"
+    monkeypatch.setenv("ORBITFINDER_CACHE", str(tmp_path / "chosen"))
+    assert rooms.folder() == tmp_path / "chosen" / "compiled"
+
+
+@pytest.mark.parametrize("home", ["", None])
+def test_somebody_without_a_home(monkeypatch, home):
+    """No cache is made in a folder named ~ of the current one."""
+    for name in ("ORBITFINDER_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    if home is not None:
+        monkeypatch.setenv("HOME", home)
+    else:
+        monkeypatch.setattr(platformdirs, "user_cache_path", lambda *_, **__: Path("~nosuchuser/cache"))
+    with pytest.raises(OSError, match="Set ORBITFINDER_CACHE to a folder of your own"):
+        rooms.folder()
+    assert stays_interpreted(example())
 
 
 def test_library_in_a_folder_that_vanishes(tmp_path):
-    with pytest.raises((CompilerError, OSError)):
+    with pytest.raises((Unavailable, OSError)):
         make_library(find_compiler(), "int f;", tmp_path / "nowhere")
 
 

@@ -25,7 +25,7 @@ from orbitfinder.exports import straightline
 from orbitfinder.exports.auto import ENERGY, PERIOD, auto_files
 from orbitfinder.exports.julia import julia_file
 from orbitfinder.exports.source import dense_states, source_of
-from orbitfinder.exports.straightline import FORTRAN, PYTHON, C, fortran_number, straight_line
+from orbitfinder.exports.straightline import FORTRAN, C, fortran_number, straight_line
 from orbitfinder.exports.write import export_orbit
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import vector_field
@@ -47,6 +47,16 @@ AUTO = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))  # where Debian's p
 needs_auto = pytest.mark.skipif(
     not (AUTO / "cmds" / "@r").is_file() or shutil.which("gfortran") is None, reason="AUTO-07p is not installed"
 )
+PYTHON = straightline.Language(
+    straightline.c_number,
+    lambda name, k: f"{name}[{k}]",
+    straightline.COMMON | {
+        "INV": "1.0 / {0}", "POW": "{0} ** {1}", "CONSTPOW": "{0} ** {1}", "ATAN2": "atan2({0}, {1})",
+        "FABS": "fabs({0})", "FMIN": "min({0}, {1})", "FMAX": "max({0}, {1})", "FLOOR": "floor({0})",
+        "CEIL": "ceil({0})", "LOG1P": "log1p({0})", "EXPM1": "expm1({0})", "FMOD": "fmod({0}, {1})",
+    },
+)  # fmt: skip
+"""What is executed here: the same statements in the language of the tests"""
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on the path")
 
 

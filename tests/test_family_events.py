@@ -15,7 +15,7 @@ from orbitfinder.families.folder import continue_command
 from orbitfinder.families.passages import exchanged, index_levels
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.samples import Interval, Probe
-from orbitfinder.families.stability import _krein, matched, matching
+from orbitfinder.families.stability import _krein, matching
 from orbitfinder.families.strips import flips
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
@@ -267,7 +267,7 @@ def test_matching_keeps_the_order_of_indices_that_move_together():
     """Sums of distances are equal for both assignments; the one without a crossing is taken."""
     before = np.array([0.1 + 0j, 0.2 + 0j])
     for found in ([0.3 + 0j, 0.4 + 0j], [0.4 + 0j, 0.3 + 0j]):
-        assert np.array_equal(matched(before, np.array(found)), [0.3, 0.4])
+        assert np.array_equal(np.array(found)[matching(before, np.array(found))], [0.3, 0.4])
 
 
 # ---- a real family: an oscillation in x, and two coupled pairs of multipliers beside it -------------------

@@ -60,4 +60,4 @@ def test_dir_lists_unloaded_names():
 def test_versions_agree():
     """The version in pyproject.toml is the one the package reports."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert importlib.import_module("orbitfinder._runtime.version").__version__ == project["version"]
+    assert importlib.import_module("orbitfinder._runtime").__version__ == project["version"]

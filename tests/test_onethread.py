@@ -12,7 +12,8 @@ from conftest import pendulum_period
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import orbitfinder as of
-from orbitfinder._runtime.threads import NAMES, children_on_one_thread, one_thread
+from orbitfinder._runtime.processes import NAMES, children_see
+from orbitfinder.integrate.threads import one_thread
 from orbitfinder.orbits import certify as certifying
 from orbitfinder.orbits import find as solve
 
@@ -77,7 +78,7 @@ def test_environment_of_children_is_put_back(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     code = "import numpy, threadpoolctl; print(*{one['num_threads'] for one in threadpoolctl.threadpool_info()})"
-    with children_on_one_thread():
+    with children_see(dict.fromkeys(NAMES, "1")):
         assert {os.environ[name] for name in NAMES} == {"1"}
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert os.environ["OMP_NUM_THREADS"] == "7" and "OPENBLAS_NUM_THREADS" not in os.environ

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import pendulum_period
+from jinja2 import UndefinedError
 
 from orbitfinder._runtime import locks
 from orbitfinder.atlas.store import Atlas
@@ -36,8 +37,7 @@ from orbitfinder.site.explorers import span, spread
 from orbitfinder.site.gather import evenly, gather
 from orbitfinder.site.motion import Films, histories, packed, resampled
 from orbitfinder.site.recipe import problem_name, problem_text, toml
-from orbitfinder.site.text import Html, fill, number, script_data, size, slug_maker
-from orbitfinder.site.words import coordinate, mechanism, plural
+from orbitfinder.site.text import PAGES, coordinate, mechanism, number, plural, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
 
 ROOT = Path(__file__).parents[1]
@@ -161,8 +161,14 @@ def test_data_survive_their_escapes():
 
 
 def test_templates_escape_what_is_not_markup():
-    made = fill("portrait", component=1, name="<i>", rate=Html("<b>kept</b>"))
-    assert "&lt;i&gt;" in made and "<b>kept</b>" in made
+    parts = PAGES.get_template("parts.html").module
+    made = parts.player(NASTY) + parts.options([NASTY]) + parts.stability_badge("<i>")
+    assert "&lt;i&gt;" in made and "<script>" not in made and "<i>" not in made and 'id="stage"' in made
+
+
+def test_a_template_says_what_it_misses():
+    with pytest.raises(UndefinedError, match="'about' is undefined"):
+        PAGES.get_template("atlas.html").render()
 
 
 def test_same_input_same_bytes(material):

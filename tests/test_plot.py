@@ -13,7 +13,8 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.show import plot
-from orbitfinder.show.style import COLOURS, line_style
+from orbitfinder.show.style import line_style
+from orbitfinder.show.svg import COLOURS
 
 NAMES = {"time_histories.png", "phase_portraits.png", "swept_configuration.png", "energy_error.png"}
 

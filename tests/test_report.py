@@ -63,7 +63,7 @@ def test_finished_parts_are_not_redone(tmp_path, monkeypatch) -> None:
     for part in runner.PARTS:
         module = __import__(part.module, fromlist=["x"])
         monkeypatch.setattr(module, part.function, _part(calls, part.name))
-    monkeypatch.setattr("orbitfinder.reproduce.page.write_page", lambda folder, numbers: None)
+    monkeypatch.setattr("orbitfinder.reproduce.runner.write_page", lambda folder, numbers: None)
     first = runner.reproduce(tmp_path)
     assert calls == [part.name for part in runner.PARTS]
     (tmp_path / "numbers" / "energy.json").write_text("{ damaged")

@@ -29,6 +29,7 @@ from orbitfinder.loops.symmetry import (
     named,
     recognise,
     symmetries_of,
+    undeclared_mirrors,
 )
 from orbitfinder.mechanics.library import (
     henon_heiles,
@@ -38,6 +39,7 @@ from orbitfinder.mechanics.library import (
 )
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.problemfile.read import load_problem
 
 FORWARD = Involution("swap", 1, 1, order=(1, 0))
 ODD_SWAP = Involution("odd swap", -1, (-1, -1), order=(1, 0))
@@ -199,3 +201,49 @@ def test_half_of_a_lyapunov_orbit_is_enough():
     elsewhere = np.asarray(whole.samples[len(whole.samples) // 8])
     begun = begin(replace(half, state=elsewhere, record=None), model=model)
     assert begun.curve.equations.symmetry.name == "mirror"
+
+
+MIRRORED = """
+[system]
+kind = "python"
+function = "restricted_three_body"
+arguments = { ratio = 0.0121505856 }
+[guess]
+state = [0.8234, 0.0, 0.0, 0.1263]
+period = 2.743
+[find]
+pin = { x = 0.8234 }
+symmetry = "mirror"
+"""
+
+
+def test_a_problem_file_names_what_its_system_declares(tmp_path):
+    """And only that: another name, or that name with another system, is bad input with the known ones."""
+    path = tmp_path / "lyapunov.toml"
+    path.write_text(MIRRORED)
+    assert load_problem(path).boundary == HALF_TURNED
+    path.write_text(MIRRORED.replace('"mirror"', '"miror"'))
+    with pytest.raises(InputError, match=r"unknown 'miror'; use one of none, .*, mirror"):
+        load_problem(path)
+    path.write_text(MIRRORED.split("[system]")[0] + '[system]\nkind = "chain"\nlinks = 2\n' + "[guess]" +
+                    MIRRORED.split("[guess]")[1])  # fmt: skip
+    with pytest.raises(InputError, match=r"find.symmetry: must be 'none', .* got 'mirror'"):
+        load_problem(path)
+
+
+def test_a_declared_mirror_proves_a_lyapunov_orbit():
+    """Half of it in ball arithmetic: its symmetry is read off the equations' graph, coordinate by coordinate."""
+    pytest.importorskip("flint")
+    from orbitfinder.proof.theorem import prove
+
+    model, guess = restricted_three_body(0.0121505856), Guess([0.8234, 0.0, 0.0, 0.1263], 2.743)
+    orbit = find_orbit(Problem(model, guess, pin=pin(x=0.8234), symmetry="mirror"))
+    proof = prove(orbit)
+    assert proof.proved and proof.symmetry == "mirror"
+    assert proof.period.contains(orbit.period) or abs(float(proof.period.mid()) - orbit.period) < 1e-11
+
+
+def test_unknown_mirrors_are_found_and_told_apart_from_usual_ones():
+    """Henon and Heiles's potential is even in x: its one mirror that has no usual name."""
+    (one,) = undeclared_mirrors(henon_heiles())
+    assert one.signs == (-1, 1) and one.moves(("x", "y")) == "x -> -x" and not undeclared_mirrors(of.chain(2))

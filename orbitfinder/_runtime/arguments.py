@@ -18,8 +18,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from orbitfinder._runtime.suggest import closest
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, closest
 
 P = ParamSpec("P")
 R = TypeVar("R")

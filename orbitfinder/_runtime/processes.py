@@ -12,16 +12,17 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from orbitfinder._runtime import interrupt
-from orbitfinder._runtime.threads import NAMES, PROCESSORS, children_see
+from orbitfinder._runtime import PROCESSORS, interrupt
 
+NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables that BLAS libraries read when they are loaded"""
 SAFE_PATH = "PYTHONSAFEPATH"
 """Environment variable that keeps the current folder off a child's path"""
 LAST_WORDS = 5.0
@@ -55,6 +56,21 @@ def ready(hands: Iterable[Hand]) -> list[Hand]:
     asked = list(hands)
     found = wait([hand.pipe for hand in asked])
     return [hand for hand in asked if hand.pipe in found]
+
+
+@contextlib.contextmanager
+def children_see(variables: Mapping[str, str]) -> Iterator[None]:
+    """Processes started in the block have these environment variables, for as long as they live."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def hired(work: Callable[..., None], *arguments: Any) -> Hand:

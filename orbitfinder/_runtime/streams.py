@@ -67,7 +67,7 @@ def abandoned() -> None:
 def leave_current_folder_out() -> None:
     """Take nothing that lies in the current folder for a part of the program: for commands, at their start.
 
-    `python -m` puts that folder first on the path, and Matplotlib reads its settings there before any others.
+    `python -m` puts that folder first on the path. What this module imports is loaded before, so it is next to nothing.
     """
     home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     try:
@@ -76,9 +76,3 @@ def leave_current_folder_out() -> None:
         return
     if sys.path and sys.path[0] in ("", here) and here != home:
         del sys.path[0]
-    if os.path.exists("matplotlibrc"):
-        os.chdir(home)
-        try:
-            import matplotlib  # noqa: F401
-        finally:
-            os.chdir(here)

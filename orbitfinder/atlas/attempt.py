@@ -251,7 +251,7 @@ def uncovered(one: Bench, loop: Found, cover: int, settings: QuickSettings) -> F
 
 def origin(seed: int, start: Start) -> dict[str, Any]:
     """Provenance of an orbit found from a start: enough to find it again."""
-    from orbitfinder._runtime.version import __version__
+    from orbitfinder._runtime import __version__
     from orbitfinder.records.orbit import VERSION
 
     return {

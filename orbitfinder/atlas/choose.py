@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 STARTS = 200
 """Starts where the file does not say how many."""
-MOST_STARTS = 100_000
 NEAR = 1e-6
 """Periods and actions that agree to this, relative, may belong to one orbit."""
 

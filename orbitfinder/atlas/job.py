@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import limit
-from orbitfinder._runtime.threads import one_thread
 from orbitfinder.atlas.attempt import Attempt, Numbers, attempt
 from orbitfinder.atlas.continuing import CONTINUATION, continued
 from orbitfinder.atlas.signature import AGREEMENT
 from orbitfinder.atlas.starts import Bench, Target, bench, strategy_of
 from orbitfinder.errors import LimitError
+from orbitfinder.integrate.threads import one_thread
 from orbitfinder.mechanics.catalogue import build_model
 
 LONGEST_START = 120.0

@@ -16,7 +16,6 @@ from orbitfinder._runtime import limit
 from orbitfinder.atlas.attempt import Attempt
 from orbitfinder.atlas.continuing import CONTINUATION
 from orbitfinder.atlas.job import Order, Task
-from orbitfinder.atlas.mirrors import named
 from orbitfinder.atlas.starts import METHOD, Bench, strategy_of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.tables import explained, transaction
@@ -74,7 +73,8 @@ def register(atlas: Atlas, task: Task, one: Bench) -> tuple[int, int]:
 
     A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it.
     """
-    mirrored = {"mirrors": [named(one.model, signs) for signs in one.mirrors]} if one.mirrors else {}
+    names = one.model.state_names[: one.model.degrees_of_freedom]
+    mirrored = {"mirrors": [mirror.moves(names) for mirror in one.mirrors]} if one.mirrors else {}
     method = json.dumps({"method": METHOD, "strategies": one.strategies} | mirrored)
     key = [task.energy, *task.periods, task.seed, method]
     with explained(atlas.path), transaction(atlas.connection):

@@ -12,14 +12,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder.atlas.mirrors import mirrors, off_section
 from orbitfinder.atlas.resting import reach_of, resting_place
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations
-from orbitfinder.loops.symmetry import BRAKE, NONE, QUARTER, REFLECTION, REVERSAL, SYMMETRIES
+from orbitfinder.loops.symmetry import (
+    BRAKE,
+    NONE,
+    QUARTER,
+    REFLECTION,
+    REVERSAL,
+    SYMMETRIES,
+    Involution,
+    off_centre,
+    undeclared_mirrors,
+)
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.hamilton import prepare
 
@@ -67,7 +76,7 @@ class Bench:
     equilibrium: np.ndarray
     shapes: np.ndarray
     strategies: tuple[str, ...]
-    mirrors: tuple[np.ndarray, ...] = ()
+    mirrors: tuple[Involution, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,7 +95,7 @@ def bench(model: Model, target: Target) -> Bench:
     check(model, target)
     place = resting_place(model, target.energy)
     prepare(model)
-    found = mirrors(model)
+    found = undeclared_mirrors(model)
     origin = np.zeros(2 * model.degrees_of_freedom)
     known = [*(name for name, one in SYMMETRIES.items() if one.held_by(model, origin)), *["mirror"] * bool(found)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
@@ -251,7 +260,7 @@ def _crossing(one: Bench, random: np.random.Generator) -> np.ndarray:
 
 def _mirrored(one: Bench, random: np.random.Generator) -> np.ndarray:
     """In the fixed set of one of the model's mirrors: some coordinates at 0 (or a half turn), the others at rest."""
-    signs = one.mirrors[random.integers(len(one.mirrors))]
+    signs = np.asarray(one.mirrors[random.integers(len(one.mirrors))].signs)
     angles = np.asarray(one.model.angles or (False,) * signs.size)
     for _ in range(ATTEMPTS):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(one, random))
@@ -293,9 +302,10 @@ def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
     if symmetry in HALVES:
         angles = np.asarray(one.model.angles or (False,) * n)
-        known = (-np.ones(n),) if symmetry == REVERSAL.name else one.mirrors
-        signs = min(known, key=lambda signs: float(off_section(signs, states[:1], angles, rate)[0]))
-        return off_section(signs, states, angles, rate)
+        known = REVERSAL.maps if symmetry == REVERSAL.name else one.mirrors
+        scaled = states / np.repeat([1.0, rate], n)
+        gaps = [np.abs(off_centre(mirror, scaled, angles)).max(axis=1) for mirror in known]
+        return min(gaps, key=lambda gap: float(gap[0]))
     imposed = SYMMETRIES[symmetry]
     first, last = imposed.rows(n)
     gaps, units = states @ last.T, np.abs(last) @ np.concatenate([np.ones(n), np.full(n, rate)])

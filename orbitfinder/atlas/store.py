@@ -13,10 +13,9 @@ import numpy as np
 
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.arguments import checked
-from orbitfinder._runtime.suggest import closest
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, select, transaction
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES

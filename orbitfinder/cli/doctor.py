@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.cli.options import json_option, print_json
 
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
@@ -47,7 +47,10 @@ def essential() -> Iterator[Finding]:
     fits = sys.version_info[:2] >= (3, 11)
     remedy = "" if fits else "use Python 3.11 to 3.13"
     yield Finding("python", OK if fits else BROKEN, platform.python_version(), remedy)
-    for name in ("casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl"):
+    for name in (
+        "casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
+        "platformdirs", "jinja2",
+    ):  # fmt: skip
         yield _package(name)
     yield from _plugins()
     yield _main_job()
@@ -119,7 +122,7 @@ def tools() -> Iterator[Finding]:
 
 
 def _cache() -> Finding:
-    from orbitfinder.integrate.compiled.cache import usable
+    from orbitfinder.integrate.compiled import usable
 
     try:
         place = usable()

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder._runtime import interrupt
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__, interrupt
 from orbitfinder.cli import atlas as cataloguing
 from orbitfinder.cli import completion, doctor, pictures
 from orbitfinder.cli import continue_ as following

@@ -36,8 +36,7 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
     """
     from orbitfinder.site.build import Settings, build_site
     from orbitfinder.site.gather import gather
-    from orbitfinder.site.text import size
-    from orbitfinder.site.words import plural
+    from orbitfinder.site.text import plural, size
     from orbitfinder.site.writing import check_target, write_site
 
     check_target(out)

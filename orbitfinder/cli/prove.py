@@ -16,12 +16,26 @@ if TYPE_CHECKING:
     from orbitfinder.proof.theorem import Proof
 
 NOT_PROVED = 1
-SYMMETRIES = ("none", "reflection", "brake", "reversal", "brake+reflection")
+
+
+class SymmetryName(click.ParamType):
+    """A symmetry's name; which ones there are is looked up only when one is given, since that loads CasADi."""
+
+    name = "symmetry"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The name itself, or a message that lists the known ones."""
+        from orbitfinder.loops.symmetry import SYMMETRIES
+
+        return click.Choice(list(SYMMETRIES)).convert(value, param, ctx)
+
+
+SYMMETRY: dict[str, Any] = {"type": SymmetryName(), "metavar": "[none|reflection|brake|reversal|brake+reflection]"}
 
 
 @click.command(name="prove")
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
-@click.option("--symmetry", type=click.Choice(SYMMETRIES), default=None,
+@click.option("--symmetry", **SYMMETRY, default=None,
               help="Prove in this symmetry; default: the recorded one. none: unique among all near.")  # fmt: skip
 @click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
 @click.option("--order", type=int, default=None, help="Order of the Taylor series.  [default: 20]")
@@ -125,7 +139,7 @@ def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
 @click.option("--digits", default=50, show_default=True, type=int, help="Decimal places wanted.")
 @click.option("--order", type=int, default=None, help="Order of the Taylor series; default: by the digits.")
 @click.option("--bits", type=int, default=None, help="Precision of the arithmetic; default: by the digits.")
-@click.option("--symmetry", type=click.Choice(SYMMETRIES), default=None, help="Default: the recorded one.")
+@click.option("--symmetry", **SYMMETRY, default=None, help="Default: the recorded one.")
 @click.option("--enclose/--no-enclose", default=True, show_default=True, help="Prove the digits; slower.")
 @trust_option(SYSTEM_TRUST)
 @json_option

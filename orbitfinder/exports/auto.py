@@ -117,7 +117,7 @@ def auto_files(source: Source) -> dict[str, str]:
 
 def equations(source: Source) -> str:
     """The equations file: FUNC, STPNT with the parameters of the orbit, PVLS with the energy."""
-    comments = "".join(f"! {line}\n" for line in [*source.heading, *_legend(source)])
+    comments = "".join(f"! {line}\n" for line in [*source.heading, *_legend()])
     return "\n".join([comments, _func(source), _stpnt(source), _pvls(source), _boundary(source), REST])
 
 
@@ -147,7 +147,7 @@ def _boundary(source: Source) -> str:
     return BOUNDARY.format(loop=_parameters_in_par(loop), work=work, size=2 * n, phases=_parameters_in_par(lines))
 
 
-def _legend(source: Source) -> list[str]:
+def _legend() -> list[str]:
     lines = [f"PAR({UNFOLDING}): the unfolding s, a fictitious damping that is 0 on orbits; PAR({PERIOD}): period"]
     return [*lines, f"PAR({ENERGY}): energy (output); physical parameters from PAR({FIRST}) on"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbitfinder.exports.source import Source
-from orbitfinder.exports.straightline import JULIA, c_number, straight_line
+from orbitfinder.exports.straightline import JULIA, c_number, c_numbers, straight_line
 
 UNFOLDING = "unfolding"
 SAMPLES = 201
@@ -34,7 +34,7 @@ module {module}
 
 const par = ({parameters},)
 const period = {period}
-const u0 = {u0}
+const u0 = [{u0}]
 
 function rhs!(du, u, par, t = 0.0)
     s = ({unfoldings})
@@ -44,7 +44,7 @@ function rhs!(du, u, par, t = 0.0)
     return du
 end
 
-const times = {times}
+const times = [{times}]
 const orbit = [
 {columns}
 ]'
@@ -75,11 +75,11 @@ def julia_file(source: Source) -> str:
         high=c_number(start + 1.0),
         parameters=", ".join(f"{k} = {c_number(v)}" for k, v in zip([*names, *unfoldings], values, strict=True)),
         period=c_number(source.orbit.period),
-        u0=_vector(source.orbit.state),
+        u0=c_numbers(source.orbit.state),
         unfoldings="".join(f"par.{name}, " for name in unfoldings),
         work=work,
         body="\n".join(f"    {line}" for line in lines),
-        times=_vector(source.times[places]),
+        times=c_numbers(source.times[places]),
         columns="\n".join("    " + " ".join(map(c_number, row)) for row in source.samples[places]),
     )
 
@@ -87,7 +87,3 @@ def julia_file(source: Source) -> str:
 def _module(source: Source) -> str:
     word = source.identifier
     return f"{word[0].upper()}{word[1:]}"
-
-
-def _vector(values: np.ndarray) -> str:
-    return "[" + ", ".join(map(c_number, values)) + "]"

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, vector_field
@@ -67,8 +68,6 @@ def source_of(orbit: Orbit, model: Model | None = None) -> Source:
 
 def dense_states(source: Source, rows: int) -> tuple[np.ndarray, np.ndarray]:
     """Equal times (rows) over the period and the states there (rows x 2n), by cubic Hermite interpolation."""
-    from scipy.interpolate import CubicHermiteSpline
-
     p, samples = source.model.parameter_values, source.samples
     none = np.zeros(len(source.model.invariants))
     slopes = [source.rate(t, x, none, p).full().ravel() for t, x in zip(source.times, samples, strict=True)]

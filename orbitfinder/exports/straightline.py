@@ -7,7 +7,7 @@ is simplified or reordered, so that the exported right-hand side agrees with our
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -29,11 +29,12 @@ class Language:
     end: str = ""
 
 
-INFIX = {
+COMMON = {
     "ADD": "{0} + {1}", "SUB": "{0} - {1}", "MUL": "{0} * {1}", "DIV": "{0} / {1}", "NEG": "-{0}",
     "SIN": "sin({0})", "COS": "cos({0})", "TAN": "tan({0})", "ASIN": "asin({0})", "ACOS": "acos({0})",
     "ATAN": "atan({0})", "SINH": "sinh({0})", "COSH": "cosh({0})", "TANH": "tanh({0})", "EXP": "exp({0})",
     "LOG": "log({0})", "SQRT": "sqrt({0})", "SQ": "{0} * {0}", "TWICE": "2.0 * {0}", "ASSIGN": "{0}",
+    "ASINH": "asinh({0})", "ACOSH": "acosh({0})", "ATANH": "atanh({0})", "HYPOT": "hypot({0}, {1})",
 }  # fmt: skip
 """Operations that C, Julia and (with its own numbers) Fortran write alike."""
 
@@ -41,6 +42,11 @@ INFIX = {
 def c_number(value: float) -> str:
     """A double that C, Julia and Python read back exactly."""
     return repr(float(value))
+
+
+def c_numbers(values: Iterable[float]) -> str:
+    """Doubles for a list in C or Julia, without its brackets."""
+    return ", ".join(map(c_number, values))
 
 
 def fortran_number(value: float) -> str:
@@ -52,12 +58,11 @@ def fortran_number(value: float) -> str:
 C = Language(
     c_number,
     lambda name, k: f"{name}[{k}]",
-    INFIX | {
+    COMMON | {
         "INV": "1.0 / {0}", "POW": "pow({0}, {1})", "CONSTPOW": "pow({0}, {1})", "ATAN2": "atan2({0}, {1})",
         "FABS": "fabs({0})", "FMIN": "fmin({0}, {1})", "FMAX": "fmax({0}, {1})", "FLOOR": "floor({0})",
         "CEIL": "ceil({0})", "ERF": "erf({0})", "LT": "({0} < {1})", "LE": "({0} <= {1})", "EQ": "({0} == {1})",
         "IF_ELSE_ZERO": "({0} != 0.0 ? {1} : 0.0)", "SIGN": "(({0} > 0.0) - ({0} < 0.0))",
-        "ASINH": "asinh({0})", "ACOSH": "acosh({0})", "ATANH": "atanh({0})", "HYPOT": "hypot({0}, {1})",
         "FMOD": "fmod({0}, {1})", "LOG1P": "log1p({0})", "EXPM1": "expm1({0})",
     },
     ";",
@@ -65,31 +70,19 @@ C = Language(
 JULIA = Language(
     c_number,
     lambda name, k: f"{name}[{k + 1}]",
-    INFIX | {
+    COMMON | {
         "INV": "1.0 / {0}", "POW": "{0} ^ {1}", "CONSTPOW": "{0} ^ {1}", "ATAN2": "atan({0}, {1})",
         "FABS": "abs({0})", "FMIN": "min({0}, {1})", "FMAX": "max({0}, {1})", "FLOOR": "floor({0})",
-        "CEIL": "ceil({0})", "SIGN": "sign({0})", "ASINH": "asinh({0})", "ACOSH": "acosh({0})",
-        "ATANH": "atanh({0})", "HYPOT": "hypot({0}, {1})", "LOG1P": "log1p({0})", "EXPM1": "expm1({0})",
+        "CEIL": "ceil({0})", "SIGN": "sign({0})", "LOG1P": "log1p({0})", "EXPM1": "expm1({0})",
         "FMOD": "rem({0}, {1})",
-    },
-)  # fmt: skip
-PYTHON = Language(
-    c_number,
-    lambda name, k: f"{name}[{k}]",
-    INFIX | {
-        "INV": "1.0 / {0}", "POW": "{0} ** {1}", "CONSTPOW": "{0} ** {1}", "ATAN2": "atan2({0}, {1})",
-        "FABS": "fabs({0})", "FMIN": "min({0}, {1})", "FMAX": "max({0}, {1})", "FLOOR": "floor({0})",
-        "CEIL": "ceil({0})", "ASINH": "asinh({0})", "ACOSH": "acosh({0})", "ATANH": "atanh({0})",
-        "HYPOT": "hypot({0}, {1})", "LOG1P": "log1p({0})", "EXPM1": "expm1({0})", "FMOD": "fmod({0}, {1})",
     },
 )  # fmt: skip
 FORTRAN = Language(
     fortran_number,
     lambda name, k: f"{name}({k + 1})",
-    INFIX | {
+    COMMON | {
         "TWICE": "2.0d0 * {0}", "INV": "1.0d0 / {0}", "POW": "{0} ** {1}", "CONSTPOW": "{0} ** {1}",
         "ATAN2": "atan2({0}, {1})", "FABS": "abs({0})", "FMIN": "min({0}, {1})", "FMAX": "max({0}, {1})",
-        "ASINH": "asinh({0})", "ACOSH": "acosh({0})", "ATANH": "atanh({0})", "HYPOT": "hypot({0}, {1})",
         "FMOD": "mod({0}, {1})",
     },
 )  # fmt: skip

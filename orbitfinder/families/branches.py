@@ -30,7 +30,7 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, scaled
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
-from orbitfinder.loops.symmetry import NONE, Symmetry, named
+from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, named
 from orbitfinder.records.family import Event
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
@@ -228,8 +228,9 @@ def _same(one: Start, other: Start, crossing: Crossing, event: Event) -> bool:
     scale = np.sqrt(crossing.curve.weights[: crossing.curve.equations.size])
     mine, theirs = (full_samples(start.curve, start.found)[1] * scale for start in (one, other))
     old = full_samples(crossing.curve, at_place(crossing.curve, crossing.place))[1] * scale
-    signs, size = np.repeat([1.0, -1.0], scale.size // 2), _apart(mine, old)
-    images = [theirs, -theirs, theirs * signs, -theirs * signs]
+    n, size = scale.size // 2, _apart(mine, old)
+    maps = [*USUAL, *declared(crossing.curve.equations.model)]
+    images = [theirs, *(theirs @ each.matrix(n).T for each in maps)]
     feet = [_foot(image, old) for image in images]  # told apart at the same distance from the old orbit
     images = [foot + size / _apart(image, old) * (image - foot) for image, foot in zip(images, feet, strict=True)]
     return min(_apart(mine, image) for image in images) < ALIKE * size

@@ -159,11 +159,6 @@ def matching(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None =
     return np.asarray(linear_sum_assignment(gaps + CONVEX * gaps**2)[1])
 
 
-def matched(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
-    """`found` in the order of `previous`; see `matching`."""
-    return np.asarray(found[matching(previous, found, slope)])
-
-
 def _squeezed(indices: np.ndarray) -> np.ndarray:
     """Large indices on a logarithmic scale, so that none of them dominates the matching."""
     size = np.abs(indices)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.scale import length
@@ -97,8 +97,6 @@ def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[st
 
     Momenta are never held: an orbit closes for one value of each, at which nothing drifts.
     """
-    from orbitfinder._runtime.suggest import closest
-
     name = settings.parameter
     if name in ("energy", "period", *model.state_names):
         if not model.conservative:

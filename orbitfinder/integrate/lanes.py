@@ -14,7 +14,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime.threads import PROCESSORS
+from orbitfinder._runtime import PROCESSORS
 from orbitfinder.integrate.buffered import Buffered
 
 LANES = max(1, min(4, int(os.environ.get(PROCESSORS, os.cpu_count() or 1))))

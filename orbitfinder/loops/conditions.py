@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.model import Model, constraint_of
 
@@ -82,8 +82,6 @@ def check_pin(model: Model, one: Pin) -> None:
     """`InputError` when a pin names nothing of this model or an energy that it cannot have."""
     known = ["energy", "period", *(i.name for i in model.invariants), *model.state_names]
     if one.name not in known:
-        from orbitfinder._runtime.suggest import closest
-
         names = ", ".join(dict.fromkeys(known))
         raise InputError(f"pin: unknown quantity {one.name!r}{closest(one.name, known)}; use one of {names}")
     floor = lowest_energy(model)

@@ -14,8 +14,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
-from orbitfinder._runtime.suggest import closest
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.conditions import quantity
 from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.model import Model

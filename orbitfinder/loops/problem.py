@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.arguments import check, check_fields
-from orbitfinder._runtime.suggest import closest
-from orbitfinder.errors import CountError, InputError
+from orbitfinder.errors import CountError, InputError, closest
 from orbitfinder.integrate.idas import check_consistent
 from orbitfinder.loops.conditions import Pin, check_pin
 from orbitfinder.loops.freedom import Constraint, Expression, check_bounds, check_constraint

@@ -15,6 +15,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,10 @@ MIRROR = 1e-5
 """Largest harmonic of the motion that breaks the mirror about a turning instant, relative to the largest rate."""
 BROKEN = 1e-8
 """Relative difference of accelerations there and in the image, above which the equations lack a symmetry."""
+MIRRORED = 1e-9
+"""Relative difference below which they have one that nobody declares"""
+MOST_COORDINATES = 8
+"""Mirrors that nobody declares are looked for among this many"""
 Affine = tuple[np.ndarray, np.ndarray]
 """(S, d) of x -> S x + d"""
 
@@ -62,7 +67,7 @@ class Involution:
         signs = tuple(int(one) for one in np.ravel(pair[0] * pair[1]))
         made: int | tuple[int, ...] = signs[0] if len(set(signs)) == 1 else signs
         sense = self.sense * other.sense
-        alike = (one for one in (BRAKE_MAP, REFLECTION_MAP, REVERSAL_MAP) if (one.sense, one.signs) == (sense, made))
+        alike = (one for one in USUAL if (one.sense, one.signs) == (sense, made))
         return next(alike, Involution(f"{other.name} with {self.name}", sense, made))
 
     def in_words(self, names: tuple[str, ...]) -> str:
@@ -72,12 +77,13 @@ class Involution:
         uniform = self.signs if isinstance(self.signs, int) and not self.order else 0
         if (self.sense, uniform) in known:
             return known[self.sense, uniform]
-        images = (
-            f"{name} -> {'-' if row.min() < 0 else ''}{names[int(np.abs(row).argmax())]}"
-            for name, row in zip(names, self.places(len(names)), strict=True)
-        )
-        moved = ", ".join(one for one in images if one.split(" -> ")[0] != one.split(" -> ")[1])
-        return moved + (f", {film}" if self.sense < 0 else "")
+        return self.moves(names) + (f", {film}" if self.sense < 0 else "")
+
+    def moves(self, names: tuple[str, ...]) -> str:
+        """Where the coordinates go that do not stay."""
+        rows = self.places(len(names))
+        images = [("-" if row.min() < 0 else "") + names[int(np.abs(row).argmax())] for row in rows]
+        return ", ".join(f"{name} -> {image}" for name, image in zip(names, images, strict=True) if image != name)
 
 
 @dataclass(frozen=True)
@@ -201,15 +207,16 @@ class Symmetry:
         n = constant.size // 2
         if not self.reverses:
             return (np.eye(2 * n) if self.forward is None else self.forward.matrix(n)), constant
-        first, last = (one.matrix(n) for one in self.mirrors)
-        about = self._displacements(constant)
-        return last @ first, last @ about[0] + about[1]
+        (first, begin), (last, end) = self.about(constant)
+        return last @ first, last @ begin + end
 
-    def _displacements(self, constant: np.ndarray) -> Affine:
-        """d of S x + d about the start and about the end of the part, of a symmetry that reverses."""
+    def about(self, constant: np.ndarray) -> tuple[Affine, Affine]:
+        """(S, d) of the maps about the start and about the end of the part, of a symmetry that reverses."""
         n = constant.size // 2
-        first, last = (_fixed(one, n).lift for one in self.mirrors)
-        return first @ constant[:n], last @ constant[n:]
+        first, last = self.mirrors
+        return (first.matrix(n), _fixed(first, n).lift @ constant[:n]), (
+            last.matrix(n), _fixed(last, n).lift @ constant[n:],
+        )  # fmt: skip
 
     def turns(self, constant: np.ndarray) -> np.ndarray:
         """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
@@ -241,9 +248,8 @@ class Symmetry:
         Without the rows' constants the states' own are taken.
         """
         constant = self.implied(states[0], states[-1]) if constant is None else constant
-        n = states.shape[1] // 2
         if self.reverses:
-            last, (_, moved) = self.mirrors[1].matrix(n), self._displacements(constant)
+            _, (last, moved) = self.about(constant)
             times = np.concatenate([times, 2 * times[-1] - times[-2::-1]])
             states = np.vstack([states, states[-2::-1] @ last.T + moved])
         if self.forward is not None:
@@ -362,6 +368,7 @@ def _rows(symmetry: Symmetry, n: int) -> tuple[np.ndarray, np.ndarray]:
 BRAKE_MAP = Involution("brake", -1, 1)
 REFLECTION_MAP = Involution("reflection", 1, -1)
 REVERSAL_MAP = Involution("reversal", -1, -1)
+USUAL = (BRAKE_MAP, REFLECTION_MAP, REVERSAL_MAP)
 NONE = Symmetry()
 REFLECTION = Symmetry((REFLECTION_MAP,))
 """x(t + T/2) = -x(t)"""
@@ -414,19 +421,42 @@ def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
 def _broken(model: Model, state: np.ndarray, one: Involution, shift: float) -> bool:
     random = np.random.default_rng(0)
     q, v = np.split(np.asarray(state, float), 2)
-    places = one.places(q.size)
     for _ in range(4):
         place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(), v.size)
         if model.constraint is not None:  # off the constraints the stabilisation is damped
             basis = allowed_velocities(model, q)
             place, rate = q, basis @ (basis.T @ rate)
         t = float(random.uniform(0, 1 + 2 * shift))
-        here = places @ model.acceleration(t, place, rate, model.parameter_values).full().ravel()
-        image = (one.sense * t + shift, places @ place, one.sense * (places @ rate))
-        there = model.acceleration(*image, model.parameter_values).full().ravel()
-        if np.all(np.isfinite(here - there)) and np.abs(there - here).max() > BROKEN * max(1.0, np.abs(here).max()):
+        apart, size = _apart(model, one, (t, place, rate), shift)
+        if np.isfinite(apart) and apart > BROKEN * max(1.0, size):
             return True
     return False
+
+
+def _apart(
+    model: Model, one: Involution, at: tuple[float, np.ndarray, np.ndarray], shift: float
+) -> tuple[float, float]:
+    """Largest difference of the accelerations at the image of (t, q, v) from the image of theirs, and their size."""
+    t, q, v = at
+    places = one.places(q.size)
+    here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
+    image = (one.sense * t + shift, places @ q, one.sense * (places @ v))
+    there = model.acceleration(*image, model.parameter_values).full().ravel()
+    return float(np.abs(there - here).max()), float(np.abs(here).max())
+
+
+def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
+    """What runs time backwards with signs that differ, of the usual ones none, tried at a few states."""
+    n, random = model.degrees_of_freedom, np.random.default_rng(0)
+    if n > MOST_COORDINATES:
+        return ()
+    states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
+    candidates = (Involution("mirror", -1, signs) for signs in product((1, -1), repeat=n) if len(set(signs)) > 1)
+
+    def kept(one: Involution) -> bool:
+        return all(apart <= MIRRORED * size for apart, size in (_apart(model, one, (0.0, *x), 0.0) for x in states))
+
+    return tuple(filter(kept, candidates))
 
 
 # ---- recognition -------------------------------------------------------------------------------------------

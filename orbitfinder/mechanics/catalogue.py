@@ -13,8 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime.suggest import closest
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.library import FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder._runtime.threads import one_thread
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, vector_field
+from orbitfinder.integrate.threads import one_thread
 from orbitfinder.loops.symmetry import recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model

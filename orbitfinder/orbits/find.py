@@ -12,11 +12,11 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.limit import limited
-from orbitfinder._runtime.threads import one_thread
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.guesses.balanced import balanced_guess
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
 from orbitfinder.integrate.idas import build_dae_flow
+from orbitfinder.integrate.threads import one_thread
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Callback as Callback
 from orbitfinder.loops.ipopt import Progress as Progress
@@ -292,7 +292,7 @@ def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[
 
     import scipy
 
-    from orbitfinder._runtime.version import __version__
+    from orbitfinder._runtime import __version__
 
     return {
         "orbitfinder": __version__,

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from orbitfinder._runtime.suggest import closest
+from orbitfinder.errors import closest
 from orbitfinder.problemfile.schema import SYSTEMS, ProblemTable
 
 PYDANTIC = re.compile(r"(constrained-|function-|list\[).*|float|int|bool|str")

@@ -102,7 +102,8 @@ def read_toml(source: Path) -> dict[str, Any]:
 def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
     """The checked tables of a document; `InputError` is about the first thing that is wrong."""
     try:
-        return ProblemTable.model_validate(document)
+        declares = isinstance(system := document.get("system"), Mapping) and system.get("kind") == "python"
+        return ProblemTable.model_validate(document, context={"declares": declares})
     except ValidationError as error:
         faults = error.errors(include_url=False)
         first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")

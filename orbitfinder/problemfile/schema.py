@@ -10,13 +10,16 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
+from orbitfinder.errors import closest
 from orbitfinder.problemfile.systems import SYSTEMS as SYSTEMS
 from orbitfinder.problemfile.systems import Energies, Line, Positive, Table
 
 MOST_SEGMENTS = 1000
+USUAL_SYMMETRIES = ("none", "brake", "reflection", "reversal", "brake+reflection")
+"""Those that need no declaration by the system"""
 
 
 def check_name(name: str) -> str:
@@ -28,14 +31,20 @@ def check_name(name: str) -> str:
     return name
 
 
+def _known_symmetry(name: str, info: ValidationInfo) -> str:
+    """A usual symmetry; of a system made by Python, whose Model may declare others, any: the Problem will tell."""
+    if name not in USUAL_SYMMETRIES and not (info.context or {}).get("declares"):
+        known = ", ".join(f"'{one}'" for one in USUAL_SYMMETRIES[:-1])
+        raise PydanticCustomError("literal_error", f"Input should be {known} or '{USUAL_SYMMETRIES[-1]}'")  # type: ignore[misc]
+    return name
+
+
 Name = Annotated[str, AfterValidator(check_name)]
 Mode = Annotated[int, Field(ge=1)] | Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=1, max_length=20)]
 Amplitude = Positive | Annotated[list[float], Field(min_length=1, max_length=20)]
 
 
 def _system_of_its_kind(value: Any) -> Any:
-    from orbitfinder._runtime.suggest import closest
-
     if not isinstance(value, Mapping):
         raise PydanticCustomError("table", "must be a table")
     kind, known = value.get("kind"), ", ".join(map(repr, SYSTEMS))
@@ -117,10 +126,10 @@ class FindTable(Table):
         "joint), period in s, or a state component at t = 0 such as theta1; "
         "when left out, the orbit nearest to the guess",
     )
-    symmetry: Literal["none", "brake", "reflection", "reversal", "brake+reflection"] = Field(
+    symmetry: Annotated[str, AfterValidator(_known_symmetry)] = Field(
         "none",
         description="symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits "
-        "included) or brake+reflection",
+        "included), brake+reflection, or one that a Python system declares (mirror of restricted_three_body)",
     )
     winding: list[int] | None = Field(
         None, description="whole turns of each coordinate in one period, one whole number per coordinate"

@@ -10,8 +10,9 @@ from scipy.optimize import minimize_scalar
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import SECOND, integrate, vector_field
+from orbitfinder.loops.symmetry import Symmetry, off_centre
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.formulation import PARTS, Formulation
+from orbitfinder.proof.formulation import Formulation
 from orbitfinder.records.orbit import Orbit
 
 SCAN = 2000
@@ -32,10 +33,8 @@ class Approach:
     """the field (2n) at the first node"""
 
 
-def approach(model: Model, orbit: Orbit, symmetry: str, segments: int | None) -> Approach:
+def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | None) -> Approach:
     """Nodes of the orbit in a formulation, by DOP853 from the recorded state."""
-    if symmetry not in PARTS:
-        raise InputError(f"symmetry: unknown {symmetry!r}; use one of {', '.join(PARTS)}")
     n, period = model.degrees_of_freedom, orbit.period
     if orbit.state.size != 2 * n or len(orbit.winding) != n:
         raise InputError(f"state: {orbit.state.size} numbers for {n} coordinates; run the problem again")
@@ -44,12 +43,13 @@ def approach(model: Model, orbit: Orbit, symmetry: str, segments: int | None) ->
     field = vector_field(_field(model))
     times = np.linspace(0.0, period, SCAN + 1)
     states = integrate(field, orbit.state, times, SECOND)
-    begin = symmetric_instant(field, times, states, symmetry, np.asarray(model.angles))
-    parts, count = PARTS[symmetry], segments or default_segments(orbit, symmetry)
+    angles = np.asarray(model.angles)
+    begin = symmetric_instant(field, times, states, symmetry, angles)
+    parts, count = symmetry.parts, segments or default_segments(orbit, symmetry)
     grid = begin + np.linspace(0.0, period / parts, count + 1)
     path = integrate(field, orbit.state, np.concatenate([[0.0], grid]) if begin > 0 else grid, SECOND)[-count - 1 :]
-    start, target = _multiples(path, symmetry, np.asarray(model.angles), orbit.winding)
-    form = Formulation(symmetry, n, count, start, target, tuple(int(k) for k in orbit.winding))
+    constants = symmetry.constants(angles, path[0], path[-1], orbit.winding) / np.pi
+    form = Formulation(symmetry, n, count, tuple(map(round, constants)), tuple(int(k) for k in orbit.winding))
     return Approach(form, path[:-1], period / parts / count, (-begin / period) % 1.0, field(0.0, path[0]))
 
 
@@ -60,23 +60,21 @@ def _field(model: Model) -> ca.Function:
     return ca.Function("plain", [t, x], [ca.vertcat(x[n:], acceleration)])
 
 
-def default_segments(orbit: Orbit, symmetry: str) -> int:
+def default_segments(orbit: Orbit, symmetry: Symmetry) -> int:
     """At least two, and so many that none stretches by much more than 30 times."""
     largest = float(np.abs(orbit.floquet_multipliers).max(initial=1.0))
-    return 2 + int(np.log(max(largest, 1.0)) / np.log(30.0) / PARTS[symmetry])
+    return 2 + int(np.log(max(largest, 1.0)) / np.log(30.0) / symmetry.parts)
 
 
-def symmetric_instant(field: object, times: np.ndarray, states: np.ndarray, symmetry: str, angles: np.ndarray) -> float:
-    """The time (s) of a rest (brake), or of q = k pi (reversal); 0 where any instant will do."""
-    if symmetry in ("none", "reflection"):
+def symmetric_instant(
+    field: object, times: np.ndarray, states: np.ndarray, symmetry: Symmetry, angles: np.ndarray
+) -> float:
+    """The time (s) at which the horizon may start, a rest (brake) for example; 0 where any instant will do."""
+    if not symmetry.reverses:
         return 0.0
-    n = angles.size
 
     def distance(x: np.ndarray) -> float:
-        if symmetry == "reversal":
-            folded = np.where(angles, (x[:n] + np.pi / 2) % np.pi - np.pi / 2, x[:n])
-            return float(np.sum(folded**2))
-        return float(np.sum(x[n:] ** 2))
+        return float(np.sum(off_centre(symmetry.maps[0], x[None], angles) ** 2))
 
     best = int(np.argmin([distance(x) for x in states[:-1]]))
     first = max(best - 1, 0)
@@ -93,25 +91,3 @@ def symmetric_instant(field: object, times: np.ndarray, states: np.ndarray, symm
     except IntegrationError:
         return float(times[best])
     return float(found.x) if found.fun < distance(states[best]) else float(times[best])
-
-
-def _multiples(
-    path: np.ndarray, symmetry: str, angles: np.ndarray, winding: tuple[int, ...]
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Multiples of pi held at the start, and those in the conditions at the end."""
-    n = angles.size
-    zero = (0,) * n
-
-    def nearest(x: np.ndarray) -> tuple[int, ...]:
-        return tuple(round(a / np.pi) if angle else 0 for a, angle in zip(x[:n], angles, strict=True))
-
-    if symmetry == "none":
-        return zero, tuple(2 * int(k) for k in winding)
-    if symmetry == "reflection":
-        return zero, tuple(2 * round(k / 2) for k in nearest(path[-1] + path[0]))
-    if symmetry == "brake":
-        return zero, zero
-    if symmetry == "reversal":
-        start = nearest(path[0])
-        return start, tuple(k + int(w) for k, w in zip(start, winding, strict=True))
-    return zero, nearest(path[-1])

@@ -17,13 +17,14 @@ from orbitfinder.errors import InputError
 
 try:
     import flint
-    from flint import arb, arb_mat, arb_series, fmpq  # noqa: F401 - series take theirs from here
 except ImportError as error:  # pragma: no cover - depends on what is installed
     raise InputError(
         "proofs need python-flint (ball arithmetic), which is not installed; "
         "install orbitfinder with its extra 'proof': pip install 'orbitfinder[proof]'"
     ) from error
 
+arb, arb_mat, arb_series, fmpq = flint.arb, flint.arb_mat, flint.arb_series, flint.fmpq
+FLINT = flint.__version__
 Vector = list[Any]
 """ball numbers, one per component"""
 
@@ -37,6 +38,17 @@ def precision(bits: int) -> Iterator[None]:
         yield
     finally:
         flint.ctx.prec = before
+
+
+@contextlib.contextmanager
+def truncated(terms: int) -> Iterator[None]:
+    """The length beyond which Arb cuts power series off, restored afterwards."""
+    before = flint.ctx.cap
+    flint.ctx.cap = terms
+    try:
+        yield
+    finally:
+        flint.ctx.cap = before
 
 
 def decimal(number: float) -> Any:
@@ -102,6 +114,12 @@ def exact(matrix: np.ndarray) -> Any:
 def floats(matrix: Any) -> np.ndarray:
     """Centres of a matrix of balls, rounded to floats."""
     return np.array([float(x.mid()) for x in matrix.entries()]).reshape(matrix.nrows(), matrix.ncols())
+
+
+def block(matrix: Any, rows: int, first: int, last: int) -> Any:
+    """The first `rows` rows and columns first..last of a matrix."""
+    width, values = matrix.ncols(), matrix.entries()
+    return arb_mat(rows, last - first, [x for i in range(rows) for x in values[i * width + first : i * width + last]])
 
 
 def identity(size: int) -> Any:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.proof.balls import Vector, arb, arb_mat, inside, magnitude, radius, up_to
+from orbitfinder.proof.balls import Vector, arb, arb_mat, block, inside, magnitude, radius, up_to
 from orbitfinder.proof.field import Field, Solution, slope_series
 from orbitfinder.proof.series import outputs
 from orbitfinder.proof.taylormodel import remainders, tails
@@ -139,7 +139,7 @@ def transition_over(field: Field, step: Step, plain: Solution, settings: Setting
     slopes = [*slope_series(n, found.results()[1], order),
               slope_series(n, {k: [x] for k, x in values[1].items()}, 1)[0]]  # fmt: skip
     forcing = own[n:] + [values[0].get(i, arb(0)) for i in range(n)]
-    blocks = [top(one, 2 * n + 1) for one in series]
+    blocks = [block(one, 2 * n + 1, 0, 2 * n + 2) for one in series]
     trial = arb_mat(2 * n + 1, 2 * n + 2)
     for _ in range(GUESSES + 3):
         image = _transition_image(field, found, blocks, slopes, forcing, trial, span, order)
@@ -152,11 +152,6 @@ def transition_over(field: Field, step: Step, plain: Solution, settings: Setting
     raise IntegrationError(
         "the derivatives over a step could not be enclosed; raise the order", time=step.begin * float(found.tau.mid())
     )
-
-
-def top(matrix: Any, rows: int) -> Any:
-    """The first rows of a matrix."""
-    return arb_mat(rows, matrix.ncols(), matrix.entries()[: rows * matrix.ncols()])
 
 
 def _transition_image(

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal
+from orbitfinder.proof.balls import Vector, arb, arb_mat, decimal, exact, identity
 from orbitfinder.proof.program import Program, program
 from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, recurrence, whole_series
 
@@ -195,8 +196,7 @@ def transition_series(n: int, z: Sequence[Any], states: list[Vector], results: l
     """
     size, order, tau = 2 * n + 2, len(states[0]) - 1, z[2 * n + 1]
     slopes = slope_series(n, results[1], order)
-    blocks = [arb_mat(2 * n + 1, size, [arb(int(i == j)) for i in range(2 * n + 1) for j in range(size)])]
-    series = [arb_mat(size, size, [arb(int(i == j)) for i in range(size) for j in range(size)])]
+    blocks, series = [exact(np.eye(2 * n + 1, size))], [identity(size)]
     for k in range(order):
         lower = sum((slopes[j] * blocks[k - j] for j in range(1, k + 1)), slopes[0] * blocks[k])
         rows = _next_rows(n, k, tau, lower, blocks[k], [one[k + 1] for one in states])

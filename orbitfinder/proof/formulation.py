@@ -15,76 +15,73 @@ segments' duration tau = T / (parts N). Equations: N - 1 times continuity (2n), 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.proof.balls import Vector, arb
-
-PARTS = {"none": 1, "reflection": 2, "brake": 2, "reversal": 2, "brake+reflection": 4}
 
 
 @dataclass(frozen=True)
 class Formulation:
     """A symmetry's boundary conditions for n coordinates in N segments.
 
-    `start` (n integers) are the multiples of pi at which q is held at the first node (reversal);
-    `target` (n integers) the multiples of pi in the conditions at the end; `turns` (n integers) the
+    `constants` (2n integers) are those of the symmetry's boundary rows in multiples of pi; `turns` (n integers) the
     whole turns of a period.
     """
 
-    symmetry: str
+    symmetry: Symmetry
     size: int
     segments: int
-    start: tuple[int, ...]
-    target: tuple[int, ...]
+    constants: tuple[int, ...]
     turns: tuple[int, ...]
 
     @property
     def parts(self) -> int:
         """The period in multiples of the horizon."""
-        return PARTS[self.symmetry]
+        return self.symmetry.parts
 
     @property
     def unfolded(self) -> bool:
         """True when the equations need the unfolding parameter to be square."""
-        return self.symmetry in ("none", "reflection")
+        return not self.symmetry.reverses
 
     @property
-    def free(self) -> range:
+    def free(self) -> tuple[int, ...]:
         """Components of the first node that are unknowns."""
-        n = self.size
-        if self.unfolded:
-            return range(2 * n)
-        return range(n, 2 * n) if self.symmetry == "reversal" else range(n)
+        return tuple(int(i) for i in np.flatnonzero(~self.symmetry.held(self.size)))
 
     @property
-    def ends(self) -> range:
+    def ends(self) -> tuple[int, ...]:
         """Components of the last state that conditions are put on."""
-        n = self.size
-        if self.unfolded:
-            return range(2 * n)
-        return range(n, 2 * n) if self.symmetry == "brake" else range(n)
+        return tuple(int(i) for i in np.nonzero(self.symmetry.rows(self.size)[1])[1])
 
     @property
-    def mirror(self) -> int:
-        """Sign with which the first node enters the conditions at the end."""
-        return {"none": -1, "reflection": 1}.get(self.symmetry, 0)
+    def mirror(self) -> tuple[int, ...]:
+        """Signs (2n) with which the first node's components enter the conditions at the end."""
+        if self.symmetry.reverses:
+            return (0,) * (2 * self.size)
+        return tuple(int(one) for one in np.diag(self.symmetry.rows(self.size)[0]))
 
     @property
     def unknowns(self) -> int:
         """Number of unknowns, and of equations."""
         return len(self.free) + 2 * self.size * (self.segments - 1) + 1 + int(self.unfolded)
 
-    def constant(self, component: int) -> Any:
-        """Multiple of pi in the condition on a component of the last state, as a ball."""
-        return arb.pi() * self.target[component] if component < self.size else arb(0)
+    @property
+    def targets(self) -> list[Any]:
+        """What the components `ends` of the last state are to be, as balls."""
+        return [arb.pi() * k for k in self.constants[-len(self.ends) :]]
 
     def nodes(self, unknowns: Vector) -> list[Vector]:
         """The extended states z (2n + 2) at the nodes from the unknowns."""
         n, count = self.size, len(self.free)
         tail = [unknowns[-2] if self.unfolded else arb(0), unknowns[-1]]
-        first = [arb.pi() * k for k in self.start] + [arb(0)] * n
+        first = [arb(0)] * (2 * n)
+        for component, k in zip(np.flatnonzero(self.symmetry.held(n)), self.constants, strict=False):
+            first[component] = arb.pi() * k
         for place, value in zip(self.free, unknowns[:count], strict=True):
             first[place] = value
         rest = [unknowns[count + 2 * n * k : count + 2 * n * (k + 1)] for k in range(self.segments - 1)]
@@ -99,34 +96,19 @@ class Formulation:
 def image(formulation: Formulation, fraction: Any) -> tuple[Any, Any]:
     """The time in the horizon (0..1) at which the state at a fraction (0..1, exact) of the period is found.
 
-    Returns that time and a function from the state there to the state wanted, by the symmetries
-    x(-t) = (q, -v) (brake), (2 q_0 - q, v) (reversal), x(t + T/2) = shift - x(t) (reflection).
+    Returns that time and a function from the state there to the state wanted, by the symmetry's maps.
     """
-    n, symmetry, pi = formulation.size, formulation.symmetry, arb.pi()
-    target = formulation.target
+    symmetry, constants = formulation.symmetry, np.asarray(formulation.constants, float)
 
-    def mirrored(x: Vector, places: int, rates: int, shift: list[int]) -> Vector:
-        return [places * a + pi * k for a, k in zip(x[:n], shift, strict=True)] + [rates * a for a in x[n:]]
+    def mapped(inner: Any, matrix: np.ndarray, moved: np.ndarray) -> Any:
+        signs, multiples = ([round(one) for one in values] for values in (np.diag(matrix), moved))
+        return lambda x: [sign * a + arb.pi() * k for sign, a, k in zip(signs, inner(x), multiples, strict=True)]
 
-    if symmetry == "none":
-        return fraction, lambda x: x
-    if symmetry == "reflection":
-        if fraction < 0.5:
-            return 2 * fraction, lambda x: x
-        return 2 * fraction - 1, lambda x: mirrored(x, -1, -1, list(target))
-    if symmetry == "brake":
-        if fraction <= 0.5:
-            return 2 * fraction, lambda x: x
-        return 2 - 2 * fraction, lambda x: mirrored(x, 1, -1, [0] * n)
-    if symmetry == "reversal":
-        if fraction <= 0.5:
-            return 2 * fraction, lambda x: x
-        shift = [2 * k + 2 * w for k, w in zip(formulation.start, formulation.turns, strict=True)]
-        return 2 - 2 * fraction, lambda x: mirrored(x, -1, 1, shift)
-    centre = [2 * k for k in target]
-    if fraction > 0.5:
-        time, inner = image(formulation, 1 - fraction)
-        return time, lambda x: mirrored(inner(x), 1, -1, [0] * n)
-    if fraction <= 0.25:
-        return 4 * fraction, lambda x: x
-    return 2 - 4 * fraction, lambda x: mirrored(x, -1, 1, centre)
+    half = fraction - Fraction(1, 2)
+    if symmetry.forward is not None and half >= 0:
+        time, inner = image(formulation, half)
+        return time, mapped(inner, *symmetry.displaced(constants))
+    time = fraction * formulation.parts
+    if not symmetry.reverses or time <= 1:
+        return time, lambda x: x
+    return 2 - time, mapped(lambda x: x, *symmetry.about(constants)[1])

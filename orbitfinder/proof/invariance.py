@@ -8,23 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from orbitfinder.loops.symmetry import NONE, Symmetry
 from orbitfinder.proof.program import Program
 
 EVEN, ODD, NEITHER, BOTH = 1, -1, 0, 2
 """BOTH is the parity of zero"""
 
 
-def parities(code: Program, signs: dict[int, int]) -> list[set[int]]:
-    """Parities of each result's entries when every argument k is multiplied by signs[k] (1 or -1)."""
+def parities(code: Program, signs: dict[int, list[int]]) -> list[dict[int, int]]:
+    """Parities of each result's entries when entry i of every argument k is multiplied by signs[k][i] (1 or -1)."""
     value: list[int] = [EVEN] * code.size
-    for target, argument, _ in code.inputs:
-        value[target] = signs.get(argument, EVEN)
+    for target, argument, entry in code.inputs:
+        value[target] = signs[argument][entry] if argument in signs else EVEN
     for target, number in code.constants:
         value[target] = EVEN if number else BOTH
     numbers = dict(code.constants)
     for name, target, a, b in code.operations:
         value[target] = _parity(name, value[a], value[b] if b >= 0 else EVEN, numbers.get(b))
-    return [{value[place] for place in result.values()} for result in code.outputs]
+    return [{entry: value[place] for entry, place in result.items()} for result in code.outputs]
 
 
 def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
@@ -42,35 +45,29 @@ def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
     return EVEN if a in (EVEN, BOTH) else NEITHER
 
 
-def has_symmetry(rates: Program, energy: Program, symmetry: str) -> bool:
-    """True when the accelerations a(q, v, s) (and the energy) provably have a symmetry of orbits.
+def has_symmetry(rates: Program, energy: Program, symmetry: Symmetry, n: int) -> bool:
+    """True when the accelerations a(q, v, s) of n coordinates (and the energy) provably have a symmetry of orbits.
 
-    brake: a(q, -v, -s) = a(q, v, s); reversal: a(-q, v, -s) = -a(q, v, s); reflection:
-    a(-q, -v, s) = -a(q, v, s) and E(-q, -v) = E(q, v). Arguments are numbered q, v, s = 0, 1, 2.
+    a(P q, sense P v, sense s) = P a(q, v, s), and E(P q, P v) = E(q, v) of one that does not reverse time. Arguments
+    are numbered q, v, s = 0, 1, 2.
     """
-    wanted = {
-        "brake": ({1: -1, 2: -1}, EVEN),
-        "reversal": ({0: -1, 2: -1}, ODD),
-        "reflection": ({0: -1, 1: -1}, ODD),
-    }
-    for name, (signs, parity) in wanted.items():
-        if name in symmetry:
-            if not parities(rates, signs)[0] <= {parity, BOTH}:
-                return False
-            if name == "reflection" and not parities(energy, signs)[0] <= {EVEN, BOTH}:
-                return False
+    for one in symmetry.maps:
+        places = [round(sign) for sign in np.diag(one.places(n))]
+        signs = {0: places, 1: [one.sense * sign for sign in places], 2: [one.sense]}
+        if one.order or any(found not in (places[i], BOTH) for i, found in parities(rates, signs)[0].items()):
+            return False
+        if one.sense > 0 and any(found not in (EVEN, BOTH) for found in parities(energy, signs)[0].values()):
+            return False
     return True
 
 
-def usable_symmetry(rates: Program, energy: Program, symmetry: str) -> str:
-    """The recorded symmetry, or the part of it that the equations provably have; "none" when it is no part.
+def usable_symmetry(rates: Program, energy: Program, symmetry: Symmetry, n: int) -> Symmetry:
+    """The recorded symmetry, or the part of it that the equations provably have; none when it is no part.
 
     A motion can look symmetric where its equations are not (x -> -x together with another reflection).
     """
-    for name in (symmetry, *(symmetry.split("+") if "+" in symmetry else ())):
-        if has_symmetry(rates, energy, name):
-            return name
-    return "none"
+    candidates = (symmetry, *(Symmetry((one,)) for one in symmetry.maps))
+    return next((one for one in candidates if has_symmetry(rates, energy, one, n)), NONE)
 
 
 def turns_leave(code: Program, angles: Sequence[bool]) -> bool:

@@ -67,7 +67,8 @@ def residual(equations: Equations, unknowns: Vector, ends: Sequence[Vector]) -> 
     rows: Vector = []
     for end, following in zip(ends[:-1], nodes[1:], strict=True):
         rows += [a - b for a, b in zip(end, following, strict=False)]
-    rows += [ends[-1][i] + form.mirror * nodes[0][i] - form.constant(i) for i in form.ends]
+    mirror = form.mirror
+    rows += [ends[-1][i] + mirror[i] * nodes[0][i] - aim for i, aim in zip(form.ends, form.targets, strict=True)]
     if equations.section is not None:
         anchor, normal = equations.section
         rows.append(sum((w * (x - a) for w, x, a in zip(normal, nodes[0], anchor, strict=False)), arb(0)))
@@ -77,13 +78,14 @@ def residual(equations: Equations, unknowns: Vector, ends: Sequence[Vector]) -> 
 def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> Any:
     """DF over a box of unknowns from the segments' derivatives (2n x 2n+2 each)."""
     form = equations.formulation
-    n2, count, total = 2 * form.size, len(form.free), form.unknowns
+    n2, total, mirror = 2 * form.size, form.unknowns, form.mirror
+    free = {component: k for k, component in enumerate(form.free)}
     rows = [[arb(0)] * total for _ in range(total)]
 
     def place(k: int, component: int) -> int | None:
         if k:
-            return count + n2 * (k - 1) + component
-        return component - form.free.start if component in form.free else None
+            return len(free) + n2 * (k - 1) + component
+        return free.get(component)
 
     def put(row: int, k: int, component: int, value: Any) -> None:
         where = place(k, component)
@@ -101,7 +103,7 @@ def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> A
             if form.unfolded:
                 rows[row][-2] += line[-2]
             if last:
-                put(row, 0, i, arb(form.mirror))
+                put(row, 0, i, arb(mirror[i]))
             else:
                 put(row, k + 1, i, arb(-1))
     if equations.section is not None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import limit
-from orbitfinder.proof.balls import Vector, arb, arb_mat, column, exact, floats, identity, midpoints, radii
+from orbitfinder.proof.balls import Vector, arb, arb_mat, block, column, exact, floats, identity, midpoints, radii
 from orbitfinder.proof.enclosure import Settings, Step, find_step, transition_over, valued
 from orbitfinder.proof.field import Field
 
@@ -63,14 +63,13 @@ def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
     size = len(box) - 2
     about = list(point) if point is not None else midpoints(box)
     centre = midpoints(about)
-    unit = arb_mat(size, size + 2, [arb(int(i == j)) for i in range(size) for j in range(size + 2)])
     return Cloud(
         centre=centre,
         frame=identity(size),
         spread=column([x - c for x, c in zip(about[:size], centre[:size], strict=True)]),
-        middle=unit,
+        middle=exact(np.eye(size, size + 2)),
         turned=identity(size),
-        rest=arb_mat(size, size + 2, [arb(0)] * (size * (size + 2))),
+        rest=arb_mat(size, size + 2),
         start=column([x - c for x, c in zip(box, about, strict=True)]),
     )
 
@@ -111,12 +110,6 @@ def moved_derivatives(old: Cloud, flow: Any) -> Cloud:
     turned = orthogonal(stretched, radii(old.rest).max(axis=1))
     back = turned.inv()
     return replace(old, middle=middle, turned=turned, rest=(back * stretched) * old.rest + back * (image - middle))
-
-
-def block(matrix: Any, rows: int, first: int, last: int) -> Any:
-    """The first `rows` rows and columns first..last of a matrix."""
-    width, values = matrix.ncols(), matrix.entries()
-    return arb_mat(rows, last - first, [x for i in range(rows) for x in values[i * width + first : i * width + last]])
 
 
 def orthogonal(matrix: Any, weights: np.ndarray) -> Any:

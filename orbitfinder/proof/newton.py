@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.proof.balls import Vector, arb, arb_mat, exact, floats, magnitude, midpoints
+from orbitfinder.proof.balls import Vector, arb, arb_mat, block, exact, floats, magnitude, midpoints
 from orbitfinder.proof.enclosure import Settings, horner
 from orbitfinder.proof.krawczyk import Equations, approximate_inverse, jacobian, residual
 
@@ -42,7 +42,7 @@ def flow(equations: Equations, node: Vector, settings: Settings, vary: bool) -> 
         if vary:
             total = (horner(found.transitions(), arb(h)) * total).mid()
         begin += h
-    return here[:size], arb_mat(total.tolist()[:size])
+    return here[:size], block(total, size, 0, size + 2)
 
 
 def linearised(equations: Equations, unknowns: Vector, settings: Settings) -> tuple[Vector, np.ndarray]:

@@ -64,14 +64,14 @@ def program(function: ca.Function) -> Program:
             f"{function.name()}: only scalar graphs (SX) can be proved; systems solved numerically inside "
             "the graph (many coordinates, linkages) cannot"
         )
-    walk = _Walk()
+    graph = _Graph()
     for k in range(function.n_instructions()):
-        walk.instruction(function, k)
+        graph.instruction(function, k)
     outputs = tuple(
         {_entry(function, i, nonzero): value for nonzero, value in result.items()}
-        for i, result in ((i, walk.outputs.get(i, {})) for i in range(function.n_out()))
+        for i, result in ((i, graph.outputs.get(i, {})) for i in range(function.n_out()))
     )
-    return Program(walk.size, tuple(walk.constants), tuple(walk.inputs), tuple(walk.operations), outputs)
+    return Program(graph.size, tuple(graph.constants), tuple(graph.inputs), tuple(graph.operations), outputs)
 
 
 def _entry(function: ca.Function, output: int, nonzero: int) -> int:
@@ -80,7 +80,7 @@ def _entry(function: ca.Function, output: int, nonzero: int) -> int:
     return int(pattern.find()[nonzero])
 
 
-class _Walk:
+class _Graph:
     """The graph so far: CasADi reuses its work registers, a program numbers every value once."""
 
     def __init__(self) -> None:

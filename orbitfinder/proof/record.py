@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.balls import arb, flint, precision
+from orbitfinder.proof.balls import FLINT, arb, precision
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, prove
 from orbitfinder.records.orbit import Orbit, read_document
@@ -46,7 +46,7 @@ def entry(proof: Proof) -> dict[str, Any]:
             "bits": proof.settings.bits,
             "tolerance": proof.settings.tolerance,
             "wall_time": round(proof.wall_time, 1),
-            "versions": {"orbitfinder": __version__, "python-flint": flint.__version__},
+            "versions": {"orbitfinder": __version__, "python-flint": FLINT},
         }
         return document | (_proved(proof) if proof.proved else {})
 

@@ -14,10 +14,17 @@ from orbitfinder.proof.approach import approach
 from orbitfinder.proof.balls import Vector, arb, decimal, precision, radius
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.field import programs
-from orbitfinder.proof.invariance import usable_symmetry
 from orbitfinder.proof.krawczyk import krawczyk
 from orbitfinder.proof.newton import solve
-from orbitfinder.proof.theorem import NotProved, Progress, check_symmetries, make_equations, provable_model, unknowns_at
+from orbitfinder.proof.theorem import (
+    NotProved,
+    Progress,
+    check_symmetries,
+    chosen_symmetry,
+    make_equations,
+    provable_model,
+    unknowns_at,
+)
 from orbitfinder.records.orbit import Orbit
 
 MOST_DIGITS = 250
@@ -71,7 +78,7 @@ def refine(
     with precision(settings.bits):
         model = model or provable_model(orbit)
         codes = programs(model)
-        chosen = symmetry or usable_symmetry(codes.rates, codes.energy, orbit.symmetry)
+        chosen = chosen_symmetry(orbit, model, codes, symmetry)
         start = approach(model, orbit, chosen, None)
         equations = make_equations(model, codes, start, decimal(orbit.energy))
         rough = solve(equations, unknowns_at(start), Settings(), 1e-20)[0]
@@ -91,7 +98,7 @@ def refine(
         form = start.formulation
         node = form.nodes(image)[0]
         return Refined(
-            digits, enclose and not reason, reason, chosen, equations.energy,
+            digits, enclose and not reason, reason, chosen.name, equations.energy,
             node[-1] * form.segments * form.parts, node[: 2 * form.size],
             Fraction(start.phase), settings, time.perf_counter() - began,
         )  # fmt: skip

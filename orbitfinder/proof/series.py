@@ -13,7 +13,7 @@ from itertools import islice
 from operator import mul
 from typing import Any
 
-from orbitfinder.proof.balls import arb, arb_series, flint
+from orbitfinder.proof.balls import arb, arb_series, truncated
 from orbitfinder.proof.program import Program, Ring
 
 BALLS = Ring(
@@ -24,6 +24,11 @@ BALLS = Ring(
         "sqrt": lambda a: a.sqrt(), "exp": lambda a: a.exp(), "log": lambda a: a.log(), "pow": lambda a, b: a**b,
     },
 )  # fmt: skip
+WHOLE: dict[str, Callable[..., Any]] = BALLS.functions | {
+    "scale": mul, "shift": lambda u, c: u + c, "quotient": lambda u, c: c / u,
+    "power": lambda u, c: (u.log() * c).exp(),
+}  # fmt: skip
+"""The operations of a recurrence on whole series (but for sincos, which has two results)"""
 Operation = tuple[str, int, int, int, Any]
 """kind, target, operand, second operand (or -1), constant (or None)"""
 
@@ -166,7 +171,7 @@ def coefficients(
     for value, ball in code.fixed.items():
         values[value] = [ball] + [arb(0)] * order
     steps: list[tuple[Callable[..., None], tuple[Any, ...]]] = [
-        (KINDS[name], (values[target], values[a], values[b] if b >= 0 else None, constant, {}))
+        (KINDS[name], (values[target], values[a], [], values[b] if b >= 0 else None, constant))
         for name, target, a, b, constant in code.operations
     ]
     inputs = [values[value] for value, _, _ in code.variables]
@@ -184,9 +189,8 @@ def whole_series(code: Recurrence, order: int, variables: Sequence[Sequence[Any]
 
     Arb multiplies whole truncated series several times faster than Python does their terms.
     """
-    before, flint.ctx.cap = flint.ctx.cap, order + 1
-    try:
-        values: list[Any] = [None] * code.size
+    values: list[Any] = [None] * code.size
+    with truncated(order + 1):
         for value, ball in code.fixed.items():
             values[value] = arb_series([ball])
         for (value, _, _), series in zip(code.variables, variables, strict=True):
@@ -195,23 +199,17 @@ def whole_series(code: Recurrence, order: int, variables: Sequence[Sequence[Any]
             if name == "sincos":
                 values[target], values[b] = values[a].sin_cos()
             else:
-                values[target] = WHOLE[name](values[a], values[b] if b >= 0 else None, constant)
+                values[target] = WHOLE[name](*operands(values, a, b, constant))
         return [[] if one is None else _padded(one.coeffs(), order) for one in values]
-    finally:
-        flint.ctx.cap = before
+
+
+def operands(values: Sequence[Any], a: int, b: int, constant: Any) -> list[Any]:
+    """What an operation acts on: one value or two, or one and a constant."""
+    return [values[a], *([values[b]] if b >= 0 else []), *([] if constant is None else [constant])]
 
 
 def _padded(series: list[Any], order: int) -> list[Any]:
     return series + [arb(0)] * (order + 1 - len(series))
-
-
-WHOLE: dict[str, Callable[..., Any]] = {
-    "add": lambda u, v, c: u + v, "sub": lambda u, v, c: u - v, "neg": lambda u, v, c: -u,
-    "scale": lambda u, v, c: u * c, "shift": lambda u, v, c: u + c, "mul": lambda u, v, c: u * v,
-    "sq": lambda u, v, c: u * u, "div": lambda u, v, c: u / v, "quotient": lambda u, v, c: c / u,
-    "exp": lambda u, v, c: u.exp(), "log": lambda u, v, c: u.log(), "power": lambda u, v, c: (u.log() * c).exp(),
-    "sqrt": lambda u, v, c: u.sqrt(),
-}  # fmt: skip
 
 
 def outputs(code: Recurrence, values: Sequence[Any]) -> list[dict[int, Any]]:
@@ -220,33 +218,10 @@ def outputs(code: Recurrence, values: Sequence[Any]) -> list[dict[int, Any]]:
 
 
 Series = list[Any]
+"""What follows appends coefficient k of w = u op v (or op a constant c); `slope` keeps k u_k or k w_k in between."""
 
 
-def _add(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
-    w.append(u[k] + v[k])
-
-
-def _sub(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
-    w.append(u[k] - v[k])
-
-
-def _neg(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
-    w.append(-u[k])
-
-
-def _scale(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
-    w.append(c * u[k])
-
-
-def _shift(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
-    w.append(u[k] + c if k == 0 else u[k])
-
-
-def _mul(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
-    w.append(sum(map(mul, u, reversed(v))))
-
-
-def _square(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+def _square(k: int, w: Series, u: Series, *_: Any) -> None:
     """w_k = 2 sum_{j < k/2} u_j u_{k-j} (+ u_{k/2}^2 for even k)."""
     if k == 0:
         w.append(u[0] * u[0])  # not u_0 ** 2, which Arb makes NaN of a wide ball about 0
@@ -255,33 +230,29 @@ def _square(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, A
     w.append(half if k % 2 else half + u[k // 2] * u[k // 2])
 
 
-def _divide(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+def _divide(k: int, w: Series, u: Series, _slope: Series, v: Series, _c: Any) -> None:
     """v w = u: w_k = (u_k - sum_{j=1..k} v_j w_{k-j}) / v_0."""
     w.append((u[k] - sum(map(mul, islice(v, 1, None), reversed(w)))) / v[0])
 
 
-def _quotient(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+def _quotient(k: int, w: Series, u: Series, _slope: Series, _v: None, c: Any) -> None:
     """u w = c."""
     w.append(c / u[0] if k == 0 else -sum(map(mul, islice(u, 1, None), reversed(w))) / u[0])
 
 
-def _sincos(k: int, s: Series, u: Series, c: Series, _: Any, memory: dict[str, Any]) -> None:
+def _sincos(k: int, s: Series, u: Series, slope: Series, c: Series, _: None) -> None:
     """s' = c u', c' = -s u': k s_k = sum_{j=1..k} j u_j c_{k-j}."""
-    slope = memory.setdefault("slope", [])
     if k == 0:
         sine, cosine = u[0].sin_cos()
-        s.append(sine)
-        c.append(cosine)
-        return
-    slope.append(k * u[k])
-    sine, cosine = sum(map(mul, slope, reversed(c))) / k, -sum(map(mul, slope, reversed(s))) / k
+    else:
+        slope.append(k * u[k])
+        sine, cosine = sum(map(mul, slope, reversed(c))) / k, -sum(map(mul, slope, reversed(s))) / k
     s.append(sine)
     c.append(cosine)
 
 
-def _exp(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+def _exp(k: int, w: Series, u: Series, slope: Series, *_: Any) -> None:
     """w' = u' w."""
-    slope = memory.setdefault("slope", [])
     if k == 0:
         w.append(u[0].exp())
         return
@@ -289,9 +260,8 @@ def _exp(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]
     w.append(sum(map(mul, slope, reversed(w))) / k)
 
 
-def _log(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+def _log(k: int, w: Series, u: Series, slope: Series, *_: Any) -> None:
     """u w' = u': k u_0 w_k = k u_k - sum_{j=1..k-1} j w_j u_{k-j}."""
-    slope = memory.setdefault("slope", [])
     if k == 0:
         w.append(u[0].log())
         return
@@ -300,7 +270,7 @@ def _log(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]
     w.append(found)
 
 
-def _power(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+def _power(k: int, w: Series, u: Series, _slope: Series, _v: None, c: Any) -> None:
     """u w' = c w u': k u_0 w_k = sum_{j=1..k} (c j - (k - j)) u_j w_{k-j}."""
     if k == 0:
         w.append(u[0] ** c)
@@ -309,7 +279,7 @@ def _power(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, An
     w.append(total / (k * u[0]))
 
 
-def _sqrt(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any]) -> None:
+def _sqrt(k: int, w: Series, u: Series, *_: Any) -> None:
     """w^2 = u: 2 w_0 w_k = u_k - sum_{j=1..k-1} w_j w_{k-j}."""
     if k == 0:
         w.append(u[0].sqrt())
@@ -318,7 +288,12 @@ def _sqrt(k: int, w: Series, u: Series, v: Series, c: Any, memory: dict[str, Any
 
 
 KINDS: dict[str, Callable[..., None]] = {
-    "add": _add, "sub": _sub, "neg": _neg, "scale": _scale, "shift": _shift, "mul": _mul, "sq": _square,
-    "div": _divide, "quotient": _quotient, "sincos": _sincos, "exp": _exp, "log": _log, "power": _power,
-    "sqrt": _sqrt,
+    "add": lambda k, w, u, slope, v, c: w.append(u[k] + v[k]),
+    "sub": lambda k, w, u, slope, v, c: w.append(u[k] - v[k]),
+    "neg": lambda k, w, u, slope, v, c: w.append(-u[k]),
+    "scale": lambda k, w, u, slope, v, c: w.append(c * u[k]),
+    "shift": lambda k, w, u, slope, v, c: w.append(u[k] if k else u[k] + c),
+    "mul": lambda k, w, u, slope, v, c: w.append(sum(map(mul, u, reversed(v)))),
+    "sq": _square, "div": _divide, "quotient": _quotient, "sincos": _sincos, "exp": _exp, "log": _log,
+    "power": _power, "sqrt": _sqrt,
 }  # fmt: skip

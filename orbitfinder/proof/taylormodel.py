@@ -16,7 +16,7 @@ from operator import mul
 from typing import Any
 
 from orbitfinder.proof.balls import arb
-from orbitfinder.proof.series import Recurrence
+from orbitfinder.proof.series import WHOLE, Recurrence, operands
 
 Series = list[Any]
 
@@ -41,7 +41,12 @@ def remainders(code: Recurrence, values: Sequence[Series], order: int, span: Any
     for (value, _, _), ball in zip(code.variables, inputs, strict=True):
         model.rest[value] = ball
     for name, target, a, b, constant in code.operations:
-        RULES[name](model, target, a, b, constant)
+        if name in LINEAR:
+            model.rest[target] = WHOLE[name](*operands(model.rest, a, b, constant))
+        elif name == "sincos":
+            model.rest[target], model.rest[b] = _sincos(model, target, a, b)
+        else:
+            model.rest[target] = RULES[name](model, target, a, b, constant)
     return model.rest
 
 
@@ -81,90 +86,64 @@ class _Model:
         return sum(map(mul, self.series(value), self.slope_tails(derivative)), arb(0))
 
 
-def _add(m: _Model, w: int, u: int, v: int, c: Any) -> None:
-    m.rest[w] = m.rest[u] + m.rest[v]
-
-
-def _sub(m: _Model, w: int, u: int, v: int, c: Any) -> None:
-    m.rest[w] = m.rest[u] - m.rest[v]
-
-
-def _neg(m: _Model, w: int, u: int, v: int, c: Any) -> None:
-    m.rest[w] = -m.rest[u]
-
-
-def _scale(m: _Model, w: int, u: int, v: int, c: Any) -> None:
-    m.rest[w] = c * m.rest[u]
-
-
-def _shift(m: _Model, w: int, u: int, v: int, c: Any) -> None:
-    m.rest[w] = m.rest[u]
-
-
-def _mul(m: _Model, w: int, u: int, v: int, c: Any) -> None:
+def _product(m: _Model, _w: int, u: int, v: int, _c: None) -> Any:
     """r_w = sum_{i<p} u_i T_{p-i}(v) + r_u v."""
-    m.rest[w] = sum(map(mul, [*m.series(u), m.rest[u]], m.tails(v)), arb(0))
+    return sum(map(mul, [*m.series(u), m.rest[u]], m.tails(v)), arb(0))
 
 
-def _square(m: _Model, w: int, u: int, v: int, c: Any) -> None:
-    _mul(m, w, u, u, c)
-
-
-def _divide(m: _Model, w: int, u: int, v: int, c: Any) -> None:
+def _divide(m: _Model, w: int, u: int, v: int, _c: None) -> Any:
     """From v (W + t^p r_w) = u with W the polynomial: r_w = (r_u - sum_{i>=1} v_i T_{p-i}(W) - r_v W) / v."""
     product = sum(map(mul, [*m.series(v)[1:], m.rest[v]], m.tails(w, whole=False)[1:]), arb(0))
-    m.rest[w] = (m.rest[u] - product) / m.tails(v)[-1]
+    return (m.rest[u] - product) / m.tails(v)[-1]
 
 
-def _quotient(m: _Model, w: int, u: int, v: int, c: Any) -> None:
+def _quotient(m: _Model, w: int, u: int, *_: Any) -> Any:
     """The same for a constant over u."""
     product = sum(map(mul, [*m.series(u)[1:], m.rest[u]], m.tails(w, whole=False)[1:]), arb(0))
-    m.rest[w] = -product / m.tails(u)[-1]
+    return -product / m.tails(u)[-1]
 
 
-def _sincos(m: _Model, s: int, u: int, c: int, _: Any) -> None:
+def _sincos(m: _Model, s: int, u: int, c: int) -> tuple[Any, Any]:
     """Z = C + i S (polynomials) has Z' = i U' Z + t^{p-1} D, so |exp(iU) - Z| <= t^p max|D| / p."""
     defect = abs(m.beyond(c, u)) + abs(m.beyond(s, u))
     bound = arb(0, (defect / m.order).upper())
     span = m.range(u)
-    m.rest[s] = bound + m.rest[u] * span.cos()
-    m.rest[c] = bound - m.rest[u] * span.sin()
+    return bound + m.rest[u] * span.cos(), bound - m.rest[u] * span.sin()
 
 
 def _hull(x: Any) -> Any:
     return x.union(arb(0))
 
 
-def _exp(m: _Model, w: int, u: int, v: int, c: Any) -> None:
+def _exp(m: _Model, w: int, u: int, *_: Any) -> Any:
     """W = e^U (1 + g) with g' = -t^{p-1} D e^-U, D the tail of U' W."""
     span = m.range(u)
     growth = _hull(m.beyond(w, u) * (-span).exp()) / m.order
-    m.rest[w] = span.exp() * (growth + m.rest[u])
+    return span.exp() * (growth + m.rest[u])
 
 
-def _log(m: _Model, w: int, u: int, v: int, c: Any) -> None:
+def _log(m: _Model, w: int, u: int, *_: Any) -> Any:
     """(log U - W)' = t^{p-1} D / U, D minus the tail of U W'... of which log(U + t^p r_u) differs by r_u / U."""
     span = m.range(u)
-    m.rest[w] = (m.rest[u] - _hull(m.beyond(u, w)) / m.order) / span if span > 0 else arb("nan")
+    return (m.rest[u] - _hull(m.beyond(u, w)) / m.order) / span if span > 0 else arb("nan")
 
 
-def _power(m: _Model, w: int, u: int, v: int, c: Any) -> None:
+def _power(m: _Model, w: int, u: int, _v: int, c: Any) -> Any:
     """W = U^c (1 + g) with g' = t^{p-1} D / U^{c+1}, D the tail of W' U - c W U'."""
     span = m.range(u)
     if not span > 0:
-        m.rest[w] = arb("nan")
-        return
+        return arb("nan")
     defect = m.beyond(u, w) - c * m.beyond(w, u)
     growth = _hull(defect / span ** (c + 1)) / m.order
-    m.rest[w] = -(span**c) * growth + c * span ** (c - 1) * m.rest[u]
+    return -(span**c) * growth + c * span ** (c - 1) * m.rest[u]
 
 
-def _sqrt(m: _Model, w: int, u: int, v: int, c: Any) -> None:
-    _power(m, w, u, v, arb(1) / 2)
-
-
-RULES: dict[str, Callable[..., None]] = {
-    "add": _add, "sub": _sub, "neg": _neg, "scale": _scale, "shift": _shift, "mul": _mul, "sq": _square,
-    "div": _divide, "quotient": _quotient, "sincos": _sincos, "exp": _exp, "log": _log, "power": _power,
-    "sqrt": _sqrt,
+LINEAR = ("add", "sub", "neg")
+"""Operations whose remainder is that of their operands' remainders"""
+RULES: dict[str, Callable[..., Any]] = {
+    "scale": lambda m, w, u, v, c: c * m.rest[u], "shift": lambda m, w, u, v, c: m.rest[u],
+    "mul": _product,
+    "sq": lambda m, w, u, v, c: _product(m, w, u, u, c),
+    "div": _divide, "quotient": _quotient, "exp": _exp, "log": _log, "power": _power,
+    "sqrt": lambda m, w, u, v, c: _power(m, w, u, v, arb(1) / 2),
 }  # fmt: skip

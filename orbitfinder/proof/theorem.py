@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.loops.symmetry import Symmetry, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.approach import Approach, approach
@@ -22,8 +23,17 @@ from orbitfinder.proof.field import Programs, make_field, programs
 from orbitfinder.proof.invariance import has_symmetry, turns_leave, usable_symmetry
 from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk
 from orbitfinder.proof.newton import solve
-from orbitfinder.proof.stability import Stability, stability
-from orbitfinder.proof.tour import Tour, minimal_period, monodromy, moves, positive_mass, reduced, tour
+from orbitfinder.proof.tour import (
+    Stability,
+    Tour,
+    minimal_period,
+    monodromy,
+    moves,
+    positive_mass,
+    reduced,
+    stability,
+    tour,
+)
 from orbitfinder.records.orbit import Orbit
 
 STATEMENT = 1
@@ -100,12 +110,19 @@ def prove(
     with precision(chosen.settings.bits):
         model = model or provable_model(orbit)
         codes = programs(model)
-        symmetry = chosen.symmetry or usable_symmetry(codes.rates, codes.energy, orbit.symmetry)
+        symmetry = chosen_symmetry(orbit, model, codes, chosen.symmetry)
         try:
             found = _prove(orbit, model, codes, symmetry, chosen, say)
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-            return Proof(False, str(error), symmetry, chosen.settings, time.perf_counter() - began)
+            return Proof(False, str(error), symmetry.name, chosen.settings, time.perf_counter() - began)
         return Proof(**{**found, "wall_time": time.perf_counter() - began})
+
+
+def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | None) -> Symmetry:
+    """The symmetry that is asked for, or else what the equations provably have of the recorded one."""
+    if asked is not None:
+        return named(asked, model)
+    return usable_symmetry(codes.rates, codes.energy, named(orbit.symmetry, model), model.degrees_of_freedom)
 
 
 def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
@@ -117,7 +134,7 @@ def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
 
 
 def _prove(
-    orbit: Orbit, model: Model, codes: Programs, symmetry: str, options: Options, say: Progress
+    orbit: Orbit, model: Model, codes: Programs, symmetry: Symmetry, options: Options, say: Progress
 ) -> dict[str, Any]:
     settings = options.settings
     start = approach(model, orbit, symmetry, options.segments)
@@ -128,7 +145,7 @@ def _prove(
     contracted = enclosed(equations, centre, settings, say)
     path = sharpened(equations, tour(equations, contracted.image, settings), settings, say)
     return conclusions(orbit, model, contracted, path, start, options) | {
-        "proved": True, "reason": "", "symmetry": symmetry, "settings": settings,
+        "proved": True, "reason": "", "symmetry": symmetry.name, "settings": settings,
         "steps": sum(len(arc[3]) for arc in contracted.arcs),
         "radius": radius(contracted.box), "contraction": contracted.contraction,
         "energy": equations.energy,
@@ -151,9 +168,9 @@ def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) 
 def check_symmetries(codes: Programs, start: Approach, model: Model) -> None:
     """`NotProved` unless the symmetry used (and whole turns, where they occur) follow from the graphs."""
     form = start.formulation
-    if not has_symmetry(codes.rates, codes.energy, form.symmetry):
-        raise NotProved(f"the equations' {form.symmetry} symmetry could not be read off their graph; use none")
-    turning = any(form.start) or any(form.turns) or (form.symmetry != "brake" and any(form.target))
+    if not has_symmetry(codes.rates, codes.energy, form.symmetry, form.size):
+        raise NotProved(f"the equations' {form.symmetry.name} symmetry could not be read off their graph; use none")
+    turning = any(form.constants) or any(form.turns)
     if turning and not all(turns_leave(code, model.angles) for code in (codes.rates, codes.energy)):
         raise NotProved("the equations' invariance under whole turns could not be read off their graph")
 

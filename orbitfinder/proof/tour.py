@@ -1,7 +1,8 @@
-"""Along the proved orbit once more, in its tiny box: states at any time, minimal period, positivity."""
+"""Along the proved orbit once more, in its tiny box: states at any time, minimal period, positivity, stability."""
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -9,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.proof.balls import Vector, arb, arb_mat, between, fmpq, identity
+from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, fmpq, identity
 from orbitfinder.proof.enclosure import Settings, Step
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation, image
 from orbitfinder.proof.krawczyk import Equations, krawczyk
-from orbitfinder.proof.lohner import block
 
 PIECES = 8
 """Parts of a step over which the field's sign is looked at"""
@@ -69,27 +69,16 @@ def tour(equations: Equations, box: Vector, settings: Settings) -> Tour:
 
 
 def monodromy(found: Tour) -> Any:
-    """dx(T)/dx(0) (2n square) from the horizon's, by the symmetries.
-
-    With B = diag(1, -1) (brake) or diag(-1, 1) (reversal) and Phi the horizon's matrix, the second half
-    is B Phi^-1 B; a reflection squares.
-    """
-    n, symmetry, phi = found.formulation.size, found.formulation.symmetry, found.horizon_matrix
-
-    def back(sign: int, matrix: Any) -> Any:
-        mirror = arb_mat(2 * n, 2 * n, [
-            arb((sign if i < n else -sign) * int(i == j)) for i in range(2 * n) for j in range(2 * n)
-        ])  # fmt: skip
-        return mirror * matrix.solve(mirror * matrix, algorithm="precond")
-
-    if symmetry == "none":
-        return phi
-    if symmetry == "reflection":
-        return phi * phi
-    if symmetry == "brake+reflection":
-        half = back(-1, phi)
-        return half * half
-    return back(1 if symmetry == "brake" else -1, phi)
+    """dx(T)/dx(0) (2n square) from the horizon's, by the symmetry."""
+    phi, size = found.horizon_matrix, 2 * found.formulation.size
+    root, power = found.formulation.symmetry.root(
+        phi,
+        lambda other: phi.solve(other, algorithm="precond"),
+        size,
+        made=lambda matrix: arb_mat(size, size, [arb(float(one)) for one in matrix.ravel()]),
+        times=operator.mul,
+    )
+    return root * root if power == 2 else root
 
 
 def positive_mass(found: Tour) -> bool:
@@ -188,3 +177,44 @@ def reduced(found: Tour, matrix: Any) -> Any:
     basis = arb_mat(size, size, [columns[j][i] for i in range(size) for j in range(size)])
     whole = basis.solve(matrix * basis, algorithm="precond").tolist()
     return arb_mat([row[1:-1] for row in whole[1:-1]])
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Enclosed reduced multipliers (balls of complex numbers) and the verdict with its reason.
+
+    `verdict` is "linearly stable" (every multiplier simple and on the unit circle), "unstable" (one
+    is off it) or "open".
+    """
+
+    verdict: str
+    reason: str
+    multipliers: list[Any]
+
+
+def stability(reduced: Any) -> Stability:
+    """The verdict on a reduced monodromy (2n - 2 square).
+
+    The reduced matrix is real and preserves a symplectic form, so with mu also conj(mu), 1/mu and
+    1/conj(mu) are multipliers. An enclosure that holds one multiplier and meets the mirror images
+    1/conj(.) of no enclosure but its own therefore has it on the unit circle. Source: V. I. Arnold,
+    Mathematical Methods of Classical Mechanics, section 42.
+    """
+    if reduced.nrows() == 0:
+        return Stability("linearly stable", "one degree of freedom: no multiplier besides the two at 1", [])
+    try:
+        found = list(reduced.eig(algorithm="rump"))
+    except (ValueError, ZeroDivisionError):
+        return Stability("open", "two multipliers could not be separated", [])
+    found.sort(key=lambda one: (-round(float(abs(one).mid()), 6), float(one.imag.mid())))
+    largest = abs(found[0])
+    if largest > 1:
+        return Stability(
+            "unstable", f"a multiplier of absolute value {arb(largest).str(12)} is off the unit circle", found
+        )
+    for k, one in enumerate(found):
+        mirrored = 1 / one.conjugate()
+        for j, other in enumerate(found):
+            if j != k and mirrored.overlaps(other):
+                return Stability("open", "a multiplier could be one of a pair just off the unit circle", found)
+    return Stability("linearly stable", "every multiplier is simple and on the unit circle", found)

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, sample
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energies, positions
-from orbitfinder.reproduce.figures import save_both
 from orbitfinder.show.animate import AnimationSettings, save_animation, simulation_clip
-from orbitfinder.show.style import COLOURS, dress, new_figure
+from orbitfinder.show.style import dress, new_figure, plane, save_both
+from orbitfinder.show.svg import COLOURS
 
 SIZES = (3, 10, 30, 100, 300, 1000)
 FORMULATIONS = ("lagrange", "newton-euler", "dae", "recursive")
@@ -99,8 +100,6 @@ def hundred_part(folder: Path) -> dict[str, Any]:
 
 def chain_figure(times: np.ndarray, points: np.ndarray, drift: np.ndarray, scale: float) -> Any:
     """Configurations every half second and the energy drift."""
-    from matplotlib import colormaps
-
     figure = new_figure(7.2, 3.6, f"{LINKS} links from horizontal rest")
     left, right = figure.subplots(1, 2, width_ratios=(1.1, 1.0))
     chosen = range(0, len(points), 50)
@@ -108,9 +107,8 @@ def chain_figure(times: np.ndarray, points: np.ndarray, drift: np.ndarray, scale
         down, across = points[k]
         colour = colormaps["cividis"](times[k] / times[-1])
         left.plot(across, -down, color=colour, linewidth=0.9, label=f"{times[k]:.0f} s" if k % 250 == 0 else None)
-    left.set_aspect("equal", adjustable="datalim")
+    plane(left)
     left.legend(frameon=False, fontsize=8)
-    dress(left, "y, to the right (m)", "\N{MINUS SIGN}x, up (m)")
     right.plot(times, drift / scale, color=COLOURS[2], linewidth=0.9)
     dress(right, "time (s)", r"energy drift / ($m g l n^2 / 2$)")
     return figure

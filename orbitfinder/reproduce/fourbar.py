@@ -10,10 +10,10 @@ import numpy as np
 
 from orbitfinder.integrate.idas import DaeSettings, DaeTrajectory, simulate_dae
 from orbitfinder.mechanics.linkage import assemble, linkage, linkage_rates, linkage_state
-from orbitfinder.reproduce.figures import save_both
 from orbitfinder.reproduce.runs import IDAS_TOLERANCE
 from orbitfinder.show.animate import save_animation, simulation_clip
-from orbitfinder.show.style import COLOURS, dress, new_figure
+from orbitfinder.show.style import dress, new_figure, plane, save_both
+from orbitfinder.show.svg import COLOURS
 
 SPAN, SAMPLES = 10.0, 1001
 
@@ -104,6 +104,5 @@ def figure_10(result: DaeTrajectory, points: np.ndarray) -> Any:
     for down, across in points[: SAMPLES // 2 : 12]:
         sweep.plot(across, -down, color=COLOURS[0], alpha=0.25, linewidth=0.8)
     sweep.plot(points[0, 1], -points[0, 0], "o-", color="black", linewidth=1.6, markersize=4)
-    sweep.set_aspect("equal", adjustable="datalim")
-    dress(sweep, "y, to the right (m)", "\N{MINUS SIGN}x, up (m)")
+    plane(sweep)
     return figure

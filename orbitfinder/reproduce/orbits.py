@@ -7,18 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
+from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model, energy, positions
 from orbitfinder.orbits.evidence import gap
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit, save_orbit
 from orbitfinder.reproduce.facts import ORBITS, PrintedOrbit
-from orbitfinder.reproduce.figures import save_both
 from orbitfinder.show.animate import orbit_clip, save_animation
-from orbitfinder.show.style import COLOURS, dress, line_style, new_figure
+from orbitfinder.show.style import dress, line_style, new_figure, plane, save_both, sweep, trail
 
 
 def refine(printed: PrintedOrbit) -> Orbit:
@@ -40,11 +42,6 @@ def refine(printed: PrintedOrbit) -> Orbit:
 
 def printed_closure(printed: PrintedOrbit) -> tuple[float, float]:
     """Least |x(T) - x(0)| (2-norm) of the printed digits over T near the guess, and that T."""
-    from scipy.optimize import minimize_scalar
-
-    from orbitfinder.integrate.cvodes import build_flow
-    from orbitfinder.orbits.measure import dense
-
     state, guess = np.asarray(printed.state), printed.period_guess
     flow = build_flow(chain(printed.links))
 
@@ -112,12 +109,8 @@ def _histories(axes: Any, orbit: Orbit, model: Model) -> None:
 
 
 def _sweep(axes: Any, orbit: Orbit, model: Model) -> None:
-    joints = positions(model, orbit.samples[::16])
-    for k, (down, right) in enumerate(joints):
-        axes.plot(right, -down, color=COLOURS[0], alpha=0.12 + 0.4 * k / len(joints), linewidth=0.9)
-    tip = positions(model, orbit.samples)[:, :, -1]
-    axes.plot(tip[:, 1], -tip[:, 0], color=COLOURS[1], linewidth=1.3)
+    sweep(axes, positions(model, orbit.samples[::16]), 0.12, 0.4, 0.9)
+    trail(axes, positions(model, orbit.samples)[:, :, -1], 1.3)
     axes.plot(0, 0, "s", color="black", markersize=6)
-    axes.set_aspect("equal", adjustable="datalim")
-    dress(axes, "y, to the right (m)", "\N{MINUS SIGN}x, up (m)")
+    plane(axes)
     axes.set_title("configurations and path of the tip", fontsize=9)

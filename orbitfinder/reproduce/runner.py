@@ -10,9 +10,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import write_atomically
+from orbitfinder.reproduce.page import write_page
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,6 @@ def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = N
     Finished parts are recorded in numbers/<part>.json and not computed again unless `fresh` or the
     code changed; `report(what, done, of)` is told before each part. Returns all numbers by part.
     """
-    from orbitfinder.reproduce.page import write_page
-
     out = Path(folder)
     try:
         (out / "numbers").mkdir(parents=True, exist_ok=True)

@@ -14,8 +14,8 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.maximal import chain_dae, maximal_states, minimal_states
 from orbitfinder.mechanics.model import Baumgarte, energies
 from orbitfinder.reproduce.facts import FIGURE_OF_METHOD, METHODS, TITLES, TOLERANCE
-from orbitfinder.reproduce.figures import save_both
-from orbitfinder.show.style import COLOURS, dress, new_figure
+from orbitfinder.show.style import dress, new_figure, save_both
+from orbitfinder.show.svg import COLOURS
 
 HORIZONTAL_REST = np.array([np.pi / 2] * 3 + [0.0] * 3)
 ENERGY_SPAN, COMPARISON_SPAN = 10.0, 25.0

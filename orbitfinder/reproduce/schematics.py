@@ -9,8 +9,8 @@ import numpy as np
 
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
-from orbitfinder.reproduce.figures import save_both
-from orbitfinder.show.style import COLOURS, new_figure
+from orbitfinder.show.style import new_figure, save_both
+from orbitfinder.show.svg import COLOURS
 
 POSE = np.array([0.45, 0.95, 0.25, 0.0, 0.0, 0.0])
 FOUR_BAR_POSE = np.array([-0.35, 1.35, 2.55, 0.0, 0.0, 0.0])

@@ -12,13 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image, ImageColor, ImageDraw, ImageFont
+from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.show.style import COLOURS
+from orbitfinder.show.svg import COLOURS
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,6 @@ def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
 
 def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSettings | None = None) -> Clip:
     """A seamless clip of an orbit from its dense samples."""
-    from scipy.interpolate import CubicHermiteSpline
-
     settings = settings or AnimationSettings()
     model = model or build_model(orbit.system)
     if len(orbit.samples) < 2:
@@ -114,8 +114,6 @@ SHADES = 10
 
 def _palette() -> Any:
     """A Pillow palette of the colours drawn, shaded towards white, so that white stays white."""
-    from PIL import Image, ImageColor
-
     entries = [255, 255, 255]
     for colour in (COLOURS[0], COLOURS[1], TRACE, "#000000"):
         for k in range(1, SHADES + 1):
@@ -149,8 +147,6 @@ class _View:
 
 
 def _draw(clip: Clip, frame: int, trail: np.ndarray, view: _View) -> Any:
-    from PIL import Image, ImageDraw, ImageFont
-
     size = (view.pixels, view.pixels + view.header)
     image = Image.new("RGB", (size[0] * view.factor, size[1] * view.factor), "white")
     pen = ImageDraw.Draw(image)

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.show.style import COLOURS, dress, new_figure, save_png
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import COLOURS
 
 KINDS = {"elliptic": (COLOURS[2], "o", "elliptic"), "marginal": (COLOURS[4], "s", "marginal"),
          "unstable": (COLOURS[1], "^", "unstable")}  # fmt: skip
 """Colour, marker and legend entry of each verdict."""
-CONFIGURATIONS = 14
-"""Positions of the mechanism in one small picture."""
 SPREAD = 0.32
 """Width of the cloud around an energy, as a share of the distance between energies."""
 
@@ -101,29 +96,4 @@ def discovery_curves(atlas: Atlas) -> Figure:
     axes.set_ylim(bottom=0)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.12))
-    return figure
-
-
-def contact_sheet(model: Model, loops: Sequence[tuple[np.ndarray, str]], across: int = 4) -> Figure:
-    """Orbits side by side: path of the last point, and the mechanism at equal times, paler as it was earlier.
-
-    `loops` are states (k x 2n) at equal times over one period, with a caption each.
-    """
-    rows = -(-len(loops) // across)
-    figure = new_figure(2.9 * across, 3.1 * rows, "")
-    grid = figure.subplots(rows, across, squeeze=False)
-    for axes in grid.ravel()[len(loops) :]:
-        axes.axis("off")
-    for axes, (loop, caption) in zip(grid.ravel(), loops, strict=False):
-        places = positions(model, loop)
-        for k in range(0, len(loop), max(1, len(loop) // CONFIGURATIONS)):
-            shade = 0.15 + 0.35 * k / len(loop)
-            axes.plot(places[k, 1], -places[k, 0], color="0.2", alpha=shade, linewidth=1.0)
-        closed = np.vstack([places[:, :, -1], places[:1, :, -1]])
-        axes.plot(closed[:, 1], -closed[:, 0], color=COLOURS[0], linewidth=1.4)
-        axes.plot(places[0, 1, 0], -places[0, 0, 0], "o", color="black", markersize=3)
-        axes.set_aspect("equal")
-        axes.margins(0.06)
-        axes.axis("off")
-        axes.set_title(caption, fontsize=8)
     return figure

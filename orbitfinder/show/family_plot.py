@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from orbitfinder.families.members import Motion, motions
-from orbitfinder.records.family import Family, FamilyPoint
-from orbitfinder.show.style import COLOURS, dress, new_figure, save_png
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import Family
+from orbitfinder.show.style import dress, new_figure, save_png, sweep, trail
+from orbitfinder.show.svg import COLOURS, runs
 
 MARKERS = {
     "fold": ("v", "fold"),
@@ -64,14 +63,11 @@ def _draw(axes: Any, motion: Motion) -> None:
     if motion.joints is None:
         axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
         return
-    joints = motion.joints[:: max(1, len(motion.joints) // 30)]
-    for k, (down, right) in enumerate(joints):
-        axes.plot(right, -down, color=COLOURS[0], alpha=0.10 + 0.45 * k / len(joints), linewidth=0.8)
+    sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8)
     down, right = motion.joints[0]
     # the last joint of a linkage is a pivot on the ground
     fixed = motion.joints.shape[2] > 1 and np.ptp(motion.joints[:, :, -1], axis=0).max() < 1e-9
-    tip = motion.joints[:, :, -2 if fixed else -1]
-    axes.plot(tip[:, 1], -tip[:, 0], color=COLOURS[1], linewidth=1.1)
+    trail(axes, motion.joints[:, :, -2 if fixed else -1], 1.1)
     axes.plot(right, -down, color="black", linewidth=1.6)
     axes.plot(right[0], -down[0], "s", color="black", markersize=4)
 
@@ -84,8 +80,6 @@ def frequency_energy(
     Families in a physical parameter, along which the energy may not change, are drawn against that. `marks` are
     further orbits to show, name -> (energy, period).
     """
-    from matplotlib.lines import Line2D
-
     names = ", ".join(family.name for family in families)
     freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
     figure = new_figure(8.0, 5.6, title or f"{names}: frequency and {freed or 'energy'}")
@@ -116,18 +110,6 @@ def frequency_energy(
     if shown:
         figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
     return figure
-
-
-def runs(points: Sequence[FamilyPoint]) -> list[tuple[bool, list[FamilyPoint]]]:
-    """Maximal stretches of points with the same verdict (stable or not), each joined to the next."""
-    found: list[tuple[bool, list[FamilyPoint]]] = []
-    for point in points:
-        stable = point.stability != "unstable"
-        if not found or found[-1][0] != stable:
-            joined = [found[-1][1][-1]] if found else []
-            found.append((stable, joined))
-        found[-1][1].append(point)
-    return found
 
 
 def multipliers_plane(family: Family) -> Figure:

@@ -5,20 +5,20 @@ Everything is inline: no script, no style sheet, no network. Names and titles ar
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Certificate, Orbit
-from orbitfinder.show.diagram import diagram
-from orbitfinder.show.svg import moving_mechanism, moving_portrait, unit_circle
+from orbitfinder.show.svg import diagram, moving_mechanism, moving_portrait, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
@@ -32,14 +32,13 @@ CELL = "text-align:left;padding:1px 10px 1px 0;font-variant-numeric:tabular-nums
 
 def html(value: Any) -> str | None:
     """HTML of one of ours; None for anything else, and for a drawing that fails (the plain text remains)."""
-    from orbitfinder.atlas.store import Atlas
-
+    makers: dict[type, Callable[[Any], str]]
     makers = {Orbit: orbit_html, Certificate: certificate_html, Family: family_html, Atlas: atlas_html}
     maker = next((one for kind, one in makers.items() if isinstance(value, kind)), None)
     if maker is None:
         return None
     try:
-        return maker(value)  # type: ignore[operator]
+        return maker(value)
     except OrbitfinderError:
         return None
 
@@ -143,7 +142,7 @@ def _member(family: Family, point: FamilyPoint) -> str:
     return f"<div>{picture}<br>{escape(text)}</div>"
 
 
-def atlas_html(atlas: Any) -> str:
+def atlas_html(atlas: Atlas) -> str:
     """How many orbits, the first of them in a table, the first three moving."""
     rows = atlas.rows()
     numbers = [

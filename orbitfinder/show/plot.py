@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies, positions
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.show.style import COLOURS, dress, line_style, new_figure, save_png
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from orbitfinder.show.style import dress, line_style, new_figure, plane, save_png, sweep, trail
+from orbitfinder.show.svg import COLOURS
 
 SNAPSHOTS = 48
 """Configurations drawn over one period."""
@@ -90,9 +91,6 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
 
 def _colour_bar(figure: Figure, axes: Any, count: int) -> None:
     """For many curves: which coordinate is which, by a colour scale where the curves have one."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     if line_style(0, count).get("linestyle") is None:
         scale = ScalarMappable(Normalize(1, count), "cividis")
         figure.colorbar(scale, ax=axes, label="coordinate number", aspect=40)
@@ -128,17 +126,14 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     figure = new_figure(6.4, 6.4, *heading(orbit, "swept configuration"))
     axes = figure.subplots()
     joints = positions(model, states[:: max(1, (len(states) - 1) // SNAPSHOTS)])
-    for k, (down, right) in enumerate(joints):
-        axes.plot(right, -down, color=COLOURS[0], alpha=0.10 + 0.45 * k / len(joints), linewidth=1.0)
-    tip = positions(model, states)[:, :, -1]
-    axes.plot(tip[:, 1], -tip[:, 0], color=COLOURS[1], linewidth=1.4, label="path of the tip")
+    sweep(axes, joints)
+    trail(axes, positions(model, states)[:, :, -1], 1.4, label="path of the tip")
     down, right = joints[0]
     marks = "o" if right.size <= 12 else None
     axes.plot(right, -down, color="black", marker=marks, linewidth=2.0, markersize=4.5, label="t = 0")
     axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
-    axes.set_aspect("equal", adjustable="datalim")
+    plane(axes)
     axes.margins(0.06)
-    dress(axes, "y, to the right (m)", "\N{MINUS SIGN}x, up (m)")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return figure
 

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
+from orbitfinder.records.reading import write_atomically
+from orbitfinder.show.svg import COLOURS
+
 DASHES = ("-", "--", "-.", ":")
 RESOLUTION = 150
 
 
 def new_figure(width: float, height: float, title: str, what: str = "") -> Figure:
     """A Figure headed by a wrapped title and, when given, a line that says what it shows; nothing is clipped."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     lines = textwrap.wrap(title, width=int(width * 10), max_lines=3, placeholder=" ...")
@@ -38,11 +39,26 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def sweep(axes: Any, joints: np.ndarray, faint: float = 0.10, more: float = 0.45, width: float = 1.0) -> None:
+    """Configurations of a mechanism (k x 2 x m; x down, y right), early ones faint."""
+    for k, (down, right) in enumerate(joints):
+        axes.plot(right, -down, color=COLOURS[0], alpha=faint + more * k / len(joints), linewidth=width)
+
+
+def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:
+    """The path (k x 2; x down, y right) of a mechanism's tip."""
+    axes.plot(path[:, 1], -path[:, 0], color=COLOURS[1], linewidth=width, **more)
+
+
+def plane(axes: Any) -> None:
+    """Axes for what hangs: x down, y to the right, equal scales."""
+    axes.set_aspect("equal", adjustable="datalim")
+    dress(axes, "y, to the right (m)", "\N{MINUS SIGN}x, up (m)")
+
+
 def line_style(index: int, count: int) -> dict[str, Any]:
     """Colour and dashes of curve `index` of `count`: distinct up to 28, a sequential map beyond."""
     if count > len(COLOURS) * len(DASHES):
-        from matplotlib import colormaps
-
         return {"color": colormaps["cividis"](index / (count - 1)), "linewidth": 0.7}
     dash = DASHES[index // len(COLOURS)]
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": dash, "linewidth": 1.4}
@@ -50,12 +66,22 @@ def line_style(index: int, count: int) -> dict[str, Any]:
 
 def save_png(figure: Figure, path: Path) -> Path:
     """Write a figure whole or not at all."""
-    import io
-
-    from orbitfinder.records.reading import write_atomically
-
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=RESOLUTION)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, buffer.getvalue())
     return path
+
+
+def save_both(figure: Any, stem: Path) -> list[Path]:
+    """Write a figure as PNG and as SVG, without dates or random identifiers."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    written = []
+    for suffix, metadata in ((".png", {"Software": None}), (".svg", {"Date": None, "Creator": None})):
+        buffer = io.BytesIO()
+        with rc_context({"svg.hashsalt": stem.name, "svg.fonttype": "none"}):
+            figure.savefig(buffer, format=suffix[1:], dpi=RESOLUTION, metadata=metadata)
+        path = stem.with_suffix(suffix)
+        write_atomically(path, buffer.getvalue())
+        written.append(path)
+    return written

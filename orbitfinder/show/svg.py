@@ -10,8 +10,10 @@ from html import escape
 
 import numpy as np
 
-from orbitfinder.show.style import COLOURS
+from orbitfinder.records.family import Family, FamilyPoint
 
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
 SIZE = 220
 """Pixels on a side."""
 MARGIN = 14.0
@@ -19,6 +21,8 @@ FRAMES = 60
 LARGEST = 150_000
 """Bytes of motion in one picture; mechanisms of many joints get fewer frames."""
 BODY, TIP = COLOURS[0], COLOURS[1]
+WIDTH, HEIGHT, LEFT, BELOW, AROUND = 380, 240, 52, 38, 12
+"""Pixels of a family's diagram, and of its margins"""
 
 
 def picture(content: str, label: str, width: int = SIZE, height: int = SIZE) -> str:
@@ -113,3 +117,58 @@ def unit_circle(multipliers: np.ndarray, label: str, size: int = 150) -> str:
         f'<circle cx="{half}" cy="{half}" r="{scale:.1f}" fill="none" stroke="currentColor" stroke-opacity=".6"/>'
     )
     return picture(axes + dots, label, size, size)
+
+
+def runs(points: Sequence[FamilyPoint]) -> list[tuple[bool, list[FamilyPoint]]]:
+    """Maximal stretches of points with the same verdict (stable or not), each joined to the next."""
+    found: list[tuple[bool, list[FamilyPoint]]] = []
+    for point in points:
+        stable = point.stability != "unstable"
+        if not found or found[-1][0] != stable:
+            joined = [found[-1][1][-1]] if found else []
+            found.append((stable, joined))
+        found[-1][1].append(point)
+    return found
+
+
+def diagram(family: Family) -> str:
+    """Frequency against energy: solid where stable, dashed where not, a dot that names itself at each event."""
+    if not family.points:
+        return ""
+    across, up = family.values("energy"), 1 / family.values("period")
+    low, span = np.array([across.min(), up.min()]), np.maximum([np.ptp(across), np.ptp(up)], 1e-12)
+    room = np.array([WIDTH - LEFT - AROUND, HEIGHT - BELOW - AROUND])
+
+    def place(energy: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        share = (np.column_stack([energy, frequency]) - low) / span
+        return np.asarray([LEFT, HEIGHT - BELOW] + share * room * [1, -1])
+
+    lines = []
+    for stable, run in runs(family.points):
+        curve = place(np.array([p.energy for p in run]), np.array([1 / p.period for p in run]))
+        dash = "" if stable else ' stroke-dasharray="5 4"'
+        lines.append(f'<polyline points="{path(curve)}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
+    for event in family.events:
+        ((x, y),) = place(np.array([event.energy]), np.array([1 / event.period]))
+        name = escape(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}")
+        lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}"><title>{name}</title></circle>')
+    return picture("".join([_frame(low, span), *lines]), "frequency against energy of the family", WIDTH, HEIGHT)
+
+
+def _frame(low: object, span: object) -> str:
+    """Axes with the range at their ends and what they are."""
+    start, width = np.asarray(low, float), np.asarray(span, float)
+    bottom, right = HEIGHT - BELOW, WIDTH - AROUND
+
+    def text(x: float, y: float, said: str, anchor: str, more: str = "") -> str:
+        return f'<text x="{x}" y="{y}" text-anchor="{anchor}" font-size="11" fill="currentColor"{more}>{said}</text>'
+
+    return "".join([
+        f'<path d="M {LEFT} {AROUND} V {bottom} H {right}" fill="none" stroke="currentColor" stroke-opacity=".5"/>',
+        text(LEFT, bottom + 15, f"{start[0]:.4g}", "start"),
+        text(right, bottom + 15, f"{start[0] + width[0]:.4g}", "end"),
+        text((LEFT + right) / 2, bottom + 30, "energy (J)", "middle"),
+        text(LEFT - 5, bottom, f"{start[1]:.3g}", "end"),
+        text(LEFT - 5, AROUND + 10, f"{start[1] + width[1]:.3g}", "end"),
+        text(12, bottom / 2, "frequency (1/s)", "middle", f' transform="rotate(-90 12 {bottom / 2})"'),
+    ])  # fmt: skip

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.records.family import Family
-from orbitfinder.site.explorers import atlas_data, atlas_main, family_data, family_main, options
+from orbitfinder.site.explorers import atlas_data, atlas_values, choices, family_data, family_values
 from orbitfinder.site.gather import AtlasFile, Gathered, evenly
 from orbitfinder.site.motion import Films, packed
-from orbitfinder.site.orbits import Entry, card, orbit_data, orbit_main
-from orbitfinder.site.text import ASSETS, Html, fill, joined, number, script_data, size, slug_maker
+from orbitfinder.site.orbits import Entry, orbit_data, orbit_values
+from orbitfinder.site.text import ASSETS, mechanism, number, plural, rendered, script_data, size, slug_maker
 from orbitfinder.site.verdicts import Judge
-from orbitfinder.site.words import mechanism, plural
 from orbitfinder.site.writing import MARK, mark
 
 WEIGHT = "@@WEIGHT@@"
 SPEAK_EVERY = 10
-PLOTTING = "plotly-basic.min.js"
+PLOTS = ("plotly-basic.min.js", "plots.js")
+SCRIPTS = {
+    "gallery": ("gallery.js",),
+    "orbit": (*PLOTS, "orbit.js"),
+    "family": (*PLOTS, "explorer.js"),
+    "atlas": (*PLOTS, "explorer.js"),
+}
+"""What each kind of page loads besides core.js and its data"""
 Progress = Callable[[str], None]
 
 
@@ -54,6 +60,18 @@ class Page:
     loads: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Link:
+    """A family or an atlas as the gallery shows it; `motion` is the key of the one that stands for it."""
+
+    kind: str
+    href: str
+    title: str
+    words: str
+    note: str
+    motion: str
+
+
 class Site:
     """The files of a site by their path, collected before anything is written."""
 
@@ -65,20 +83,16 @@ class Site:
             if asset.is_file():
                 self.files[f"assets/{asset.name}"] = asset.read_bytes()
 
-    def add(self, path: str, title: str, main: Html, data: tuple[str, Any], scripts: Sequence[str], about: str) -> None:
-        """One page with its data file."""
+    def add(self, kind: str, path: str, values: Mapping[str, Any], data: tuple[str, Any], about: str) -> None:
+        """One page by the template of a kind, with its data file; `values` has the title."""
         key, payload = data
         beside = re.sub(r"\.html$", ".js", path)
         data_file = f"data/{beside}"
         self.files[data_file] = script_data(key, payload).encode("ascii")
-        root = "../" * path.count("/")
-        sources = [f"assets/{name}" for name in ("core.js", *scripts)]
-        loads = [*sources[:1], data_file, *sources[1:]]
-        tags = joined(Html(f'<script defer src="{root}{source}"></script>') for source in loads)
-        here = Html(' aria-current="page"') if path == "index.html" else Html("")
-        whole = fill(
-            "base", title=title, site=self.settings.title, about=about, root=root, scripts=tags, main=main,
-            version=__version__, weight=Html(WEIGHT), here=here,
+        loads = ["assets/core.js", data_file, *(f"assets/{name}" for name in SCRIPTS[kind])]
+        whole = rendered(
+            kind, **values, path=path, site=self.settings.title, about=about, root="../" * path.count("/"),
+            loads=loads, version=__version__, weight=WEIGHT,
         )  # fmt: skip
         self.pages.append(Page(path, whole, ("assets/page.css", "assets/theme.js", *loads)))
 
@@ -104,7 +118,7 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
     for file in found.orbits:
         entries.append(Entry(file, films.orbit(file.document, file.dense), slug(file.document["name"])))
     tell(f"{plural(len(entries), 'orbit')} drawn")
-    links: list[Html] = []
+    links: list[Link] = []
     motions: dict[str, Any] = {}
     families = slug_maker()
     for family in found.families:
@@ -135,32 +149,30 @@ def _judged(entries: Sequence[Entry], judge: Judge, tell: Progress) -> list[Entr
 
 def _add_orbit(site: Site, entry: Entry) -> None:
     about = f"A periodic orbit of the {entry.mechanism}: period {number(entry.document['period'], 10)} s."
-    scripts = (PLOTTING, "plots.js", "orbit.js")
-    site.add(f"orbits/{entry.slug}.html", entry.title, orbit_main(entry), ("orbit", orbit_data(entry)), scripts, about)
+    values = orbit_values(entry) | {"title": entry.title}
+    site.add("orbit", f"orbits/{entry.slug}.html", values, ("orbit", orbit_data(entry)), about)
 
 
-def _add_family(site: Site, family: Family, slug: str, films: Films, motions: dict[str, Any]) -> Html:
-    data = family_data(family, films)
-    back = f"orbitfinder continue FILE --parameter {family.parameter}"
-    main = family_main(family, data["items"], back)
-    about = f"A family of periodic orbits of the {mechanism(family.system)}."
-    scripts = (PLOTTING, "plots.js", "explorer.js")
-    site.add(f"families/{slug}.html", f"Family {family.name}", main, ("explorer", data), scripts, about)
-    moving = [item["motion"] for item in data["items"] if item["motion"]]
-    key = f"family/{slug}"
-    if moving:
-        motions[key] = moving[len(moving) * 2 // 3]
+def _add_family(site: Site, family: Family, slug: str, films: Films, motions: dict[str, Any]) -> Link:
+    data, path, words = family_data(family, films), f"families/{slug}.html", mechanism(family.system)
+    values = family_values(family, data["items"]) | {"title": f"Family {family.name}"}
+    site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of the {words}.")
     energies = data["columns"]["energy"]
     note = f"{plural(len(energies), 'orbit')}, {number(min(energies), 4)} to {number(max(energies), 4)} J"
-    words = mechanism(family.system)
-    return fill(
-        "link", kind="Family", href=f"families/{slug}.html", title=family.name, note=note, motion=key, words=words
-    )
+    return Link("Family", path, family.name, words, note, _cover(f"family/{slug}", data, motions))
+
+
+def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:
+    """The key under which the gallery finds the motion that stands for a family or an atlas."""
+    moving = [item["motion"] for item in data["items"] if item["motion"]]
+    if moving:
+        motions[key] = moving[len(moving) * 2 // 3]
+    return key
 
 
 def _add_atlas(
     site: Site, atlas: AtlasFile, films: Films, slugs: tuple[str, Callable[[str], str]], motions: dict[str, Any]
-) -> tuple[Html, list[Entry]]:
+) -> tuple[Link, list[Entry]]:
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
     entries: list[Entry] = []
     titles = [str(one.document.get("title") or "") for _, one in atlas.orbits]
@@ -172,36 +184,19 @@ def _add_atlas(
     own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
     data, path = atlas_data(atlas.name, entries, {one.slug for one in own}), f"atlases/{slugs[0]}.html"
     about = f"An atlas of {plural(atlas.total, 'periodic orbit')}, energy against period."
-    main = atlas_main(atlas.name, entries, atlas.total)
-    site.add(path, f"Atlas {atlas.name}", main, ("explorer", data), (PLOTTING, "plots.js", "explorer.js"), about)
-    key, moving = f"atlas/{slugs[0]}", [item["motion"] for item in data["items"] if item["motion"]]
-    if moving:
-        motions[key] = moving[len(moving) * 2 // 3]
+    values = atlas_values(entries, atlas.total) | {"title": f"Atlas {atlas.name}"}
+    site.add("atlas", path, values, ("explorer", data), about)
     words, note = ", ".join(sorted({one.mechanism for one in entries})), plural(atlas.total, "distinct orbit")
-    return fill("link", kind="Atlas", href=path, title=atlas.name, note=note, motion=key, words=words), own
+    return Link("Atlas", path, atlas.name, words, note, _cover(f"atlas/{slugs[0]}", data, motions)), own
 
 
-def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Html], motions: dict[str, Any]) -> None:
+def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Link], motions: dict[str, Any]) -> None:
     motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
-    counts = [plural(len(entries), "orbit")] if entries else []
-    more, jump = Html(""), Html("")
-    if links:
-        more = fill("links", links=joined(links))
-        jump = fill("jump", sets=f"Families and atlases ({len(links)})", orbits=f"Orbits ({len(entries)})")
-    main = fill(
-        "gallery",
-        title=site.settings.title,
-        summary=f"{', '.join(counts) or 'No single orbits'}" + (f", {_tally(entries)}." if entries else "."),
-        links=more,
-        jump=jump,
-        count=str(len(entries)),
-        cards=joined(card(entry) for entry in entries),
-        mechanisms=options(entry.mechanism for entry in entries),
-        stabilities=options(entry.document["stability"] for entry in entries),
-        symmetries=options(entry.document["symmetry"] for entry in entries),
-    )
+    counts = plural(len(entries), "orbit") if entries else "No single orbits"
+    summary = counts + (f", {_tally(entries)}." if entries else ".")
     about = f"A gallery of {plural(len(entries), 'periodic orbit')} of mechanical systems, each moving in real time."
-    site.add("index.html", site.settings.title, main, ("gallery", motions), ("gallery.js",), about)
+    values = {"title": site.settings.title, "summary": summary, "entries": entries, "links": links} | choices(entries)
+    site.add("gallery", "index.html", values, ("gallery", motions), about)
 
 
 def _tally(entries: Sequence[Entry]) -> str:

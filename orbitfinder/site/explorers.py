@@ -11,9 +11,8 @@ from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import system_at
 from orbitfinder.site.gather import evenly
 from orbitfinder.site.motion import Films, packed
-from orbitfinder.site.orbits import Entry, player, symmetry_words
-from orbitfinder.site.text import Html, escaped, fill, joined, number
-from orbitfinder.site.words import EVENTS, mechanism, plural
+from orbitfinder.site.orbits import Entry
+from orbitfinder.site.text import EVENTS, mechanism, number, plural, symmetry_words
 
 MOST_POINTS = 60
 """Points of a family that can be seen moving; all points are on the plot."""
@@ -107,52 +106,26 @@ def span(values: Sequence[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def family_main(family: Family, items: Sequence[Mapping[str, Any]], back: str) -> Html:
-    """What stands inside <main> of a family page."""
+def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What the template of a family page is filled with."""
     points, events = family.points, family.events
     energies, periods = family.values("energy").tolist(), family.values("period").tolist()
     unstable = sum(point.stability == "unstable" for point in points)
+    listed = sum(bool(item["event"]) for item in items)
+    left_out = f"{listed} of {len(events)} events are listed; resonances are left out first."
     summary = (
         f"{plural(len(points), 'orbit')} of the {mechanism(family.system)}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "
         f"Parameter: {family.parameter}. All as orbitfinder continue recorded it; not checked here."
     )
-    columns = ["energy", "period"] if family.parameter in UNITS else ["value", "energy", "period"]
-    words = {"value": family.parameter, "energy": "energy, J", "period": "period, s"}
-    heads = [Html(f'<th scope="col">{escaped(words[name])}</th>') for name in columns]
-    ends = [Html(f"<li>{escaped(end.kind)}: {escaped(end.reason)}</li>") for end in family.ends]  # fmt: skip
-    return fill(
-        "family",
-        title=f"Family {family.name}", summary=summary, events=_event_rows(items, columns), heads=joined(heads),
-        ends=joined(ends) if ends else Html("<li>not recorded</li>"),
-        listed=_listed(items, len(events)), axis=axis_options(family), back=back, inspector=inspector(),
-    )  # fmt: skip
-
-
-def _listed(items: Sequence[Mapping[str, Any]], total: int) -> str:
-    count = sum(bool(item["event"]) for item in items)
-    return "" if count == total else f"{count} of {total} events are listed; resonances are left out first."
-
-
-def axis_options(family: Family) -> Html:
-    """The choices for the horizontal axis; the parameter too where it is neither energy nor period."""
-    options = [("energy", "energy"), ("action", "action")]
-    if family.parameter not in ("energy", "period"):
-        options.append(("value", family.parameter))
-    return joined(Html(f'<option value="{key}">{escaped(text)}</option>') for key, text in options)
-
-
-def _event_rows(items: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Html:
-    rows = []
-    for k, item in enumerate(items):
-        if item["event"]:
-            cells = "".join(f"<td>{number(item[name], 9)}</td>" for name in columns)
-            label = escaped(item["event"])
-            attributes = f'type="button" class="pick" data-item="{k}" aria-label="Show {label}, number {k + 1}"'
-            rows.append(
-                Html(f'<tr><th scope="row">{label}</th><td><button {attributes}>Show</button></td>{cells}</tr>')
-            )
-    return joined(rows) if rows else Html(f'<tr><td colspan="{2 + len(columns)}">No event was met.</td></tr>')
+    return {
+        "family": family,
+        "items": items,
+        "columns": ["energy", "period"] if family.parameter in UNITS else ["value", "energy", "period"],
+        "heads": {"value": family.parameter, "energy": "energy, J", "period": "period, s"},
+        "listed": "" if listed == len(events) else left_out,
+        "summary": summary,
+    }
 
 
 def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[str, Any]:
@@ -177,8 +150,8 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[st
     return {"page": "atlas", "name": name, "items": items}
 
 
-def atlas_main(name: str, entries: Sequence[Entry], total: int) -> Html:
-    """What stands inside <main> of an atlas page."""
+def atlas_values(entries: Sequence[Entry], total: int) -> dict[str, Any]:
+    """What the template of an atlas page is filled with."""
     energies, periods = ([float(one.document[key]) for one in entries] for key in ("energy", "period"))
     kinds = sorted({one.mechanism for one in entries})
     unstable = sum(one.document["stability"] == "unstable" for one in entries)
@@ -187,21 +160,13 @@ def atlas_main(name: str, entries: Sequence[Entry], total: int) -> Html:
     if entries:
         summary += f" Energy {span(energies)} J, period {span(periods)} s."
     summary += " All as the atlas records it; an orbit with a page of its own says there what was checked."
-    return fill(
-        "atlas", title=f"Atlas {name}", summary=summary,
-        stabilities=options(one.document["stability"] for one in entries),
-        symmetries=options(one.document["symmetry"] for one in entries),
-        inspector=inspector(),
-    )  # fmt: skip
+    return {"summary": summary} | choices(entries)
 
 
-def inspector() -> Html:
-    """The panel that shows the picked orbit."""
-    return fill("inspector", player=player("Moving picture of the picked orbit"))
-
-
-def options(values: Any) -> Html:
-    """The distinct values as choices of a filter."""
-    return joined(
-        Html(f'<option value="{escaped(v)}">{escaped(symmetry_words(v))}</option>') for v in sorted(set(values))
-    )
+def choices(entries: Sequence[Entry]) -> dict[str, Any]:
+    """The distinct values that a page's filters offer."""
+    return {
+        "mechanisms": sorted({one.mechanism for one in entries}),
+        "stabilities": sorted({one.document["stability"] for one in entries}),
+        "symmetries": sorted({one.document["symmetry"] for one in entries}),
+    }

@@ -1,51 +1,40 @@
-"""Text that goes into pages: escaping, templates, and data as JavaScript files.
+"""Text that goes into pages: templates, what things are called, and data as JavaScript files.
 
-Names and titles come from files that anyone may have written, so every value is escaped unless it is
-`Html`, which only this package makes.
+Names and titles come from files that anyone may have written, so the templates escape every value.
 """
 
 from __future__ import annotations
 
-import html
 import json
 import math
 import re
-from collections.abc import Callable
-from functools import lru_cache
-from importlib.resources import files
-from string import Template
+from collections.abc import Callable, Mapping
 from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from orbitfinder.records.reading import finite
 
 ASSETS = "assets"
+COUNTS = ("", "single", "double", "triple", "quadruple", "quintuple", "sextuple")
+BARS = {3: "three-bar", 4: "four-bar", 5: "five-bar", 6: "six-bar", 7: "seven-bar", 8: "eight-bar"}
+NAMES = {"henon_heiles": "Hénon-Heiles", "van_der_pol": "Van der Pol", "duffing": "Duffing",
+         "forced_duffing": "forced Duffing", "restricted_three_body": "restricted three-body"}  # fmt: skip
+EVENTS = {
+    "fold": "fold",
+    "branch_point": "branch point",
+    "period_doubling": "period doubling",
+    "torus": "torus",
+    "resonance": "resonance",
+    "collision": "collision",
+    "stability_change": "stability change",
+}
+SYMMETRIES = {"none": "no symmetry"}
 
 
-class Html(str):
-    """Text that is markup already and is not escaped again."""
-
-    __slots__ = ()
-
-
-def escaped(value: object) -> Html:
-    """A value as text between tags or in a quoted attribute."""
-    return value if isinstance(value, Html) else Html(html.escape(str(value), quote=True))
-
-
-@lru_cache(maxsize=32)
-def template(name: str) -> Template:
-    """The template of a name in assets/templates."""
-    return Template(files(__package__).joinpath(ASSETS, "templates", f"{name}.html").read_text(encoding="utf-8"))
-
-
-def fill(name: str, /, **values: object) -> Html:
-    """A template with its $names filled in, each value escaped unless it is `Html`."""
-    return Html(template(name).substitute({key: escaped(value) for key, value in values.items()}))
-
-
-def joined(parts: Any, separator: str = "\n") -> Html:
-    """Pieces of markup (others escaped) one after the other."""
-    return Html(separator.join(escaped(part) for part in parts))
+def rendered(template: str, /, **values: Any) -> str:
+    """The page of a template of assets/templates."""
+    return PAGES.get_template(f"{template}.html").render(values)
 
 
 def script_data(key: str, payload: Any) -> str:
@@ -76,9 +65,9 @@ def slug_maker() -> Callable[[str], str]:
     return make
 
 
-def number(value: float | None, digits: int = 6) -> str:
+def number(value: Any, digits: int = 6) -> str:
     """A number for reading: plain where that is short, with a power of ten otherwise."""
-    if value is None or not math.isfinite(value):
+    if not isinstance(value, (int, float)) or not math.isfinite(value):
         return "not computed"
     return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
 
@@ -86,3 +75,48 @@ def number(value: float | None, digits: int = 6) -> str:
 def size(count: int) -> str:
     """Bytes as kB or MB (powers of 1000)."""
     return f"{count / 1e6:.2f} MB" if count >= 1_000_000 else f"{max(1, round(count / 1e3))} kB"
+
+
+def mechanism(system: Mapping[str, Any]) -> str:
+    """The kind of mechanism in two or three words, for captions and the filter."""
+    kind = system.get("kind")
+    if kind == "chain":
+        links = system.get("links")
+        known = isinstance(links, int) and 1 <= links < len(COUNTS)
+        return f"{COUNTS[links] if known else f'{links}-link'} pendulum"  # type: ignore[index]
+    if kind == "linkage":
+        lengths = system.get("length")
+        bars = len(lengths) + 1 if isinstance(lengths, list) else 0
+        return f"{BARS.get(bars, f'{bars}-bar')} linkage"
+    if kind == "python":
+        name = str(system.get("function", "python"))
+        return NAMES.get(name, name.replace("_", " "))
+    return str(kind)
+
+
+def coordinate(name: str) -> str:
+    """A coordinate's name for an axis in Plotly's small HTML: theta3 with its subscript, others as they are."""
+    found = re.fullmatch(r"theta(\d*)", name)
+    if found:
+        return f"θ<sub>{found.group(1)}</sub>" if found.group(1) else "θ"
+    plain = re.fullmatch(r"([A-Za-z]+)(\d+)", name)
+    text = f"{plain.group(1)}<sub>{plain.group(2)}</sub>" if plain else name
+    return text if plain else re.sub(r"[<>&]", "", text)
+
+
+def plural(count: int, noun: str) -> str:
+    """`1 orbit`, `2 orbits`, `3 families`."""
+    many = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}es" if noun.endswith("s") else f"{noun}s"
+    return f"{count} {noun if count == 1 else many}"
+
+
+def symmetry_words(name: str) -> str:
+    """A symmetry for reading."""
+    return SYMMETRIES.get(name, name.replace("+", " and "))
+
+
+PAGES = Environment(
+    loader=PackageLoader(__package__, f"{ASSETS}/templates"), autoescape=True, undefined=StrictUndefined,
+    trim_blocks=True, keep_trailing_newline=True,
+)  # fmt: skip
+PAGES.filters |= {"number": number, "symmetry": symmetry_words}

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from orbitfinder._runtime.version import __version__
+from orbitfinder._runtime import __version__
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.certify import certify

@@ -1,0 +1,510 @@
+"""CasADi functions as compiled C, cached on disk; the interpreter where that is not possible or not worth it.
+
+    fast = compiled(function)                 # same signature, same numbers to round-off
+    with compiling("off"): ...                # or ORBITFINDER_COMPILE=on|off|auto
+
+A compiled function has no derivatives: use it where only its values are wanted, such as inside an integrator that is
+given its variational equations. Nothing here raises or prints: what cannot be compiled stays interpreted, and
+`statistics()` says why.
+
+Never -ffast-math. `-ffp-contract=off` forbids the fused multiply-add that compilers otherwise form where the
+processor has one, so that compiled code rounds as the interpreter does. `-march=native -O3` puts sums over long
+vectors into wide registers, which halves the time of a march and changes no bit of it; what the compiler takes
+"native" to mean is part of its identity, so that a cache in a shared home serves every processor its own library.
+
+An entry of the cache is one file, KEY-DIGEST.so: KEY is the hash of code, compiler, flags and CasADi version, DIGEST
+that of the file's own bytes. So an entry appears whole or not at all (os.replace), and a truncated or altered one is
+recognised before the loader sees it, because loading it could end the process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import platform
+import re
+import shlex
+import shutil
+import signal
+import stat
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import platformdirs
+
+from orbitfinder._runtime import locks
+from orbitfinder._runtime.quiet import captured
+from orbitfinder.errors import InputError
+
+MODES = ("on", "off", "auto")
+LONGEST_AUTO = 30.0
+"""s of compiling beyond which "auto" leaves a function interpreted, whatever the work"""
+LARGEST = 16 * 1024 * 1024
+"""Bytes of C beyond which nothing is compiled: gcc needs about 1 KB of memory per byte"""
+REMEMBERED = 32
+"""Functions, the latest used, with what became of them: 0.1 MB each of a triple pendulum"""
+AGREEMENT = 1e-6
+"""Relative difference from the interpreter, at one point, beyond which a new library is thrown away"""
+
+ALWAYS = ("-std=c99", "-fPIC", "-shared", "-ffp-contract=off")
+NATIVE = "-march=native"
+SMALL = 256 * 1024
+"""Bytes of C up to which -O3 is worth its time: on 560 KB even -O2 takes 2.7 s against 2.1 s by -O1 for nothing"""
+SECONDS_PER_BYTE = 6e-6
+"""Time to compile, measured with gcc 12: 40 KB 0.3 s, 61 KB 0.4 s, 116 KB 0.7 s"""
+STARTING = 0.05
+"""s to start a compiler and a linker"""
+TIMEOUT = 300.0
+"""s after which a compilation is given up"""
+
+LIMIT = 256 * 1024 * 1024
+"""Bytes of libraries kept; the least recently used go first"""
+STALE = 3600.0
+"""s after which an unfinished file of a process that died is removed"""
+
+
+class Unavailable(Exception):
+    """The function stays interpreted; the message says why. Never reaches the user."""
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What this process did: libraries made, loaded from the cache, functions left interpreted, and the last reason."""
+
+    made: int = 0
+    loaded: int = 0
+    left: int = 0
+    reason: str = ""
+
+
+_chosen: list[str] = []
+_statistics = Statistics()
+_known: dict[tuple[Any, ...], tuple[ca.Function, ca.Function]] = {}
+_libraries: dict[str, ca.Function] = {}
+
+
+def mode() -> str:
+    """on, off or auto: the innermost `compiling`, else `set_mode`, else $ORBITFINDER_COMPILE, else auto."""
+    if _chosen:
+        return _chosen[-1]
+    value = os.environ.get("ORBITFINDER_COMPILE", "").strip().lower()
+    return _checked(value, "ORBITFINDER_COMPILE") if value else "auto"
+
+
+def _checked(value: str, field: str = "compile") -> str:
+    if value not in MODES:
+        raise InputError(f"{field}: unknown mode {value!r}; use on, off or auto (the default)")
+    return value
+
+
+def set_mode(value: str) -> None:
+    """Compile always ("on"), never ("off"), or where the work pays for it ("auto"), in this process."""
+    _chosen[:1] = [_checked(value)]
+
+
+@contextlib.contextmanager
+def compiling(value: str) -> Iterator[None]:
+    """The mode inside a `with` block."""
+    before = list(_chosen)
+    _chosen.append(_checked(value))
+    try:
+        yield
+    finally:
+        _chosen[:] = before
+
+
+def statistics() -> Statistics:
+    """What has been compiled, loaded and left so far in this process."""
+    return _statistics
+
+
+def _count(made: int = 0, loaded: int = 0, left: int = 0, reason: str = "") -> None:
+    global _statistics
+    now = _statistics
+    _statistics = replace(
+        now, made=now.made + made, loaded=now.loaded + loaded, left=now.left + left, reason=reason or now.reason
+    )
+
+
+def available() -> tuple[bool, str]:
+    """Whether a C compiler runs, and its first line of `--version` or the reason why not."""
+    try:
+        return True, find_compiler().identity.splitlines()[0]
+    except Unavailable as error:
+        return False, str(error)
+
+
+def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Function:
+    """The function as compiled C with the same signature, or the function itself.
+
+    `effort` is about how many seconds of interpreted work are to come; in mode "auto" a function that is not in the
+    cache is compiled only if that is longer than compiling takes. None: the caller knows that it is.
+    """
+    if mode() == "off":
+        return function
+    if mode() != "on" and effort is not None and effort < STARTING:
+        return function
+    surroundings = (os.environ.get("CC"), os.environ.get("ORBITFINDER_CACHE"))
+    remembered = (function.__hash__(), mode(), *surroundings, mode() == "on" or effort is None or effort)
+    if remembered in _known:
+        _known[remembered] = _known.pop(remembered)  # the latest used is the last to go
+        return _known[remembered][1]
+    try:
+        with captured():
+            result = _library(function, effort)
+    except (Unavailable, OSError, RuntimeError) as error:
+        _count(left=1, reason=f"{function.name()}: {error}")
+        result = function
+    _make_room(_known)
+    _known[remembered] = (function, result)  # holding the function keeps its hash from being reused
+    return result
+
+
+def interpreted_seconds(function: ca.Function, calls: float) -> float:
+    """About how long so many calls take interpreted: 3 ns per operation, measured on three to ten links."""
+    return 3e-9 * calls * float(function.n_instructions())
+
+
+def with_derivatives(function: ca.Function, *, effort: float | None = None) -> ca.Function:
+    """`compiled(function)` whose Jacobian is the interpreted one: CVODES and IDAS will not be built without one."""
+    fast = compiled(function, effort=effort)
+    if fast is function:
+        return function
+    inputs = function.mx_in()
+    options = {"custom_jacobian": function.jacobian(), "never_inline": True, "jac_penalty": 0}
+    return ca.Function(function.name(), inputs, fast.call(inputs), function.name_in(), function.name_out(), options)
+
+
+def _library(function: ca.Function, effort: float | None) -> ca.Function:
+    """The compiled function, from this process, from the disk or made now."""
+    code = _code(function)
+    compiler = find_compiler()
+    key = key_of(code, compiler.identity, " ".join(flags(len(code), compiler.tuning)), ca.__version__)
+    if key in _libraries:
+        return _libraries[key]
+    place = usable()
+    found = _loaded(find_entry(place, key), function)
+    if found is None:
+        _worth_it(len(code), effort)
+        # one process at a time per key (256 locks in all); where files cannot be locked the work may be done twice
+        with locks.held(place / f"lock-{key[:2]}", expected_seconds(len(code)) * 10 + 10) as held:
+            found = _loaded(find_entry(place, key), function)  # another process may have made it meanwhile
+            if found is None:
+                if not held:
+                    raise Unavailable("another process is compiling the same")
+                found = _opened(publish(make_library(compiler, code, place), place, key), function, new=True)
+                _count(made=1)
+    _make_room(_libraries)
+    _libraries[key] = found
+    return found
+
+
+def _make_room(remembered: dict[Any, Any]) -> None:
+    """Forget the oldest entry where there are as many as are kept."""
+    if len(remembered) >= REMEMBERED:
+        remembered.pop(next(iter(remembered)))
+
+
+def _code(function: ca.Function) -> str:
+    """The function in C; `RuntimeError` for what CasADi cannot generate (CVODES, IDAS, IPOPT, Python callbacks)."""
+    generator = ca.CodeGenerator("code.c")
+    generator.add(function)
+    code = str(generator.dump())
+    refused = re.search(r"#error (.*)|#include (?!<math\.h>)(.*)", code)
+    if refused:
+        raise Unavailable(refused.group(1) or f"its code needs {refused.group(2)}")
+    if len(code) > LARGEST:
+        raise Unavailable(f"{len(code) / 2**20:.0f} MB of C")
+    return code
+
+
+def _worth_it(size: int, effort: float | None) -> None:
+    expected = expected_seconds(size)
+    if mode() == "on":
+        return
+    if expected > LONGEST_AUTO:
+        raise Unavailable(f"compiling would take about {expected:.0f} s")
+    if effort is not None and effort < expected:
+        raise Unavailable(f"{effort:.2g} s of work, compiling would take about {expected:.2g} s")
+
+
+def _loaded(path: Path | None, function: ca.Function) -> ca.Function | None:
+    """A library of the cache; None where there is none that fits."""
+    if path is None:
+        return None
+    try:
+        found = _opened(path, function)
+    except Unavailable:
+        return None
+    _count(loaded=1)
+    return found
+
+
+def _opened(path: Path, function: ca.Function, new: bool = False) -> ca.Function:
+    """A library loaded and, when new, compared with the interpreter at one point; `Unavailable` removes its file."""
+    try:
+        found = ca.external(function.name(), str(path))
+    except RuntimeError as error:
+        path.unlink(missing_ok=True)
+        raise Unavailable(f"the library cannot be loaded: {error}") from None
+    if _signature(found) != _signature(function) or (new and not _agrees(found, function)):
+        path.unlink(missing_ok=True)
+        raise Unavailable("the compiled function disagrees with the interpreted one")
+    return found
+
+
+def _signature(function: ca.Function) -> tuple[list[ca.Sparsity], list[ca.Sparsity]]:
+    return (
+        [function.sparsity_in(k) for k in range(function.n_in())],
+        [function.sparsity_out(k) for k in range(function.n_out())],
+    )
+
+
+def _agrees(found: ca.Function, function: ca.Function) -> bool:
+    random = np.random.default_rng(0)
+    point = [ca.DM(pattern, random.uniform(0.1, 0.9, pattern.nnz())) for pattern in _signature(function)[0]]
+    for one, two in zip(found.call(point), function.call(point), strict=True):
+        a, b = one.full(), two.full()
+        size = np.abs(b[np.isfinite(b)]).max(initial=1.0)
+        if not np.allclose(a, b, rtol=AGREEMENT, atol=AGREEMENT * size, equal_nan=True):
+            return False
+    return True
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A command (with arguments, where $CC has some), what it says of itself, and its flags for this processor."""
+
+    command: tuple[str, ...]
+    identity: str
+    tuning: tuple[str, ...] = ()
+
+
+def find_compiler() -> Compiler:
+    """The compiler of $CC, else the first of cc, gcc, clang. Raises `Unavailable` when none runs."""
+    chosen = os.environ.get("CC", "").strip()
+    candidates = [tuple(shlex.split(chosen))] if chosen else [("cc",), ("gcc",), ("clang",)]
+    reasons = []
+    for command in candidates:
+        path = shutil.which(command[0])
+        if path is None:
+            reasons.append(f"{command[0]} is not on the path")
+            continue
+        try:
+            return Compiler((path, *command[1:]), *_described(path, command[1:], os.stat(path).st_mtime_ns))
+        except (Unavailable, OSError) as error:
+            reasons.append(f"{command[0]}: {error}")
+    raise Unavailable("no C compiler: " + "; ".join(reasons))
+
+
+@lru_cache(maxsize=8)
+def _described(path: str, arguments: tuple[str, ...], _changed: int) -> tuple[str, tuple[str, ...]]:
+    """Identity and tuning: what `--version` prints, the machine, and a digest of all that "native" defines here.
+
+    `_changed` keeps a replaced compiler from being taken for the old.
+    """
+    said = _run([path, *arguments, "--version"], 10.0)
+    identity = f"{said.strip()}\n{platform.system()} {platform.machine()} {' '.join(arguments)}"
+    try:
+        defined = _run([path, *arguments, NATIVE, "-dM", "-E", "-x", "c", os.devnull], 10.0)
+    except Unavailable:
+        return identity, ()
+    return f"{identity} {hashlib.sha256(defined.encode()).hexdigest()[:16]}", (NATIVE,)
+
+
+def flags(size: int, tuning: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Flags for `size` bytes of C."""
+    return ("-O3" if size <= SMALL else "-O1", *ALWAYS, *tuning)
+
+
+def expected_seconds(size: int) -> float:
+    """About how long that many bytes of C take to compile."""
+    return STARTING + SECONDS_PER_BYTE * size
+
+
+def make_library(compiler: Compiler, code: str, folder: Path) -> Path:
+    """A shared library in `folder`, under a temporary name. Raises `Unavailable`, leaving nothing behind."""
+    work = Path(tempfile.mkdtemp(prefix="making-", dir=folder))
+    try:
+        source, made = work / "code.c", work / "code.so"
+        source.write_text(code, encoding="utf-8")
+        _run([*compiler.command, *flags(len(code), compiler.tuning), str(source), "-o", str(made), "-lm"], TIMEOUT)
+        if not made.is_file():
+            raise Unavailable("the compiler reported success and wrote nothing")
+        handle, name = tempfile.mkstemp(prefix="making-", suffix=".so", dir=folder)
+        os.close(handle)
+        os.replace(made, name)
+        os.chmod(name, 0o700)
+        return Path(name)
+    except OSError as error:
+        raise Unavailable(f"cannot write: {error}") from None
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _run(command: list[str], timeout: float) -> str:
+    """Standard output of a command; `Unavailable` when it fails, cannot start or takes too long."""
+    try:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            start_new_session=True, text=True, errors="replace",
+        )  # fmt: skip
+    except OSError as error:
+        raise Unavailable(f"cannot start: {error}") from None
+    try:
+        output, _ = process.communicate(timeout=timeout)
+    except BaseException as error:
+        _kill(process)
+        if isinstance(error, subprocess.TimeoutExpired):
+            raise Unavailable(f"took longer than {timeout:g} s") from None
+        raise
+    if process.returncode != 0:
+        raise Unavailable(f"exit code {process.returncode}: {output.strip()[:500]}")
+    return output
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    """End a compiler with everything it started: the driver's children do the work."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.killpg(process.pid, signal.SIGKILL)
+    with contextlib.suppress(OSError):
+        process.kill()
+    process.communicate()
+
+
+def folder() -> Path:
+    """Where libraries are kept: $ORBITFINDER_CACHE/compiled, else the platform's place for caches.
+
+    Raises `OSError` when that is in the home of somebody who has none.
+    """
+    chosen = os.environ.get("ORBITFINDER_CACHE", "").strip()
+    root = Path(chosen) if chosen else platformdirs.user_cache_path("orbitfinder", appauthor=False)
+    try:
+        if os.environ.get("HOME") == "":
+            raise RuntimeError("HOME is empty.")
+        return root.expanduser() / "compiled"
+    except RuntimeError as error:
+        raise OSError(f"{error} Set ORBITFINDER_CACHE to a folder of your own.") from None
+
+
+def usable() -> Path:
+    """The folder for libraries, made if need be and without links. Raises `OSError` when it must not be used.
+
+    Loading a library executes it, so nobody but its user (and root) may be able to put one there, or another folder in
+    its place.
+    """
+    place = folder()
+    for part in (*reversed(place.parents), place):
+        if not part.is_dir():
+            part.mkdir(mode=0o700, exist_ok=True)  # whatever the umask
+    place = place.resolve()
+    fault = exposed(place)
+    if fault:
+        raise PermissionError(f"{fault}, so libraries there could be another's")
+    return place
+
+
+def exposed(place: Path) -> str:
+    """Why others could change what a path without links leads to, empty when only its user and root can.
+
+    Every folder on the way must be ours or root's, and writable by nobody else; in a sticky one (/tmp) others cannot
+    replace what is ours. Once this holds it goes on holding, so no race is left between looking and loading.
+    """
+    if not hasattr(os, "getuid"):
+        return ""
+    for part in (place, *place.parents):
+        about = part.lstat()
+        if not stat.S_ISDIR(about.st_mode) or about.st_uid not in (os.getuid(), 0):
+            return f"{part} is not a folder of yours"
+        if _writable_by_others(about) and not (about.st_mode & stat.S_ISVTX and part != place):
+            return f"{part} may be written by others (chmod go-w)"
+    return ""
+
+
+def _writable_by_others(about: os.stat_result) -> bool:
+    """Group members count as others, but for those of a group that has its user's name and no other member."""
+    if about.st_mode & stat.S_IWOTH or not about.st_mode & stat.S_IWGRP:
+        return bool(about.st_mode & stat.S_IWOTH)
+    import grp
+    import pwd
+
+    try:
+        group, user = grp.getgrgid(about.st_gid), pwd.getpwuid(os.getuid())
+    except KeyError:
+        return True
+    return (group.gr_name, set(group.gr_mem) - {user.pw_name}) != (user.pw_name, set())
+
+
+def key_of(*parts: str) -> str:
+    """The name of what these parts determine: 32 hexadecimal digits of SHA-256."""
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+def digest(content: bytes) -> str:
+    """32 hexadecimal digits of the SHA-256 of a file's bytes."""
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def find_entry(place: Path, key: str) -> Path | None:
+    """A sound entry for this key, marked as used now; damaged ones are removed, foreign ones ignored."""
+    for path in sorted(place.glob(f"{key}-*.so")):
+        try:
+            content = _read(path)
+            if content is None:
+                continue
+            if digest(content) != path.stem.partition("-")[2]:
+                path.unlink()
+                continue
+        except OSError:
+            continue
+        with contextlib.suppress(OSError):
+            os.utime(path)
+        return path
+    return None
+
+
+def _read(path: Path) -> bytes | None:
+    """What a file holds; None where it is a link, no file, another's, or may be written by others."""
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+    with open(handle, "rb") as stream:
+        about = os.fstat(handle)
+        mine = not hasattr(os, "getuid") or (about.st_uid in (os.getuid(), 0) and not about.st_mode & 0o022)
+        return stream.read() if mine and stat.S_ISREG(about.st_mode) else None
+
+
+def publish(made: Path, place: Path, key: str) -> Path:
+    """Give a finished library its name, in one step, and make room."""
+    path = place / f"{key}-{digest(made.read_bytes())}.so"
+    os.replace(made, path)
+    evict(place, keep=path)
+    return path
+
+
+def evict(place: Path, keep: Path | None = None, limit: int | None = None) -> None:
+    """Remove the least recently used libraries beyond the limit, and what dead processes left unfinished."""
+    entries, allowed = [], LIMIT if limit is None else limit
+    for path in place.iterdir():
+        with contextlib.suppress(OSError):
+            about = path.stat()
+            if path.name.startswith("making-"):
+                if time.time() - about.st_mtime > STALE:
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+            elif path.suffix == ".so":
+                entries.append((about.st_mtime, about.st_size, path))
+    total = sum(size for _, size, _ in entries)
+    for _, size, path in sorted(entries):
+        if total <= allowed:
+            break
+        if path != keep:
+            with contextlib.suppress(OSError):
+                path.unlink()
+                total -= size
