@@ -29,7 +29,7 @@ import numpy as np
 from peers.auto_family import AUTO, Clock, Run, auto_runs
 
 from orbitfinder.families.follow import follow
-from orbitfinder.families.point import FamilyPoint, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin
 from orbitfinder.guesses.modes import mode_problem
@@ -37,6 +37,7 @@ from orbitfinder.integrate.compiled import compiling
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.records.family import FamilyPoint
 
 ROOT = Path(__file__).parents[1]
 POINTS = 40

@@ -22,13 +22,12 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.loops.symmetry import NONE, SYMMETRIES
 from orbitfinder.proof.record import entry
 from orbitfinder.proof.theorem import prove
-from orbitfinder.records.orbit import orbit_from_document, write_atomically
+from orbitfinder.records.orbit import orbit_from_document
+from orbitfinder.records.reading import write_atomically
 
 
 def cost(document: dict[str, Any]) -> float:
@@ -40,7 +39,7 @@ def cost(document: dict[str, Any]) -> float:
 def attempt(task: tuple[str, dict[str, Any]]) -> tuple[str, dict[str, Any], dict[str, Any]]:
     """The proof of one document, in a process of its own."""
     name, document = task
-    orbit = orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+    orbit = orbit_from_document(document)
     return name, document, entry(prove(orbit))
 
 

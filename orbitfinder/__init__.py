@@ -77,8 +77,8 @@ if TYPE_CHECKING:
     from orbitfinder.problemfile.read import load_problem as load_problem
     from orbitfinder.records.orbit import Certificate as Certificate
     from orbitfinder.records.orbit import Orbit as Orbit
-    from orbitfinder.records.orbit import load_orbit as load_orbit
     from orbitfinder.records.orbit import save_orbit as save_orbit
+    from orbitfinder.records.store import load_orbit as load_orbit
     from orbitfinder.show.animate import orbit_clip as orbit_clip
     from orbitfinder.show.animate import save_animation as save_animation
     from orbitfinder.show.animate import simulation_clip as simulation_clip
@@ -110,7 +110,7 @@ _HOMES = {
     "pin": "loops.conditions",
     "Certificate": "records.orbit",
     "Orbit": "records.orbit",
-    "load_orbit": "records.orbit",
+    "load_orbit": "records.store",
     "save_orbit": "records.orbit",
     "Guess": "loops.problem",
     "Problem": "loops.problem",

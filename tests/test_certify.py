@@ -12,7 +12,8 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import Tolerances, certify
 from orbitfinder.orbits.evidence import gather
-from orbitfinder.records.orbit import Orbit, load_orbit, save_orbit
+from orbitfinder.records.orbit import Orbit, save_orbit
+from orbitfinder.records.store import load_orbit
 
 NAMES = ["triple-1", "triple-2", "quadruple-1", "quadruple-2"]
 

@@ -19,7 +19,6 @@ from orbitfinder.families import events
 from orbitfinder.families.branches import switch
 from orbitfinder.families.folder import continue_command
 from orbitfinder.families.follow import follow
-from orbitfinder.families.journal import load_family, read_journal
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.stability import matched
@@ -33,6 +32,7 @@ from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.measure import multipliers
+from orbitfinder.records.family import load_family, read_journal
 
 DATA = Path(__file__).parent / "data"
 MODES = json.loads((DATA / "normal_modes.json").read_text(encoding="utf-8"))["orbits"]
@@ -344,7 +344,7 @@ def test_very_unstable_orbits_fit_piece_by_piece(wild):
     """Round the loop nothing is left, from node to node everything is."""
     _, point = wild
     assert point.scale > 1e9 and point.closure > 1e-6
-    assert 0 < point.defect < 1e-10 and len(point.nodes) > 2
+    assert 0 < point.defect < 1e-10 and len(point.shooting_nodes) > 2
 
 
 def test_broken_piece_is_refused(wild):

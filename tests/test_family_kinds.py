@@ -9,8 +9,8 @@ from scipy.integrate import quad, solve_ivp
 
 from orbitfinder.errors import InputError
 from orbitfinder.families.folder import continue_command
+from orbitfinder.families.members import motions
 from orbitfinder.families.minimal import bar_states, dead_point, minimal_problem, native_state
-from orbitfinder.families.motions import motions
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import begin

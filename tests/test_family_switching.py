@@ -11,11 +11,11 @@ from click.testing import CliRunner
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.folder import continue_command
-from orbitfinder.families.journal import load_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import begin
 from orbitfinder.families.switching import branches
-from orbitfinder.records.orbit import load_orbit
+from orbitfinder.records.family import load_family
+from orbitfinder.records.store import load_orbit
 
 ROOT = Path(__file__).parents[1]
 FAMILIES = ROOT / "problems" / "families"

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from orbitfinder.atlas.attempt import Attempt, Numbers, finished, reasons
 from orbitfinder.atlas.solver import QuickSettings
 from orbitfinder.atlas.starts import Bench, Start
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.follow import follow
-from orbitfinder.families.point import FamilyPoint, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import begin
+from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_from_document
 
 CONTINUATION = "continuation"
@@ -27,7 +26,7 @@ def continued(
 ) -> Attempt:
     """The attempt from the orbit of a document, followed to the energy of the bench."""
     with reasons(index, CONTINUATION) as ended:
-        point = followed(one, orbit_from_document(source, np.zeros(0), np.zeros((0, 0))))
+        point = followed(one, orbit_from_document(source))
         start = Start(index, CONTINUATION, "none", point.state, point.period)
         ended.append(finished(one, seed, start, known, QuickSettings()))
     return ended[-1]

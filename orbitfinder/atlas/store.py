@@ -19,8 +19,9 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
-from orbitfinder.records.orbit import Orbit, check_document, orbit_from_document, orbit_to_document
+from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document
 from orbitfinder.records.reading import inflated, json_document, read_as
+from orbitfinder.records.store import kind_of, load_orbit, member
 
 RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 4096
@@ -209,13 +210,15 @@ class Atlas:
         """The orbit.json document of an orbit by its id."""
         rows = self.select([bytes], "SELECT document FROM orbits WHERE id = ?", [int(number)])
         if not rows:
-            raise InputError(f"{self.path}: id: no orbit {number}; list them with orbitfinder atlas list")
+            last = self.select([int], "SELECT coalesce(max(id), 0) FROM orbits")[0][0]
+            known = f"ids are from 1 to {last}" if last else "the atlas is empty"
+            raise InputError(f"{self.path}: id: no orbit {number}, {known}; list them with orbitfinder atlas list")
         return unpacked(rows[0][0], f"{self.path}: orbit {number}")
 
     def orbit(self, number: int) -> Orbit:
-        """An orbit by its id, certificate included; its dense samples are left out (see `with_samples`)."""
+        """An orbit by its id, certificate included; its dense samples are left out."""
         document = self.document(number)
-        return orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+        return orbit_from_document(document)
 
     def documents(self, chosen: Filter | None = None) -> Iterator[dict[str, Any]]:
         """The orbit.json documents that pass a filter, by energy and period."""
@@ -270,6 +273,15 @@ class Atlas:
         return number, known is None
 
 
+def orbit_of(path: str | Path) -> Orbit:
+    """The orbit of an orbit.json, or of FILE#K: point K of a family.json, orbit K of an atlas, by its id."""
+    file, number = member(path)
+    if number is None or kind_of(file) != "atlas":
+        return load_orbit(path)
+    with Atlas(file) as atlas:
+        return atlas.orbit(number)
+
+
 def packed(orbit: Orbit) -> bytes:
     """The orbit.json document of an orbit, compressed."""
     text = json.dumps(orbit_to_document(orbit), separators=(",", ":"), allow_nan=False)
@@ -278,11 +290,8 @@ def packed(orbit: Orbit) -> bytes:
 
 def unpacked(data: bytes, where: str) -> dict[str, Any]:
     """The document that `packed` made; `InputError` when it is damaged."""
-    document = check_document(json_document(inflated(data, where, RESTORE), where, RESTORE), where)
-    try:
-        orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+    document: dict[str, Any] = json_document(inflated(data, where, RESTORE), where, RESTORE)
+    orbit_in(document, where)
     return document
 
 

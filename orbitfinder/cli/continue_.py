@@ -15,10 +15,11 @@ from orbitfinder.cli.options import FILES, FINITE, compile_option, trust_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.families.point import Batch, Family, FamilySettings
+    from orbitfinder.families.point import FamilySettings
     from orbitfinder.families.switching import Branch
     from orbitfinder.loops.problem import Problem
     from orbitfinder.mechanics.model import Model
+    from orbitfinder.records.family import Batch, Family
     from orbitfinder.records.orbit import Orbit
 
     Origin = Orbit | Problem | Branch
@@ -38,29 +39,29 @@ def numbers(text: str) -> tuple[float, ...]:
 
 
 def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
-    """The Orbit of an orbit.json, the Branch of a family.json or the Problem of any other file, with its model."""
-    from orbitfinder.families.journal import FORMAT
+    """The Orbit of an orbit.json or FILE#K, the Branch of a family.json, or the Problem of a file, with its model."""
+    from orbitfinder.atlas.store import orbit_of
     from orbitfinder.problemfile.read import checked_name, load_problem
-    from orbitfinder.records.orbit import load_orbit
-    from orbitfinder.records.reading import file_head
+    from orbitfinder.records.store import kind_of, member
 
-    if file.suffix != ".json":
+    single = member(file)[1] is not None
+    if file.suffix != ".json" and not single:
         if switch is not None:
             raise InputError("--switch: goes with a family.json; continue the problem first, then switch there")
         return load_problem(file, trust), None
-    if FORMAT.encode() in file_head(file, 200):
+    if not single and kind_of(file) == "family":
         return _branch_of(file, trust, switch, branch), None
     if switch is not None:
         raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
-    orbit = load_orbit(file)
+    orbit = orbit_of(file)
     checked_name(orbit.name, f"{file}: name")
     return orbit, model_of(orbit.system, file, trust)
 
 
 def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
     from orbitfinder.families.branches import SWITCHABLE
-    from orbitfinder.families.journal import load_family
     from orbitfinder.families.switching import branches, described
+    from orbitfinder.records.family import load_family
 
     if switch is None:
         family = load_family(file)

@@ -11,7 +11,7 @@ from orbitfinder.errors import InputError
 
 
 @click.command()
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
 @click.option("--to", required=True, type=click.Choice(["csv", "auto", "julia", "c"]), help="What to write.")
 @click.option("-o", "--out", default=None, type=FILES, help="Folder for the files; default: beside each ORBIT.json.")
 @trust_option(SYSTEM_TRUST)
@@ -20,6 +20,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
     (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
     Examples:
@@ -31,7 +32,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
     from orbitfinder.problemfile.read import checked_name
 
     seen: dict[str, Path] = {}
-    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    orbits = [(file, *orbit_and_model(file, trust, pictured=True)) for file in files]
     for file, orbit, _ in orbits:
         checked_name(orbit.name, f"{file}: name")
         if out is not None and seen.setdefault(orbit.name, file) != file:

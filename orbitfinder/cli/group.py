@@ -169,7 +169,7 @@ def _print_outcome(outcome: Any) -> None:
 
 
 @cli.command()
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
 @click.option("--proof", is_flag=True, help="Replay the recorded proof of each file too (see `orbitfinder prove`).")
 @trust_option()
 @json_option
@@ -178,12 +178,14 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool, as_json: bool) -> 
 
     Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
     every file passed; 1: some failed, and are named. The equations of a system that a Python module
-    of yours makes are that module's; it is run only with --trust.
+    of yours makes are that module's; it is run only with --trust. FILE#K is point K of a family.json,
+    counted from 0, or orbit K of an atlas.
 
     \b
     Examples:
       orbitfinder verify orbits/triple-1/orbit.json
       orbitfinder verify orbits/*/orbit.json --json
+      orbitfinder verify families/triple-mode-2/family.json#17
     """
     from orbitfinder.cli.jobs import verify_file
     from orbitfinder.records.orbit import certificate_to_document

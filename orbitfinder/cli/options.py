@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from orbitfinder._runtime.limit import limited
-from orbitfinder.records.jsontext import finite
+from orbitfinder.records.reading import finite
 
 FILES = click.Path(path_type=Path)
 

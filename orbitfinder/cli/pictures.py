@@ -47,11 +47,13 @@ def reproduce(out: Path, fresh: bool) -> None:
 
 
 @click.command()
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
 @click.option("-o", "--out", default=None, type=FILES, help="Folder for the figures; default: beside each file.")
 @trust_option(SYSTEM_TRUST)
 def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
+
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
     Example:
@@ -61,21 +63,24 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     from orbitfinder.problemfile.read import checked_name
     from orbitfinder.show.plot import save_figures
 
-    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    orbits = [(file, *orbit_and_model(file, trust, pictured=True)) for file in files]
     for file, orbit, model in orbits:
         name = checked_name(orbit.name, f"{file}: name")
-        folder = file.parent if out is None else (out if len(orbits) == 1 else out / name)
+        beside = file.parent if file.exists() else file.parent / name
+        folder = beside if out is None else (out if len(orbits) == 1 else out / name)
         check_writable(folder)
         for written in save_figures(orbit, folder, model):
             click.echo(str(written))
 
 
 @click.command()
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
 @click.option("-o", "--out", default=None, type=FILES, help="A .gif or .mp4 file (one orbit), or a folder.")
 @trust_option(SYSTEM_TRUST)
 def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     """Animate each ORBIT.json in real time over whole periods, as a GIF (or MP4 with the extra `mp4`).
+
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
     Examples:
@@ -91,7 +96,7 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
         check_suffix(out)
     if single and len(files) > 1:
         raise InputError(f"--out: {out} is one file for {len(files)} orbits; name a folder")
-    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    orbits = [(file, *orbit_and_model(file, trust, pictured=True)) for file in files]
     for file, orbit, model in orbits:
         name = checked_name(orbit.name, f"{file}: name")
         if single and out is not None:

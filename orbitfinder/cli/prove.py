@@ -34,7 +34,7 @@ SYMMETRY: dict[str, Any] = {"type": SymmetryName(), "metavar": "[none|reflection
 
 
 @click.command(name="prove")
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
 @click.option("--symmetry", **SYMMETRY, default=None,
               help="Prove in this symmetry; default: the recorded one. none: unique among all near.")  # fmt: skip
 @click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
@@ -52,30 +52,33 @@ def prove_command(
 
     Needs the extra `proof` (python-flint). A proof encloses the orbit, its minimal period and its
     multipliers, and is recorded in the file. Exit code 0: all proved; 1: some not, with the reason.
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas; its proof is not recorded.
 
     \b
     Examples:
       orbitfinder prove orbits/triple-1/orbit.json
       orbitfinder prove orbits/*/orbit.json --no-record --json
     """
+    from orbitfinder.atlas.store import orbit_of
     from orbitfinder.cli.jobs import check_writable
     from orbitfinder.proof.record import checked, entry, write_entry
     from orbitfinder.proof.theorem import Options, provable_model, prove
-    from orbitfinder.records.orbit import load_orbit
 
     given = {"order": order, "bits": bits, "tolerance": tolerance}
     chosen = Options(symmetry=symmetry, segments=segments)
     settings = replace(chosen.settings, **{k: v for k, v in given.items() if v is not None})  # type: ignore[arg-type]
     options, results = checked(replace(chosen, settings=settings)), []
     for file in files:
-        orbit = load_orbit(file)
+        orbit = orbit_of(file)
         if record:
             check_writable(file.parent, "--record")
         model = provable_model(orbit, file.parent if trust else None)
         proof = prove(orbit, model, options, lambda line, name=orbit.name: _say(f"{name}: {line}"))  # type: ignore[misc]
         interrupt.check()
-        if proof.proved and record:
+        if proof.proved and record and file.exists():
             write_entry(file, proof)
+        elif proof.proved and record:
+            _say(f"{file}: the proof is not recorded: one orbit of a file has no entry for it")
         results.append({"file": str(file), "name": orbit.name} | entry(proof))
         if not as_json:
             _print_proof(f"{file} ({orbit.name})", proof)
@@ -118,12 +121,12 @@ def _print_proof(heading: str, proof: Proof) -> None:
 
 def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
     """Replay the proof recorded in a file: `passed`, and `message`, one sentence."""
+    from orbitfinder.atlas.store import orbit_of
     from orbitfinder.proof.record import read_entry, replay
     from orbitfinder.proof.theorem import provable_model
-    from orbitfinder.records.orbit import load_orbit
 
-    orbit = load_orbit(file)
-    proof, wrong = replay(orbit, read_entry(file), provable_model(orbit, file.parent if trust else None))
+    orbit = orbit_of(file)
+    proof, wrong = replay(orbit, read_entry(orbit, file), provable_model(orbit, file.parent if trust else None))
     if wrong:
         return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
     assert proof.stability is not None
@@ -154,11 +157,11 @@ def refine_command(
       orbitfinder refine orbits/triple-1/orbit.json --digits 50
       orbitfinder refine orbits/triple-1/orbit.json --digits 50 --order 80 --bits 300
     """
+    from orbitfinder.atlas.store import orbit_of
     from orbitfinder.proof.refine import refine, settings_for
     from orbitfinder.proof.theorem import provable_model
-    from orbitfinder.records.orbit import load_orbit
 
-    settings, orbit = settings_for(digits, order, bits), load_orbit(file)
+    settings, orbit = settings_for(digits, order, bits), orbit_of(file)
     model = provable_model(orbit, file.parent if trust else None)
     found = refine(orbit, settings, digits, model, symmetry, enclose, _say)
     if as_json:

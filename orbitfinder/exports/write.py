@@ -13,7 +13,8 @@ from orbitfinder.exports.julia import julia_file
 from orbitfinder.exports.source import Source, source_of
 from orbitfinder.exports.straightline import C, c_number, c_numbers, straight_line
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.orbit import Orbit, write_atomically
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import write_atomically
 
 C_FILE = """{heading}
 #include <math.h>

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.events import parameter_slopes
-from orbitfinder.families.point import Event, FamilySettings, parameter_value, unknowns_of, winding
+from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of, winding
 from orbitfinder.families.scale import extent
 from orbitfinder.families.start import (
     Start,
@@ -31,6 +31,7 @@ from orbitfinder.families.start import (
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, scaled
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, named
+from orbitfinder.records.family import Event
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
@@ -135,14 +136,14 @@ def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
 
 
 def _turns(curve: Curve, event: Event) -> np.ndarray:
-    return winding(curve) * event.order
+    return np.array(winding(curve)) * event.order
 
 
 def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> Unknowns:
     """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
     base, fraction = at_place(curve, unknowns_of(curve, event)), symmetry.fraction
     n = curve.equations.size // 2
-    each = (base.place.mesh.size - 1) // len(event.nodes)
+    each = (base.place.mesh.size - 1) // len(event.shooting_nodes)
     mesh, states = curve.equations.symmetry.whole(base.place.mesh, base.march.states, curve.constant)
     count = mesh.size - 1
     first = int(np.argmin(np.abs(mesh - share)))

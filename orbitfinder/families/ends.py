@@ -10,13 +10,14 @@ from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
-from orbitfinder.families.point import End, FamilyPoint, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.samples import Interval
 from orbitfinder.families.scale import extents, span
 from orbitfinder.families.start import full_samples
 from orbitfinder.loops.continued import Curve, Solution, at_place, correct, distance
 from orbitfinder.loops.loop import Condition, Unknowns
 from orbitfinder.loops.symmetry import NONE, REFLECTION, half_period_gaps, recognise
+from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""

@@ -6,11 +6,12 @@ from typing import Any
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.events import Interval, make_probe
-from orbitfinder.families.point import FamilyPoint, make_point, parameter_value
+from orbitfinder.families.point import make_point, parameter_value
 from orbitfinder.families.run import Stand, Walk
 from orbitfinder.loops.continued import Solution, correct, distance, tangent
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.square import pinned
+from orbitfinder.records.family import FamilyPoint
 
 
 def exact_points(

@@ -12,22 +12,9 @@ import numpy as np
 from orbitfinder._runtime import limit, locks
 from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, LimitError
-from orbitfinder.families.certified import batch_certified, certified
 from orbitfinder.families.follow import follow
-from orbitfinder.families.journal import (
-    FORMAT,
-    JOURNAL,
-    VERSION,
-    Journal,
-    append,
-    assemble,
-    plain,
-    read_journal,
-    restored,
-    save_family,
-    start_journal,
-)
-from orbitfinder.families.point import CLOSURE, Batch, Family, FamilyPoint, FamilySettings, winding
+from orbitfinder.families.members import batch_certified, certified
+from orbitfinder.families.point import FamilySettings, winding
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin, curve_of, entry_of
 from orbitfinder.families.switching import Branch
@@ -37,7 +24,25 @@ from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.records.orbit import Orbit, load_orbit
+from orbitfinder.records.family import (
+    CLOSURE,
+    FORMAT,
+    JOURNAL,
+    VERSION,
+    Batch,
+    Family,
+    FamilyPoint,
+    Journal,
+    append,
+    assemble,
+    plain,
+    read_journal,
+    restored,
+    save_family,
+    start_journal,
+)
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.store import load_orbit
 
 SAVE_EVERY = 50
 """Steps between two rewritings of family.json while a family grows."""
@@ -101,7 +106,7 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     check = ClosureCheck(curve.equations.model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
-        closure = check(point.state, point.period, winding(curve), allowed, point.free)
+        closure = check(point.state, point.period, np.array(winding(curve)), allowed, point.free)
         if not closure <= allowed:
             raise InputError(
                 f"{folder / JOURNAL}: the point at {journal.header['parameter']} {point.value:.9g} closes only to "
@@ -130,8 +135,8 @@ def _source(origin: Orbit | Problem | Start | Branch) -> dict[str, Any]:
     """What the family was started from, for its file."""
     if isinstance(origin, Branch):
         return {"kind": "branch", **origin.described()}
-    kinds = {Orbit: "orbit", Problem: "problem", Start: "start"}
-    return {"kind": kinds[type(origin)], "name": getattr(origin, "name", "")}
+    kind = "orbit" if isinstance(origin, Orbit) else "problem" if isinstance(origin, Problem) else "start"
+    return {"kind": kind, "name": getattr(origin, "name", "")}
 
 
 def _request(
@@ -162,7 +167,8 @@ def _fresh(
         "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
         "curve": {
             "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
-            "constant": curve.constant, "weights": curve.weights, **entry_of(curve.conditions),
+            "constant": curve.constant, "winding": winding(curve), "weights": curve.weights,
+            **entry_of(curve.conditions),
         },
     }  # fmt: skip
     start_journal(folder, plain(header))

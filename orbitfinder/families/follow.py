@@ -18,7 +18,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.ends import end_after, energies_of, merged, returned, shortest_step
 from orbitfinder.families.events import Interval, Probe, find_events, make_interval, make_probe
 from orbitfinder.families.exact import exact_points
-from orbitfinder.families.point import Batch, End, Event, FamilyPoint, FamilySettings, make_point, unknowns_of
+from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Stand, Walk, stand_at, trend_of
 from orbitfinder.families.scale import span
 from orbitfinder.families.stability import Spectrum
@@ -26,6 +26,7 @@ from orbitfinder.families.strips import avoided
 from orbitfinder.loops.continued import Curve, Solution, advanced, bend, correct, distance, tangent
 from orbitfinder.loops.loop import Condition
 from orbitfinder.loops.mesh import refined, regraded, settled
+from orbitfinder.records.family import Batch, End, Event, FamilyPoint
 
 SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""

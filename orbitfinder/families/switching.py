@@ -8,11 +8,11 @@ from typing import Any
 
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branches import SWITCHABLE, switch
-from orbitfinder.families.journal import load_family
-from orbitfinder.families.point import Event, Family, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import Start, curve_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import Event, Family, load_family
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def branches(
     """
     family = load_family(path)
     chosen = _event(family, event, str(path))
-    if not chosen.nodes.size:
+    if not chosen.shooting_nodes.size:
         raise InputError(f"{path}: family.npz is not beside it; continue the family again to switch from it")
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     curve = curve_of(family.curve, model or build_model(family.system), settings)

@@ -19,6 +19,7 @@ from orbitfinder.mechanics.library import FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
 from orbitfinder.mechanics.maximal import chain_dae
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.orbit import system_at
 
 BUILT_IN = "orbitfinder.systems"
 REBUILDABLE = ("chain", "linkage")
@@ -143,19 +144,7 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
-    if model.system.get("kind") == "python":
-        arguments = {**model.system.get("arguments", {}), **{name: float(value) for name, value in values.items()}}
-        return replace(model, parameter_values=numbers, system={**model.system, "arguments": arguments})
-    if model.system.get("kind") not in REBUILDABLE:
-        return replace(model, parameter_values=numbers)
-    system = dict(model.system)
-    for name, value in values.items():
-        field = name.rstrip("0123456789")
-        if field == name:
-            system[name] = float(value)
-        else:
-            position = int(name[len(field) :]) - 1
-            column = list(system[field])
-            column[position] = float(value)
-            system[field] = column
-    return build_model(system)
+    system = system_at(model.system, values)
+    if model.system.get("kind") in REBUILDABLE:
+        return build_model(system)
+    return replace(model, parameter_values=numbers, system=system)

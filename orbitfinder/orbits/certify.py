@@ -9,13 +9,14 @@ import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.threads import one_thread
-from orbitfinder.loops.symmetry import recognise
+from orbitfinder.loops.symmetry import recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents
 from orbitfinder.orbits.evidence import Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
 from orbitfinder.orbits.formulations import VARIED
+from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document
 
 COVERS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89, 97, 101)
@@ -254,11 +255,14 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
     """What the record claims against what was recomputed; catches a file edited by hand."""
     bulk = max(abs(evidence.action), 1e-3 * evidence.exchanged * orbit.period)
     closure = abs(orbit.closure - evidence.closure) / float(evidence.extents.max())
+    held = min(orbit.tolerance, allowed.closure)
+    if isinstance(orbit, FamilyPoint):  # its closure is relative, and by an integration that stops where it is enough
+        closure, held = abs(orbit.closure - evidence.closes.gap), orbit.tolerance
     room = allowed.record + 10 * evidence.closes.gap
     checks = [
         _at_most("energy", abs(orbit.energy - evidence.energy) / evidence.exchanged, allowed.record, RECORDED),
         _at_most("action", abs(orbit.action - evidence.action) / bulk, room, RECORDED),
-        _at_most("recorded_closure", closure, min(orbit.tolerance, allowed.closure) * scale, RECORDED),
+        _at_most("recorded_closure", closure, held * scale, RECORDED),
         _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
         _same("stability", orbit.stability, evidence.floquet.stability),
         _same_symmetry(orbit, evidence, model),
@@ -279,11 +283,18 @@ def _same(name: str, recorded: str, found: str) -> Check:
 
 
 def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
-    """The recorded symmetry is the one found; of what a model declares, a record from before may say nothing."""
+    """The recorded symmetry is the one found; of what a model declares, a record from before may say nothing.
+
+    A family's point claims the symmetry of its formulation only, and may have more.
+    """
     names = [
         recognise(evidence.times, evidence.states, model, own=own)
         for own in (True, False)[: 1 + bool(model.symmetries)]
     ]
+    known = symmetries_of(model)
+    if isinstance(orbit, FamilyPoint) and orbit.symmetry in known:
+        had = {one for name in names for one in (*known[name].maps, *known[name].both)}
+        names += [orbit.symmetry] * (set(known[orbit.symmetry].maps) <= had)
     return _same("symmetry", orbit.symmetry, orbit.symmetry if orbit.symmetry in names else names[0])
 
 

@@ -13,7 +13,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.model import energies
 from orbitfinder.problemfile.read import ProblemFile
-from orbitfinder.records.orbit import write_atomically
+from orbitfinder.records.reading import write_atomically
 
 SAMPLES_PER_SECOND = 100
 MOST_SAMPLES = 100_000

@@ -7,7 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from orbitfinder.records.orbit import write_atomically
+from orbitfinder.records.reading import write_atomically
 from orbitfinder.reproduce.facts import HOURS_FOR_100_LINKS, ORBITS, SEPARATION, TOLERANCE
 
 Numbers = dict[str, Any]

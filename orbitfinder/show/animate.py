@@ -18,7 +18,8 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.records.orbit import Orbit, write_atomically
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.svg import COLOURS
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from orbitfinder.families.motions import Motion, motions
-from orbitfinder.families.point import Family
+from orbitfinder.families.members import Motion, motions
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import Family
 from orbitfinder.show.style import dress, new_figure, save_png, sweep, trail
 from orbitfinder.show.svg import COLOURS, runs
 

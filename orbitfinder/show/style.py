@@ -12,7 +12,7 @@ from matplotlib import colormaps, rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from orbitfinder.records.orbit import write_atomically
+from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")

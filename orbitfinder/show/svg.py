@@ -10,7 +10,7 @@ from html import escape
 
 import numpy as np
 
-from orbitfinder.families.point import Family, FamilyPoint
+from orbitfinder.records.family import Family, FamilyPoint
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""

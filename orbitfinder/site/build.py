@@ -9,6 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 from orbitfinder._runtime import __version__
+from orbitfinder.records.family import Family
 from orbitfinder.site.explorers import atlas_data, atlas_values, choices, family_data, family_values
 from orbitfinder.site.gather import AtlasFile, Gathered, evenly
 from orbitfinder.site.motion import Films, packed
@@ -121,8 +122,8 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
     motions: dict[str, Any] = {}
     families = slug_maker()
     for family in found.families:
-        links.append(_add_family(site, family, families(str(family["name"])), films, motions))
-        tell(f"family {family['name']}: {plural(len(family['points']), 'point')}")
+        links.append(_add_family(site, family, families(family.name), films, motions))
+        tell(f"family {family.name}: {plural(len(family.points), 'point')}")
     atlases = slug_maker()
     for atlas in found.atlases:
         link, shown = _add_atlas(site, atlas, films, (atlases(atlas.name), slug), motions)
@@ -152,13 +153,13 @@ def _add_orbit(site: Site, entry: Entry) -> None:
     site.add("orbit", f"orbits/{entry.slug}.html", values, ("orbit", orbit_data(entry)), about)
 
 
-def _add_family(site: Site, family: Mapping[str, Any], slug: str, films: Films, motions: dict[str, Any]) -> Link:
-    data, path, words = family_data(family, films), f"families/{slug}.html", mechanism(family["system"])
-    values = family_values(family, data["items"]) | {"title": f"Family {family['name']}"}
+def _add_family(site: Site, family: Family, slug: str, films: Films, motions: dict[str, Any]) -> Link:
+    data, path, words = family_data(family, films), f"families/{slug}.html", mechanism(family.system)
+    values = family_values(family, data["items"]) | {"title": f"Family {family.name}"}
     site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of the {words}.")
     energies = data["columns"]["energy"]
     note = f"{plural(len(energies), 'orbit')}, {number(min(energies), 4)} to {number(max(energies), 4)} J"
-    return Link("Family", path, str(family["name"]), words, note, _cover(f"family/{slug}", data, motions))
+    return Link("Family", path, family.name, words, note, _cover(f"family/{slug}", data, motions))
 
 
 def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:

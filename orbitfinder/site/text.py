@@ -13,7 +13,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from orbitfinder.records.jsontext import finite
+from orbitfinder.records.reading import finite
 
 ASSETS = "assets"
 COUNTS = ("", "single", "double", "triple", "quadruple", "quintuple", "sextuple")
