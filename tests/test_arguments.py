@@ -78,13 +78,13 @@ MISTAKES = {
     "figures none": (lambda: of.save_figures(None, "nowhere"), "orbit"),
     "clip": (lambda: of.orbit_clip("orbit.json"), "orbit"),
     "save_animation orbit": (lambda: of.save_animation(ORBIT, "x.gif"), "clip"),
-    "modes text": (lambda: of.normal_mode(CHAIN, "1", 0.1), "mode"),
-    "mode 1.5": (lambda: of.normal_mode(CHAIN, 1.5, 0.1), "mode"),
-    "mode of list": (lambda: of.normal_mode([1, 2], 1, 0.1), "model"),
-    "modes eq": (lambda: of.normal_modes(CHAIN, [0.0]), "equilibrium"),
-    "modes eq scalar": (lambda: of.normal_modes(CHAIN, 0.0), "equilibrium"),
-    "mode sum scalar": (lambda: of.normal_mode_sum(CHAIN, 1, 0.1), "modes"),
-    "recurrences dur none": (lambda: of.recurrences(CHAIN, STATE, None), "duration"),
+    "modes text": (lambda: of.guesses.normal_mode(CHAIN, "1", 0.1), "mode"),
+    "mode 1.5": (lambda: of.guesses.normal_mode(CHAIN, 1.5, 0.1), "mode"),
+    "mode of list": (lambda: of.guesses.normal_mode([1, 2], 1, 0.1), "model"),
+    "modes eq": (lambda: of.guesses.normal_modes(CHAIN, [0.0]), "equilibrium"),
+    "modes eq scalar": (lambda: of.guesses.normal_modes(CHAIN, 0.0), "equilibrium"),
+    "mode sum scalar": (lambda: of.guesses.normal_mode_sum(CHAIN, 1, 0.1), "modes"),
+    "recurrences dur none": (lambda: of.guesses.recurrences(CHAIN, STATE, None), "duration"),
     "refiner model": (lambda: of.Refiner(CHAIN), "problem"),
     "atlas none": (lambda: of.Atlas(None), "path"),
     "search energies text": (
@@ -97,23 +97,26 @@ MISTAKES = {
         "starts",
     ),
     "linkage baumgarte": (lambda: of.linkage([0.5, 1.2, 1.0], baumgarte=10.0), "baumgarte"),
-    "assemble chain": (lambda: of.assemble(CHAIN, {"theta1": 0.3}), "model"),
-    "assemble list": (lambda: of.assemble(BAR, [0.3]), "known"),
-    "linkage_state chain": (lambda: of.linkage_state(CHAIN, [0.1, 0.2]), "model"),
-    "linkage_rates list": (lambda: of.linkage_rates(BAR, of.assemble(BAR, {"theta1": 0.3}), [1.0]), "known"),
-    "joint_forces": (lambda: of.joint_forces(BAR, [0.1]), "state"),
-    "linkage_modes eq": (lambda: of.linkage_modes(BAR, [0.1]), "equilibrium"),
-    "linkage_equilibrium short": (lambda: of.linkage_equilibrium(BAR, [0.1]), "equilibrium"),
-    "simulate_dae chain": (lambda: of.simulate_dae(CHAIN, STATE, 1.0), "model"),
-    "minimal_states": (lambda: of.minimal_states(BAR, [0.1]), "states"),
-    "minimal_linkage": (lambda: of.minimal_linkage(BAR, 1), "independent"),
+    "assemble chain": (lambda: of.linkages.assemble(CHAIN, {"theta1": 0.3}), "model"),
+    "assemble list": (lambda: of.linkages.assemble(BAR, [0.3]), "known"),
+    "linkage_state chain": (lambda: of.linkages.linkage_state(CHAIN, [0.1, 0.2]), "model"),
+    "linkage_rates list": (
+        lambda: of.linkages.linkage_rates(BAR, of.linkages.assemble(BAR, {"theta1": 0.3}), [1.0]),
+        "known",
+    ),
+    "joint_forces": (lambda: of.linkages.joint_forces(BAR, [0.1]), "state"),
+    "linkage_modes eq": (lambda: of.linkages.linkage_modes(BAR, [0.1]), "equilibrium"),
+    "linkage_equilibrium short": (lambda: of.linkages.linkage_equilibrium(BAR, [0.1]), "equilibrium"),
+    "simulate_dae chain": (lambda: of.linkages.simulate_dae(CHAIN, STATE, 1.0), "model"),
+    "minimal_states": (lambda: of.linkages.minimal_states(BAR, [0.1]), "states"),
+    "minimal_linkage": (lambda: of.linkages.minimal_linkage(BAR, 1), "independent"),
     "find_dae": (lambda: of.find_dae_orbit(CHAIN, STATE, 1.0), "model"),
-    "build_flow": (lambda: of.build_flow(BAR.system), "model"),
-    "end_state model": (lambda: of.end_state(CHAIN, STATE, 1.0), "flow"),
-    "end_state short": (lambda: of.end_state(of.build_flow(CHAIN), [0.1], 1.0), "state"),
-    "sample count": (lambda: of.sample(of.build_flow(CHAIN), STATE, 1.0, 1), "count"),
-    "sample short": (lambda: of.sample(of.build_flow(CHAIN), [0.1], 1.0, 10), "state"),
-    "transition short": (lambda: of.transition(of.build_flow(CHAIN), [0.1], 1.0), "state"),
+    "build_flow": (lambda: of.flows.build_flow(BAR.system), "model"),
+    "end_state model": (lambda: of.flows.end_state(CHAIN, STATE, 1.0), "flow"),
+    "end_state short": (lambda: of.flows.end_state(of.flows.build_flow(CHAIN), [0.1], 1.0), "state"),
+    "sample count": (lambda: of.flows.sample(of.flows.build_flow(CHAIN), STATE, 1.0, 1), "count"),
+    "sample short": (lambda: of.flows.sample(of.flows.build_flow(CHAIN), [0.1], 1.0, 10), "state"),
+    "transition short": (lambda: of.flows.transition(of.flows.build_flow(CHAIN), [0.1], 1.0), "state"),
     "lagrange MX": (lambda: of.lagrange(ca.sumsqr(MX[1]) / 2, ca.sumsqr(MX[0]) / 2, of.Symbols(*MX)), "coordinates"),
     "constrained MX": (
         lambda: of.constrained(ca.sumsqr(MX[1]) / 2, ca.sumsqr(MX[0]) / 2, MX[0][0], of.Symbols(*MX)),
@@ -144,7 +147,7 @@ MISTAKES = {
     "least": (lambda: of.least_unstable(PROBLEM, starts="many"), "starts"),
     "settings": (lambda: of.SolveSettings(max_iterations="many"), "max_iterations"),
     "integrator": (
-        lambda: of.build_flow(CHAIN, settings=of.IntegratorSettings(relative_tolerance=-1)),
+        lambda: of.flows.build_flow(CHAIN, settings=of.flows.IntegratorSettings(relative_tolerance=-1)),
         "relative_tolerance, absolute_tolerance, max_steps",
     ),
     "baumgarte text": (lambda: of.Baumgarte("a", 1), "alpha"),
@@ -169,7 +172,7 @@ def test_public_functions_stay_what_they_are():
 
 
 def test_a_constrained_model_does_in_a_models_place():
-    state = of.linkage_state(BAR, of.assemble(BAR, {"theta1": 0.3}))
+    state = of.linkages.linkage_state(BAR, of.linkages.assemble(BAR, {"theta1": 0.3}))
     assert of.energy(BAR, state) == energy(BAR.as_model(), state)
     assert of.Problem(BAR, of.Guess(state, 1.0)).model.native is BAR
 

@@ -150,9 +150,9 @@ def test_an_orbit_without_samples_is_sampled_again(tmp_path, triple):
 def test_interpolated_samples_lie_on_the_orbit(triple):
     """Cubic Hermite through 401 samples: the midpoints agree with an integration."""
     times, states = dense_states(source_of(triple), 2001)
-    flow = of.build_flow(build_model(triple.system))
+    flow = of.flows.build_flow(build_model(triple.system))
     for k in (7, 501, 1333):
-        assert np.abs(of.end_state(flow, triple.state, times[k]) - states[k]).max() < 1e-5
+        assert np.abs(of.flows.end_state(flow, triple.state, times[k]) - states[k]).max() < 1e-5
 
 
 def julia_in_python(text, u, t=0.0):

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.journal import load_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import begin
@@ -165,7 +165,7 @@ def test_running_orbit_of_a_chain_with_an_orbit_file(tmp_path):
     assert invoke("run", problem, "--out", tmp_path).exit_code == 0
     orbit = load_orbit(tmp_path / "pendulum-running" / "orbit.json")
     settings = FamilySettings(directions="backward")
-    family = continue_command(orbit, out=tmp_path / "families", settings=settings)
+    family = follow_family(orbit, out=tmp_path / "families", settings=settings)
     assert family.ends[0].kind == "homoclinic" and family.points[0].energy == pytest.approx(4.9, abs=0.05)
     assert begin(orbit).curve.propagator.symmetry.name == "reversal"
     assert np.all(np.diff(family.values("period")) < 0)

@@ -60,16 +60,13 @@ def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 
 def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
     from orbitfinder.families.branches import SWITCHABLE
     from orbitfinder.families.journal import load_family
-    from orbitfinder.families.switching import branches, described
+    from orbitfinder.families.switching import described, switch_branch
 
     if switch is None:
         family = load_family(file)
         known = [described(family, k) for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
         raise InputError(f"--switch: missing; give the event to leave {family.name} at: {'; '.join(known) or 'none'}")
-    found = branches(file, switch, model=model_of(load_family(file).system, file, trust))
-    if branch > len(found):
-        raise InputError(f"--branch: {branch} asked for, {len(found)} found at event {switch}; give 1 to {len(found)}")
-    return found[branch - 1]
+    return switch_branch(file, switch, branch, model=model_of(load_family(file).system, file, trust))
 
 
 def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
@@ -115,7 +112,7 @@ def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen
     """
     from orbitfinder.cli.console import display
     from orbitfinder.cli.jobs import check_writable
-    from orbitfinder.families.folder import continue_command
+    from orbitfinder.families.folder import follow_family
     from orbitfinder.show.family_plot import save_family_figures
 
     values, settings = numbers(at), _settings(chosen)
@@ -124,9 +121,10 @@ def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen
     check_writable(out / label)
     with display() as shown:
         report = _reporter(shown.say, parameter)
-        family = continue_command(
-            origin, parameter, chosen["until"], values, points, out, report, name=label, settings=settings, model=model
-        )
+        family = follow_family(
+            origin, parameter, until=chosen["until"], at=values, settings=settings, out=out, name=label, points=points,
+            model=model, progress=report,
+        )  # fmt: skip
     folder = out / family.name
     drawn = model_in(origin, model, family) if chosen["figures"] else None
     written = save_family_figures(family, folder, drawn) if chosen["figures"] else []

@@ -47,7 +47,8 @@ def essential() -> Iterator[Finding]:
     fits = sys.version_info[:2] >= (3, 11)
     remedy = "" if fits else "use Python 3.11 to 3.13"
     yield Finding("python", OK if fits else BROKEN, platform.python_version(), remedy)
-    for name in ("casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl"):
+    for name in ("casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
+                 "lazy_loader"):  # fmt: skip
         yield _package(name)
     yield from _plugins()
     yield _main_job()

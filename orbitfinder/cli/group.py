@@ -6,6 +6,7 @@ Exit codes: 0 everything certified, 1 something did not converge or certify, 2 b
 from __future__ import annotations
 
 import contextlib
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -234,21 +235,30 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool, 
       orbitfinder simulate problems/examples/double.toml --out runs
     """
     from orbitfinder.cli.jobs import check_writable
+    from orbitfinder.exports.table import csv_text
+    from orbitfinder.orbits.simulate import simulate as simulated
     from orbitfinder.problemfile.read import load_problem_file
-    from orbitfinder.problemfile.simulate import simulate_file, write_csv
+    from orbitfinder.records.orbit import write_atomically
 
     loaded = load_problem_file(file, trust)
     if out is not None:
         check_writable(out)
         check_writable(out / loaded.name)
-    result = simulate_file(loaded, duration)
-    document = result.document()
+    span = loaded.duration if duration is None else duration
+    if not (math.isfinite(span) and span > 0):
+        raise InputError(f"--duration: must be positive and finite, got {span}; give a time in s")
+    if loaded.start is None:
+        raise InputError(f"{file}: simulate.state: missing; give it, or a [guess] to start from")
+    result = simulated(loaded.model, loaded.start, span)
+    document = {"name": loaded.name} | result.document()
     if out is not None:
-        document["written"] = str(write_csv(result, out / loaded.name / "simulation.csv"))
+        written = out / loaded.name / "simulation.csv"
+        write_atomically(written, csv_text(result.state_names, result.times, result.states).encode())
+        document["written"] = str(written)
     if as_json:
         print_json({"format": "orbitfinder/simulation"} | document)
         return
-    click.echo(f"{result.name}: {result.times[-1]:g} s simulated")
+    click.echo(f"{loaded.name}: {result.times[-1]:g} s simulated")
     click.echo(f"  {'energy':<22}{document['energy']:.12g} J")
     kind, more = ("drift", "") if result.conserved else ("change", ", which this system does not conserve")
     click.echo(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")

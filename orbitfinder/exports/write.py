@@ -10,12 +10,14 @@ from orbitfinder.exports.auto import auto_files
 from orbitfinder.exports.julia import julia_file
 from orbitfinder.exports.plain_c import c_file
 from orbitfinder.exports.source import Source, source_of
-from orbitfinder.exports.table import csv_file
+from orbitfinder.exports.table import csv_text
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit, write_atomically
 
 FORMATS: dict[str, Callable[[Source], dict[str, str]]] = {
-    "csv": lambda source: {f"{source.orbit.name}.csv": csv_file(source)},
+    "csv": lambda source: {
+        f"{source.orbit.name}.csv": csv_text(source.model.state_names, source.times, source.samples)
+    },
     "auto": auto_files,
     "julia": lambda source: {f"{source.identifier}.jl": julia_file(source)},
     "c": lambda source: {f"{source.identifier}.c": c_file(source)},

@@ -39,11 +39,6 @@ def pin(**quantities: float) -> tuple[Pin, ...]:
     return pins
 
 
-def nearest() -> tuple[Pin, ...]:
-    """No pin: among all orbits, the one at the least weighted distance from the guess."""
-    return ()
-
-
 @dataclass(frozen=True)
 class Symmetry:
     """A boundary condition on a part of the period, and what it makes superfluous.

@@ -77,7 +77,7 @@ system = of.chain(3)
 limit = of.Constraint(lambda v: v["length2"] + v["length3"], 1.8, 2.2, name="reach")
 problem = of.Problem(
     system,
-    of.normal_mode(system, 2, 0.9),
+    of.guesses.normal_mode(system, 2, 0.9),
     pin=of.pin(period=1.5),
     symmetry="brake",
     free=("length2", "length3"),
