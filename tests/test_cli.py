@@ -348,9 +348,9 @@ def test_names_that_lead_out_of_the_folder_are_refused(command, tmp_path, report
 
 def test_shared_options_are_written_once():
     """--json and --trust stand in one module; the commands take them from there."""
-    modules = (ROOT / "orbitfinder").glob("*.py")
+    modules = (ROOT / "orbitfinder" / "cli").glob("*.py")
     written = [path.name for path in modules for name in ("json", "trust") if f'"--{name}"' in path.read_text("utf-8")]
-    assert written == ["clioptions.py", "clioptions.py"]
+    assert written == ["options.py", "options.py"]
 
 
 def test_json_has_null_for_what_is_no_number():

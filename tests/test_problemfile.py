@@ -174,7 +174,7 @@ def test_template_is_a_valid_problem(tmp_path):
 def test_reference_is_up_to_date():
     """docs/problem-file.md is what the schema says, through the documented command."""
     made = subprocess.run(
-        [sys.executable, "-m", "orbitfinder.problemfile.read"], capture_output=True, text=True, check=True, cwd=ROOT
+        [sys.executable, "-m", "orbitfinder.problemfile.reference"], capture_output=True, text=True, check=True, cwd=ROOT
     )
     assert made.stdout == schema_markdown()
     assert (ROOT / "docs" / "problem-file.md").read_text(encoding="utf-8") == made.stdout
