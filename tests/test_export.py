@@ -29,7 +29,7 @@ from orbitfinder.exports.straightline import FORTRAN, PYTHON, C, fortran_number,
 from orbitfinder.exports.write import export_orbit
 from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.problemfile.trajectory import read_trajectory
+from orbitfinder.problemfile.guess import read_trajectory
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "orbits"

@@ -12,8 +12,9 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.problemfile.proposals import propose, toml
+from orbitfinder.problemfile.proposals import propose
 from orbitfinder.problemfile.read import load_problem_file
+from orbitfinder.problemfile.write import toml
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 DOUBLE = PROBLEMS / "examples" / "double-mode-2.toml"

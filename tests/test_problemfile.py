@@ -13,7 +13,7 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.problemfile.read import load_problem, load_problem_file
 from orbitfinder.problemfile.reference import schema_markdown
-from orbitfinder.problemfile.template import TEMPLATE
+from orbitfinder.problemfile.write import TEMPLATE
 
 ROOT = Path(__file__).parents[1]
 REPORT = sorted((ROOT / "problems" / "report").glob("*.toml"))
@@ -174,7 +174,11 @@ def test_template_is_a_valid_problem(tmp_path):
 def test_reference_is_up_to_date():
     """docs/problem-file.md is what the schema says, through the documented command."""
     made = subprocess.run(
-        [sys.executable, "-m", "orbitfinder.problemfile.reference"], capture_output=True, text=True, check=True, cwd=ROOT
+        [sys.executable, "-m", "orbitfinder.problemfile.reference"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
     )
     assert made.stdout == schema_markdown()
     assert (ROOT / "docs" / "problem-file.md").read_text(encoding="utf-8") == made.stdout

@@ -11,17 +11,103 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.options import FILES, FINITE, compile_option, trust_option
+from orbitfinder.cli.options import (
+    FILES,
+    FINITE,
+    compile_option,
+    finish,
+    json_option,
+    out_option,
+    text,
+    trust_option,
+)
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.families.point import Batch, Family, FamilySettings
+    from orbitfinder.families.point import Batch, Family
     from orbitfinder.families.switching import Branch
     from orbitfinder.loops.problem import Problem
     from orbitfinder.mechanics.model import Model
     from orbitfinder.records.orbit import Orbit
 
     Origin = Orbit | Problem | Branch
+
+
+@click.command(name="continue")
+@click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
+@click.option("--parameter", default="energy", show_default=True, help="energy, period or a physical parameter.")
+@click.option("--until", type=FINITE, default=None, help="Stop when the parameter reaches this value.")
+@click.option("--at", default="", metavar="V,V,...", help="Compute points exactly at these values of the parameter.")
+@click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
+@click.option(
+    "--direction", type=click.Choice(("both", "forward", "backward", "away")), default=None,
+    help="Both ways, the parameter growing or falling, or away from a branch's birth.  [default: both, or away]",
+)  # fmt: skip
+@click.option("--switch", type=click.IntRange(0), metavar="EVENT", help="Switch at the event with this index.")
+@click.option("--branch", type=click.IntRange(1), default=1, show_default=True, help="Which of the branches there.")
+@click.option(
+    "--resolve", type=click.FloatRange(1e-6, 0.15), default=None, metavar="ARCLENGTH",
+    help="Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
+)  # fmt: skip
+@click.option("--name", default=None, help="Name of the family; the problem's, orbit's or branch's when left out.")
+@out_option("Folder for DIR/<name>/family.json.", default="families", show_default=True)
+@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the family.")
+@compile_option
+@trust_option("Execute Python problem files and modules; only what you have read.")
+@json_option
+def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
+    """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
+
+    Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
+    Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
+    that was killed goes on where it stopped when the same command is given again.
+
+    \b
+    Examples:
+      orbitfinder continue problems/families/triple-mode-2.toml --until -3
+      orbitfinder continue orbits/triple-1/orbit.json --at -38,-37,-36 --out families
+      orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
+    """
+    from orbitfinder.cli.console import display
+    from orbitfinder.cli.jobs import check_writable
+    from orbitfinder.families.folder import follow_family
+    from orbitfinder.families.point import FamilySettings
+    from orbitfinder.problemfile.read import checked_name
+    from orbitfinder.show.family_plot import save_family_figures
+
+    values = numbers(at)
+    directions = chosen["direction"] or ("both" if chosen["switch"] is None else "away")
+    narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
+    settings = FamilySettings(directions=directions, points=points, **narrowest)
+    origin, model = origin_of(file, chosen["trust"], chosen["switch"], chosen["branch"])
+    name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
+    check_writable(out / name)
+    with display() as shown:
+        family = follow_family(
+            origin, parameter, until=chosen["until"], at=values, settings=settings, out=out, name=name, model=model,
+            progress=_reporter(shown.say, parameter),
+        )  # fmt: skip
+    folder, figures = out / family.name, chosen["figures"]
+    written = save_family_figures(family, folder, model_in(origin, model, family)) if figures else []
+    text(f"{folder / 'family.json'}: {family.counts}")
+    for end in family.ends:
+        text(f"  ended: {end.kind} ({end.reason})")
+    if written:
+        text(f"  and {len(written)} figures")
+    finish("family-summary", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
+
+
+def summary(family: Family) -> dict[str, Any]:
+    """What `--json` says of a family; its points are in family.json."""
+    events = [
+        {"kind": one.kind, "detail": one.detail, family.parameter: one.parameter, "period": one.period,
+         "certified": one.certified} for one in family.events
+    ]  # fmt: skip
+    return {
+        "name": family.name, "parameter": family.parameter, "points": len(family.points),
+        "certified": sum(one.certified for one in family.points), "events": events,
+        "ends": [{"kind": end.kind, "reason": end.reason} for end in family.ends],
+    }  # fmt: skip
 
 
 def numbers(text: str) -> tuple[float, ...]:
@@ -76,65 +162,6 @@ def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
     return build_model(system, file.parent if trust else None)
 
 
-@click.command(name="continue")
-@click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
-@click.option("--parameter", default="energy", show_default=True, help="energy, period or a physical parameter.")
-@click.option("--until", type=FINITE, default=None, help="Stop when the parameter reaches this value.")
-@click.option("--at", default="", metavar="V,V,...", help="Compute points exactly at these values of the parameter.")
-@click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
-@click.option(
-    "--direction", type=click.Choice(("both", "forward", "backward", "away")), default=None,
-    help="Both ways, the parameter growing or falling, or away from a branch's birth.  [default: both, or away]",
-)  # fmt: skip
-@click.option("--switch", type=click.IntRange(0), metavar="EVENT", help="Switch at the event with this index.")
-@click.option("--branch", type=click.IntRange(1), default=1, show_default=True, help="Which of the branches there.")
-@click.option(
-    "--resolve", type=click.FloatRange(1e-6, 0.15), default=None, metavar="ARCLENGTH",
-    help="Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
-)  # fmt: skip
-@click.option("--name", default=None, help="Name of the family; the problem's, orbit's or branch's when left out.")
-@click.option("--out", default="families", show_default=True, type=FILES, help="Folder for DIR/<name>/family.json.")
-@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the family.")
-@compile_option
-@trust_option("Execute Python problem files and modules; only what you have read.")
-def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
-    """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
-
-    Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
-    Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
-    that was killed goes on where it stopped when the same command is given again.
-
-    \b
-    Examples:
-      orbitfinder continue problems/families/triple-mode-2.toml --until -3
-      orbitfinder continue orbits/triple-1/orbit.json --at -38,-37,-36 --out families
-      orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
-    """
-    from orbitfinder.cli.console import display
-    from orbitfinder.cli.jobs import check_writable
-    from orbitfinder.families.folder import follow_family
-    from orbitfinder.show.family_plot import save_family_figures
-
-    values, settings = numbers(at), _settings(chosen)
-    origin, model = origin_of(file, chosen["trust"], chosen["switch"], chosen["branch"])
-    label = _checked(chosen["name"] or origin.name)
-    check_writable(out / label)
-    with display() as shown:
-        report = _reporter(shown.say, parameter)
-        family = follow_family(
-            origin, parameter, until=chosen["until"], at=values, settings=settings, out=out, name=label, points=points,
-            model=model, progress=report,
-        )  # fmt: skip
-    folder = out / family.name
-    drawn = model_in(origin, model, family) if chosen["figures"] else None
-    written = save_family_figures(family, folder, drawn) if chosen["figures"] else []
-    click.echo(f"{folder / 'family.json'}: {family.counts}")
-    for end in family.ends:
-        click.echo(f"  ended: {end.kind} ({end.reason})")
-    if written:
-        click.echo(f"  and {len(written)} figures")
-
-
 def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
     """The model that a family's points belong to: a linkage's is minimal."""
     from orbitfinder.families.switching import Branch
@@ -144,26 +171,6 @@ def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
         return origin.start.curve.propagator.model
     known = model or getattr(origin, "model", None)
     return known if known is not None and known.native is None else build_model(family.system)
-
-
-def _checked(name: str) -> str:
-    from pydantic_core import PydanticCustomError
-
-    from orbitfinder.problemfile.schema import check_name
-
-    try:
-        return check_name(name)
-    except PydanticCustomError as error:
-        raise InputError(f"name: {error.message()}, got {name!r}; give another --name") from error
-
-
-def _settings(chosen: dict[str, Any]) -> FamilySettings:
-    """Directions and resolution as asked for."""
-    from orbitfinder.families.point import FamilySettings
-
-    directions = chosen["direction"] or ("both" if chosen["switch"] is None else "away")
-    given = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
-    return FamilySettings(directions=directions, **given)
 
 
 def _reporter(say: Callable[[str], None], parameter: str) -> Callable[[Batch], None]:
@@ -176,17 +183,12 @@ def _reporter(say: Callable[[str], None], parameter: str) -> Callable[[Batch], N
         for event in batch.events:
             say(f"{event.kind} {event.detail}".rstrip() + f" at {parameter} {event.parameter:.9g}")
         if batch.points and seen[0] % 10 < len(batch.points):
-            say(progress_line(batch, parameter, seen[0], time.monotonic() - began))
+            point = batch.points[-1]
+            say(
+                f"{seen[0]} points, {parameter} {point.value:.6g}, period {point.period:.6g} s, step {point.step:.2g}, "
+                f"{point.stability}, {time.monotonic() - began:.1f} s elapsed"
+            )
         if batch.end:
             say(f"end: {batch.end.reason}")
 
     return report
-
-
-def progress_line(batch: Batch, parameter: str, count: int, elapsed: float) -> str:
-    """One step as one line."""
-    point = batch.points[-1]
-    return (
-        f"{count} points, {parameter} {point.value:.6g}, period {point.period:.6g} s, step {point.step:.2g}, "
-        f"{point.stability}, {elapsed:.1f} s elapsed"
-    )

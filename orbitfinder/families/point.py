@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.closure import ClosureCheck
 from orbitfinder.families.scale import extents
@@ -67,6 +68,8 @@ class FamilyPoint:
     `mesh` rebuild the shooting unknowns. `role`: step | at | end.
     """
 
+    __repr__ = brief("index", "value", "period", "energy", "closure", "stability", "role")
+
     index: int
     arclength: float
     value: float
@@ -105,6 +108,8 @@ class Event:
     critical multiplier of the root map, `order` the number of periods after which the branch closes.
     """
 
+    __repr__ = brief("kind", "detail", "parameter", "period", "index")
+
     kind: str
     index: int
     arclength: float
@@ -135,6 +140,8 @@ class End:
 class Batch:
     """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
 
+    __repr__ = brief("direction", "points", "events", "end")
+
     direction: int
     points: tuple[FamilyPoint, ...] = ()
     events: tuple[Event, ...] = ()
@@ -147,6 +154,8 @@ class Family:
 
     `curve` is what rebuilds the equations (see `store.curve_of`), `source` what the family was started from.
     """
+
+    __repr__ = brief("name", "parameter", "points", "events", "ends")
 
     name: str
     system: Mapping[str, Any]

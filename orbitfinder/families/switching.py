@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branches import SWITCHABLE, switch
 from orbitfinder.families.journal import load_family
@@ -18,6 +19,8 @@ from orbitfinder.mechanics.model import Model
 @dataclass(frozen=True)
 class Branch:
     """The start of a family that leaves another one: which family, which of its events, which of the branches there."""
+
+    __repr__ = brief("name", "event")
 
     start: Start
     family: str

@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.lagrange import (
@@ -57,6 +58,8 @@ class ConstrainedModel:
     Baumgarte terms included. Energies, `forces`, `points`, `centres`, names and the like are as in `Model`.
     `lift(angles, rates, p)` is the state (2n) of a chain or linkage from its link angles and rates.
     """
+
+    __repr__ = brief("system", "constraints")
 
     system: Mapping[str, Any]
     state_names: tuple[str, ...]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ class Invariant:
     Source: F. J. Muñoz-Almaraz, E. Freire, J. Galán, E. Doedel, A. Vanderbauwhede, "Continuation
     of periodic orbits in conservative and Hamiltonian systems", Physica D 181 (2003) 1-38.
     """
+
+    __repr__ = brief("name")
 
     name: str
     value: ca.Function
@@ -49,6 +52,8 @@ class Model:
     quadratic part and `potential` minus the rest, so that kinetic + potential is the Jacobi
     integral v.dL/dv - L. `forcing_period(p)` (s) is the period of an explicit dependence on time.
     """
+
+    __repr__ = brief("system", "state_names")
 
     system: Mapping[str, Any]
     state_names: tuple[str, ...]

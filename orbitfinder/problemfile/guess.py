@@ -1,4 +1,4 @@
-"""The `[guess]` table of a problem file as a Guess."""
+"""The `[guess]` table of a problem file as a Guess: a state, modes, a simulation, a linkage's angles, a CSV file."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, linkage_mode
 from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.guesses.returns import normal_mode_sum, recurrences
 from orbitfinder.loops.problem import Guess
+from orbitfinder.mechanics.assembly import assemble, linkage_rates
+from orbitfinder.mechanics.constrained import ConstrainedModel
+from orbitfinder.mechanics.linkage import dimensions, linkage_state
+from orbitfinder.mechanics.maximal import maximal_states
 from orbitfinder.mechanics.model import Model
-from orbitfinder.problemfile.guess_linkage import linkage_guess
 from orbitfinder.problemfile.schema import GuessTable
-from orbitfinder.problemfile.trajectory import read_trajectory
+from orbitfinder.records.reading import file_bytes
 
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
@@ -40,3 +44,81 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
             f"guess.duration: the motion never came back near itself in {given.duration:g} s; simulate longer"
         )
     return found[0].guess
+
+
+def linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
+    """The starting point of a linkage that a table stands for; a period left out is the first return."""
+    native = model.native
+    assert native is not None
+    if given.csv is not None:
+        return read_trajectory(folder, given.csv, len(model.state_names))
+    if given.mode is not None:
+        if not isinstance(given.mode, int) or not isinstance(given.amplitude, float):
+            raise InputError("guess.mode: a linkage takes one mode with one amplitude; give numbers, not lists")
+        near = None if given.equilibrium is None else _angles(native, given.equilibrium)
+        found = linkage_mode(native, given.mode, given.amplitude, linkage_equilibrium(native, near))
+        return found if given.period is None else Guess(found.state, given.period)
+    state = _assembled(given, native) if given.angles is not None else _state(native, given.state or [])
+    return Guess(state, given.period or first_return(native, state, given.duration or 20.0))
+
+
+def _angles(native: ConstrainedModel, angles: list[float]) -> np.ndarray:
+    bars = dimensions(native)[0].size
+    if len(angles) != bars:
+        raise InputError(f"guess.equilibrium: {len(angles)} angles for {bars} bars; give one per bar")
+    return np.asarray(angles, float)
+
+
+def _assembled(given: GuessTable, native: ConstrainedModel) -> np.ndarray:
+    theta = assemble(native, given.angles or {}, branch=given.branch)
+    return linkage_state(native, theta, linkage_rates(native, theta, given.rates) if given.rates else None)
+
+
+def _state(native: ConstrainedModel, state: list[float]) -> np.ndarray:
+    """A state as given, or lifted from link angles and rates."""
+    numbers = np.asarray(state, float)
+    return maximal_states(native, numbers) if numbers.size == 2 * (native.coordinates // 3) else numbers
+
+
+def read_trajectory(folder: Path, name: str, size: int) -> Guess:
+    """A Guess from a CSV file in `folder` (or below it): columns t, then `size` states; its time span is the period."""
+    try:
+        base = folder.resolve()
+        source = (base / name).resolve()
+    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name, links that go round in a circle
+        raise InputError(f"guess.csv: {name!r} is no usable path ({error}); put the file beside") from error
+    if not source.is_relative_to(base):
+        raise InputError(f"guess.csv: {name!r} lies outside the problem file's folder; put the file beside it")
+    try:
+        lines = file_bytes(source, "CSV file").decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"guess.csv: {name!r} is not UTF-8 text; save it as plain CSV") from error
+    except InputError as error:
+        raise InputError(f"guess.csv: {error}") from error
+    table = _numbers(name, lines, size)
+    times = table[:, 0] - table[0, 0]
+    return Guess(table[0, 1:].copy(), float(times[-1]), times, table[:, 1:])
+
+
+def _numbers(name: str, lines: list[str], size: int) -> np.ndarray:
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            row = [float(entry) for entry in line.split(",")]
+        except ValueError as error:
+            if number == 1:
+                continue
+            raise InputError(f"guess.csv: {name!r} line {number}: {error}; give numbers separated by commas") from error
+        if len(row) != size + 1:
+            raise InputError(f"guess.csv: {name!r} line {number}: {len(row)} columns; give {size + 1} (t, then states)")
+        rows.append(row)
+    table = np.asarray(rows, float)
+    if len(rows) < 2:
+        raise InputError(f"guess.csv: {name!r} has {len(rows)} rows of numbers; give one period with at least 2")
+    if not np.all(np.isfinite(table)):
+        raise InputError(f"guess.csv: {name!r} must be finite; replace NaN and infinity by numbers")
+    if np.any(np.diff(table[:, 0]) <= 0):
+        raise InputError(f"guess.csv: {name!r}: times must increase from row to row; sort them")
+    return table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 from pydantic import BaseModel
@@ -138,6 +139,4 @@ def _cell(text: str) -> str:
 
 
 if __name__ == "__main__":
-    import click
-
-    click.echo(schema_markdown(), nl=False)
+    sys.stdout.write(schema_markdown())
