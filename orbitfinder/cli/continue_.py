@@ -94,7 +94,7 @@ def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **cho
         text(f"  ended: {end.kind} ({end.reason})")
     if written:
         text(f"  and {len(written)} figures")
-    finish("family-summary", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
+    finish("continue", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
 
 
 def summary(family: Family) -> dict[str, Any]:
