@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,9 +125,9 @@ def numbers(text: str) -> tuple[float, ...]:
 
 def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
     """The Orbit of an orbit.json, the Branch of a family.json or the Problem of any other file, with its model."""
+    from orbitfinder.cli.jobs import named_orbits
     from orbitfinder.families.journal import FORMAT
-    from orbitfinder.problemfile.read import checked_name, load_problem
-    from orbitfinder.records.orbit import load_orbit
+    from orbitfinder.problemfile.read import load_problem
     from orbitfinder.records.reading import file_head
 
     if file.suffix != ".json":
@@ -138,28 +138,21 @@ def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 
         return _branch_of(file, trust, switch, branch), None
     if switch is not None:
         raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
-    orbit = load_orbit(file)
-    checked_name(orbit.name, f"{file}: name")
-    return orbit, model_of(orbit.system, file, trust)
+    ((_, orbit, model),) = named_orbits([file], trust)
+    return orbit, model
 
 
 def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
     from orbitfinder.families.branches import SWITCHABLE
     from orbitfinder.families.journal import load_family
     from orbitfinder.families.switching import described, switch_branch
-
-    if switch is None:
-        family = load_family(file)
-        known = [described(family, k) for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
-        raise InputError(f"--switch: missing; give the event to leave {family.name} at: {'; '.join(known) or 'none'}")
-    return switch_branch(file, switch, branch, model=model_of(load_family(file).system, file, trust))
-
-
-def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
-    """The model of a file's `system`."""
     from orbitfinder.mechanics.catalogue import build_model
 
-    return build_model(system, file.parent if trust else None)
+    family = load_family(file)
+    if switch is None:
+        known = [described(family, k) for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+        raise InputError(f"--switch: missing; give the event to leave {family.name} at: {'; '.join(known) or 'none'}")
+    return switch_branch(file, switch, branch, model=build_model(family.system, file.parent if trust else None))
 
 
 def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
