@@ -31,12 +31,13 @@ from peers.auto_family import AUTO, Clock, Run, auto_runs
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.follow import follow
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.point import FamilyPoint, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import Start, begin
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import FamilyPoint
 
 ROOT = Path(__file__).parents[1]
 POINTS = 40

@@ -19,8 +19,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from orbitfinder.families.journal import load_family
-from orbitfinder.families.point import Family
+from orbitfinder.records.family import Family, load_family
 from orbitfinder.show.family_plot import frequency_energy
 from orbitfinder.show.style import save_png
 

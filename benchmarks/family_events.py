@@ -23,14 +23,14 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.journal import load_family
-from orbitfinder.families.point import Family, FamilyPoint, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.switching import branches, described
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import gather
 from orbitfinder.problemfile.read import load_problem
+from orbitfinder.records.family import Family, FamilyPoint, load_family
 
 ROOT = Path(__file__).parents[1]
 REAL = 1e-6

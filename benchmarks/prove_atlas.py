@@ -28,7 +28,8 @@ from orbitfinder.atlas.store import Atlas
 from orbitfinder.proof.formulation import PARTS
 from orbitfinder.proof.record import entry
 from orbitfinder.proof.theorem import prove
-from orbitfinder.records.orbit import orbit_from_document, write_atomically
+from orbitfinder.records.orbit import orbit_from_document
+from orbitfinder.records.reading import write_atomically
 
 
 def cost(document: dict[str, Any]) -> float:

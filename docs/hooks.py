@@ -34,7 +34,7 @@ def validation(_: str) -> str:
 
 def orbit(file: str) -> str:
     """An orbit of the repository as notebooks show it, moving."""
-    from orbitfinder.records.orbit import load_orbit
+    from orbitfinder.records.store import load_orbit
     from orbitfinder.show.html import orbit_html
 
     return orbit_html(load_orbit(ROOT / file))
@@ -42,7 +42,7 @@ def orbit(file: str) -> str:
 
 def family(file: str) -> str:
     """A family of the repository as notebooks show it."""
-    from orbitfinder.families.journal import load_family
+    from orbitfinder.records.family import load_family
     from orbitfinder.show.html import family_html
 
     return family_html(load_family(ROOT / file))

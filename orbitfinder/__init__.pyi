@@ -12,8 +12,6 @@ from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
 from .exports.write import export_orbit as export_orbit
 from .families.folder import follow_family as follow_family
-from .families.journal import load_family as load_family
-from .families.point import Family as Family
 from .families.point import FamilySettings as FamilySettings
 from .families.switching import switch_branch as switch_branch
 from .loops.conditions import pin as pin
@@ -44,10 +42,12 @@ from .orbits.refine import Refiner as Refiner
 from .orbits.simulate import simulate as simulate
 from .problemfile.read import load_problem as load_problem
 from .proof.theorem import prove as prove
+from .records.family import Family as Family
+from .records.family import load_family as load_family
 from .records.orbit import Certificate as Certificate
 from .records.orbit import Orbit as Orbit
-from .records.orbit import load_orbit as load_orbit
 from .records.orbit import save_orbit as save_orbit
+from .records.store import load_orbit as load_orbit
 from .show.animate import orbit_clip as orbit_clip
 from .show.animate import save_animation as save_animation
 from .show.animate import simulation_clip as simulation_clip

@@ -16,9 +16,9 @@ PACKAGE = Path(__file__).parents[1] / "orbitfinder"
 
 # low to high; the rooms of one floor do not import each other
 FLOORS = (
-    ("errors",), ("_runtime",), ("records", "mechanics"), ("integrate",), ("loops",), ("exports", "guesses", "proof"),
-    ("orbits", "problemfile"), ("families",), ("atlas",), ("show", "site"), ("reproduce",),
-    ("", "systems", "linkages", "flows"), ("cli",), ("__main__",),
+    ("errors",), ("_runtime",), ("records",), ("mechanics",), ("integrate",), ("loops",),
+    ("exports", "guesses", "proof"), ("orbits", "problemfile"), ("families",), ("atlas",), ("show", "site"),
+    ("reproduce",), ("", "systems", "linkages", "flows"), ("cli",), ("__main__",),
 )  # fmt: skip
 LIBRARIES = {
     "casadi": ("mechanics", "integrate", "loops", "proof", "exports", "orbits.find", "orbits.objectives"),

@@ -11,7 +11,8 @@ from orbitfinder.integrate.cvodes import Flow
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import Tolerances, certify, gather
-from orbitfinder.records.orbit import Orbit, load_orbit, save_orbit
+from orbitfinder.records.orbit import Orbit, save_orbit
+from orbitfinder.records.store import load_orbit
 
 NAMES = ["triple-1", "triple-2", "quadruple-1", "quadruple-2"]
 

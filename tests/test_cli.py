@@ -15,8 +15,9 @@ from click.testing import CliRunner
 
 from orbitfinder.cli.group import cli
 from orbitfinder.cli.jobs import check_writable, one_line
-from orbitfinder.records.jsontext import finite
-from orbitfinder.records.orbit import load_orbit, save_orbit
+from orbitfinder.records.orbit import save_orbit
+from orbitfinder.records.reading import finite
+from orbitfinder.records.store import load_orbit
 
 ROOT = Path(__file__).parents[1]
 TRIPLE = ROOT / "problems" / "report" / "triple-1.toml"

@@ -20,7 +20,6 @@ from orbitfinder.families.branches import switch
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.follow import follow
-from orbitfinder.families.journal import load_family, read_journal
 from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
 from orbitfinder.families.point import FamilySettings, make_point, place_of
 from orbitfinder.families.run import Walk, first_point
@@ -31,6 +30,7 @@ from orbitfinder.loops.continued import at_place
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.measure import multipliers
+from orbitfinder.records.family import load_family, read_journal
 
 DATA = Path(__file__).parent / "data"
 MODES = json.loads((DATA / "normal_modes.json").read_text(encoding="utf-8"))["orbits"]
@@ -342,7 +342,7 @@ def test_very_unstable_orbits_fit_piece_by_piece(wild):
     """Round the loop nothing is left, from node to node everything is."""
     _, point = wild
     assert point.scale > 1e9 and point.closure > 1e-6
-    assert 0 < point.defect < 1e-10 and len(point.nodes) > 2
+    assert 0 < point.defect < 1e-10 and len(point.shooting_nodes) > 2
 
 
 def test_broken_piece_is_refused(wild):

@@ -10,13 +10,13 @@ from scipy.optimize import brentq
 
 from orbitfinder.cli.group import cli
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.journal import load_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.switching import branches
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.records.family import load_family
 from orbitfinder.records.orbit import save_orbit
 
 SYSTEM = '''

@@ -12,12 +12,12 @@ import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.journal import family_to_document, load_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import begin
 from orbitfinder.families.switching import branches
 from orbitfinder.problemfile.read import load_problem
-from orbitfinder.records.orbit import load_orbit
+from orbitfinder.records.family import family_to_document, load_family
+from orbitfinder.records.store import load_orbit
 
 ROOT = Path(__file__).parents[1]
 FAMILIES = ROOT / "problems" / "families"

@@ -17,10 +17,10 @@ from orbitfinder.atlas import job as task
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError, LimitError
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.journal import load_family, read_journal
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, end_state, sample
 from orbitfinder.loops import ipopt as nlp
 from orbitfinder.problemfile.read import load_problem
+from orbitfinder.records.family import load_family, read_journal
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 ENDLESS = 1e7

@@ -29,15 +29,16 @@ from orbitfinder.cli.group import cli
 from orbitfinder.cli.jobs import check_consistent
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.journal import JOURNAL, SEAL, _seal, assemble, load_family, read_journal, save_family
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.problemfile.read import load_problem_file
-from orbitfinder.records.orbit import digest, load_orbit
+from orbitfinder.records.family import JOURNAL, SEAL, _seal, assemble, load_family, read_journal, save_family
+from orbitfinder.records.orbit import digest
 from orbitfinder.records.reading import content_digest
+from orbitfinder.records.store import load_orbit
 from orbitfinder.site.gather import gather
 
 ROOT = Path(__file__).parents[1]
@@ -365,7 +366,7 @@ def use_proof(path):
     pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
     from orbitfinder.proof.record import contradictions, options_of, read_entry
 
-    found = read_entry(path)
+    found = read_entry(load_orbit(path), path)
     options_of(found)
     contradictions(found, json.loads((ROOT / "results" / "proofs" / "triple-7.json").read_text())["proof"])
 

@@ -11,16 +11,9 @@ import pytest
 
 from orbitfinder.errors import InputError
 from orbitfinder.orbits.certify import certify
-from orbitfinder.records.orbit import (
-    Certificate,
-    Check,
-    Orbit,
-    digest,
-    load_orbit,
-    orbit_to_document,
-    save_orbit,
-    write_atomically,
-)
+from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document, save_orbit
+from orbitfinder.records.reading import write_atomically
+from orbitfinder.records.store import load_orbit
 
 
 def awkward_orbit(seed: int = 0) -> Orbit:

@@ -7,6 +7,7 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +27,9 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
 from orbitfinder.problemfile.read import load_problem
-from orbitfinder.records.orbit import load_orbit, orbit_to_document
+from orbitfinder.records.family import Event, load_family
+from orbitfinder.records.orbit import orbit_to_document
+from orbitfinder.records.store import load_orbit
 from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.explorers import span, spread
@@ -402,11 +405,11 @@ def test_symmetry_of_a_running_orbit_keeps_its_turns():
 
 
 def test_family_members_move(material):
-    family = json.loads(next(material.glob("families/*/family.json")).read_text())
-    motion = Films().member(family["system"], family["points"][-1])
+    family = load_family(next(material.glob("families/*/family.json")))
+    motion = Films().member(family.system, family.points[-1])
     assert motion is not None
     assert np.abs(motion.states[0] - motion.states[-1]).max() < 1e-6
-    energies = [point["energy"] for point in family["points"]]
+    energies = [point.energy for point in family.points]
     _, payload = embedded_site(material)
     assert payload["columns"]["energy"] == energies
     assert sum(not item["event"] for item in payload["items"]) == len(energies)
@@ -418,14 +421,14 @@ def test_family_motions_start_from_the_nodes(material, tmp_path):
     source = next(material.glob("families/*/family.json"))
     shutil.copy(source, tmp_path / "family.json")
     bare, full = (gather([path]).families[0] for path in (tmp_path / "family.json", source))
-    assert "nodes" not in bare["points"][-1] and len(full["points"][-1]["edges"]) > len(full["points"][-1]["nodes"])
-    first, second = (Films().member(one["system"], one["points"][-1]) for one in (bare, full))
+    assert not bare.points[-1].shooting_nodes.size and full.points[-1].shooting_nodes.size
+    first, second = (Films().member(one.system, one.points[-1]) for one in (bare, full))
     assert np.abs(first.at(60) - second.at(60)).max() < 1e-5
-    many = dict(full["points"][-1])
     middle = len(first.times) // 8  # cut the quarter that is free into two segments
-    many |= {"nodes": first.states[[0, middle]], "edges": [0.0, first.times[middle] / first.period, 0.25]}
-    assert many["symmetry"] == "brake+reflection"
-    assert np.abs(Films().member(full["system"], many).at(60) - first.at(60)).max() < 1e-5
+    edges = np.array([0.0, first.times[middle] / first.period, 0.25])
+    many = replace(full.points[-1], shooting_nodes=first.states[[0, middle]], mesh=edges)
+    assert many.symmetry == "brake+reflection"
+    assert np.abs(Films().member(full.system, many).at(60) - first.at(60)).max() < 1e-5
     (tmp_path / "family.npz").write_bytes(b"no zip")
     with pytest.raises(InputError, match="family.npz: damaged"):
         gather([tmp_path / "family.json"])
@@ -437,11 +440,11 @@ def test_a_member_that_does_not_join_is_not_drawn(symmetry):
     system, period = chain(1).system, pendulum_period(1.2)
     speed = np.sqrt(2 * 9.8 * 0.5 * (1 - np.cos(1.2)) / (1 / 3))
     good = [0.0, speed] if symmetry == "reversal" else [1.2, 0.0]
-    entry = {"state": good, "period": period, "symmetry": symmetry}
-    assert Films().member(system, entry) is not None
-    assert Films().member(system, entry | {"period": 0.9 * period}) is None
-    assert Films().member(system, entry | {"symmetry": "unheard of"}) is None
-    assert Films().member(system, entry | {"state": [1.0]}) is None
+    one = Event("fold", 0, 0.0, 0.0, np.array(good), period, 0.0, symmetry=symmetry)
+    assert Films().member(system, one) is not None
+    assert Films().member(system, replace(one, period=0.9 * period)) is None
+    assert Films().member(system, replace(one, symmetry="unheard of")) is None
+    assert Films().member(system, replace(one, state=np.array([1.0]))) is None
 
 
 @pytest.mark.parametrize("symmetry", SHARES)
@@ -637,7 +640,7 @@ def test_an_atlas_at_one_energy_is_in_order_of_period(tmp_path):
 def test_points_are_picked_evenly_along_the_curve():
     """Where the steps of a family are small, fewer of its points are picked."""
     energies = np.concatenate([np.linspace(0, 1, 11), 1 + np.linspace(0, 1e-3, 200)[1:]])
-    points = [{"energy": e, "period": 1 / (2 - e), "arclength": e} for e in energies]
+    points = [SimpleNamespace(energy=e, period=1 / (2 - e), arclength=e) for e in energies]
     picked = spread(points, 20)
     assert picked[0] == 0 and picked[-1] == 209
     assert set(range(10)) <= set(picked) and len(picked) <= 14

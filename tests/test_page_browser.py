@@ -9,7 +9,7 @@ import pytest
 from test_page import NASTY, SHIPPED, material, site  # noqa: F401  (fixtures)
 
 from orbitfinder.orbits.certify import certify
-from orbitfinder.records.orbit import load_orbit
+from orbitfinder.records.store import load_orbit
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed; pip install '.[browser]'")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

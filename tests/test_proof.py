@@ -19,7 +19,8 @@ from orbitfinder.proof.balls import arb, arb_mat, flint, precision
 from orbitfinder.proof.refine import refine, settings_for
 from orbitfinder.proof.stability import stability
 from orbitfinder.proof.theorem import Options, prove
-from orbitfinder.records.orbit import digest, load_orbit, save_orbit
+from orbitfinder.records.orbit import digest, save_orbit
+from orbitfinder.records.store import load_orbit
 
 ROOT = Path(__file__).parents[1]
 REPORT = ("triple-1", "triple-2", "quadruple-1", "quadruple-2")

@@ -9,7 +9,8 @@ pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof'
 
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.proof.record import read_entry, replay
-from orbitfinder.records.orbit import digest, load_orbit
+from orbitfinder.records.orbit import digest
+from orbitfinder.records.store import load_orbit
 
 RESULTS = Path(__file__).parents[1] / "results"
 RECORDS = sorted((RESULTS / "proofs").glob("*.json"))
@@ -39,5 +40,5 @@ def test_fifty_orbits_of_the_shipped_atlas_are_proved():
 @pytest.mark.parametrize("file", RECORDS, ids=lambda file: file.stem)
 def test_record_replays(file):
     """The proof done again contradicts nothing that is recorded."""
-    proof, wrong = replay(load_orbit(file), read_entry(file))
+    proof, wrong = replay(load_orbit(file), read_entry(load_orbit(file), file))
     assert proof.proved and not wrong

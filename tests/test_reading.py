@@ -17,12 +17,13 @@ from click.testing import CliRunner
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.journal import JOURNAL, SEAL, load_family, read_journal
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.records.orbit import load_orbit, save_orbit
+from orbitfinder.records.family import JOURNAL, SEAL, load_family, read_journal
+from orbitfinder.records.orbit import save_orbit
 from orbitfinder.records.reading import inflated, json_document
+from orbitfinder.records.store import load_orbit
 
 ROOT = Path(__file__).parents[1]
 FORWARD = FamilySettings(directions="forward")

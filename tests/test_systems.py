@@ -16,7 +16,8 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
-from orbitfinder.records.orbit import load_orbit, save_orbit
+from orbitfinder.records.orbit import save_orbit
+from orbitfinder.records.store import load_orbit
 from orbitfinder.systems import FUNCTIONS
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.validation.comparison import Comparison, Section
-from orbitfinder.records.orbit import write_atomically
+from orbitfinder.records.reading import write_atomically
 
 HEAD = """# Validation
 

@@ -12,9 +12,10 @@ from orbitfinder.atlas.solver import QuickSettings
 from orbitfinder.atlas.starts import Bench, Start
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.follow import follow
-from orbitfinder.families.point import FamilyPoint, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.start import begin
+from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_from_document
 
 CONTINUATION = "continuation"

@@ -23,6 +23,7 @@ from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import Orbit, check_document, orbit_from_document, orbit_to_document
 from orbitfinder.records.reading import inflated, json_document, read_as
+from orbitfinder.records.store import kind_of, load_orbit, member
 
 RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 4096
@@ -213,11 +214,13 @@ class Atlas:
         """The orbit.json document of an orbit by its id."""
         rows = self.select([bytes], "SELECT document FROM orbits WHERE id = ?", [int(number)])
         if not rows:
-            raise InputError(f"{self.path}: id: no orbit {number}; list them with orbitfinder atlas list")
+            last = self.select([int], "SELECT coalesce(max(id), 0) FROM orbits")[0][0]
+            known = f"ids are from 1 to {last}" if last else "the atlas is empty"
+            raise InputError(f"{self.path}: id: no orbit {number}, {known}; list them with orbitfinder atlas list")
         return unpacked(rows[0][0], f"{self.path}: orbit {number}")
 
     def orbit(self, number: int) -> Orbit:
-        """An orbit by its id, certificate included; its dense samples are left out (see `with_samples`)."""
+        """An orbit by its id, certificate included; its dense samples are left out."""
         document = self.document(number)
         return orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
 
@@ -272,6 +275,15 @@ class Atlas:
             number = self.insert(orbit, signature) if known is None else known
         self.remember(number, signature)
         return number, known is None
+
+
+def orbit_of(path: str | Path) -> Orbit:
+    """The orbit of an orbit.json, or of FILE#K: point K of a family.json, orbit K of an atlas, by its id."""
+    file, number = member(path)
+    if number is None or kind_of(file) != "atlas":
+        return load_orbit(path)
+    with Atlas(file) as atlas:
+        return atlas.orbit(number)
 
 
 def packed(orbit: Orbit) -> bytes:

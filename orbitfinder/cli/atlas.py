@@ -168,7 +168,7 @@ def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any)
     """
     from orbitfinder.atlas.export import exported
     from orbitfinder.atlas.store import Atlas
-    from orbitfinder.records.orbit import write_atomically
+    from orbitfinder.records.reading import write_atomically
 
     if out is None and kind == "parquet":
         raise InputError("--out: missing; a Parquet file is not text, name it with -o FILE.parquet")

@@ -24,10 +24,10 @@ from orbitfinder.cli.options import (
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.families.point import Batch, Family
     from orbitfinder.families.switching import Branch
     from orbitfinder.loops.problem import Problem
     from orbitfinder.mechanics.model import Model
+    from orbitfinder.records.family import Batch, Family
     from orbitfinder.records.orbit import Orbit
 
     Origin = Orbit | Problem | Branch
@@ -124,29 +124,29 @@ def numbers(text: str) -> tuple[float, ...]:
 
 
 def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
-    """The Orbit of an orbit.json, the Branch of a family.json or the Problem of any other file, with its model."""
+    """The Orbit of an orbit.json or FILE#K, the Branch of a family.json, or the Problem of a file, with its model."""
     from orbitfinder.cli.jobs import named_orbits
-    from orbitfinder.families.journal import FORMAT
     from orbitfinder.problemfile.read import load_problem
-    from orbitfinder.records.reading import file_head
+    from orbitfinder.records.store import kind_of, member
 
-    if file.suffix != ".json":
+    single = member(file)[1] is not None
+    if file.suffix != ".json" and not single:
         if switch is not None:
             raise InputError("--switch: goes with a family.json; continue the problem first, then switch there")
         return load_problem(file, trust), None
-    if FORMAT.encode() in file_head(file, 200):
+    if not single and kind_of(file) == "family":
         return _branch_of(file, trust, switch, branch), None
     if switch is not None:
         raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
-    ((_, orbit, model),) = named_orbits([file], trust)
+    ((_, orbit, model),) = named_orbits([file], trust, pictured=False)
     return orbit, model
 
 
 def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
     from orbitfinder.families.branches import SWITCHABLE
-    from orbitfinder.families.journal import load_family
     from orbitfinder.families.switching import described, switch_branch
     from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.records.family import load_family
 
     family = load_family(file)
     if switch is None:

@@ -20,6 +20,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 
     csv: times and states, as `csv` in [guess] reads them. auto: NAME.f90, c.NAME and NAME.dat for AUTO-07p
     (then: @r NAME). julia: NAME.jl for BifurcationKit.jl. c: the right-hand side in plain C.
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
     Examples:

@@ -196,26 +196,33 @@ def verify_file(file: Path, trust: bool = False) -> tuple[Orbit, Certificate]:
         orbit, model = orbit_and_model(file, trust)
         return orbit, certify(orbit, model)
     except InputError as error:
-        where = "" if str(file) in str(error) else f"{file}: "
+        where = "" if str(file).split("#")[0] in str(error) else f"{file}: "
         raise InputError(f"{where}{error}") from error
 
 
-def orbit_and_model(file: Path, trust: bool = False) -> tuple[Orbit, Model]:
-    """The orbit of a file, whose entries belong together, and the model of its system; the way in of every command."""
-    from orbitfinder.mechanics.catalogue import build_model
-    from orbitfinder.records.orbit import load_orbit
+def orbit_and_model(file: Path, trust: bool = False, pictured: bool = False) -> tuple[Orbit, Model]:
+    """The orbit of FILE or FILE#K, whose entries belong together, and its system's model; the way in of every command.
 
-    orbit = load_orbit(file)
+    `pictured`: with samples, also where one orbit of a file has none of its own.
+    """
+    from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.mechanics.catalogue import build_model
+
+    orbit = orbit_of(file)
     model = build_model(orbit.system, file.parent if trust else None)
     check_consistent(orbit, model)
+    if pictured and not file.exists():
+        from orbitfinder.families.motions import whole
+
+        orbit = whole(orbit, model)
     return orbit, model
 
 
-def named_orbits(files: Sequence[Path], trust: bool) -> list[tuple[Path, Orbit, Model]]:
+def named_orbits(files: Sequence[Path], trust: bool, pictured: bool = True) -> list[tuple[Path, Orbit, Model]]:
     """What `plot`, `animate` and `export` work on: all read, and named as files may be, before anything is written."""
     from orbitfinder.problemfile.read import checked_name
 
-    orbits = [(file, *orbit_and_model(file, trust)) for file in files]
+    orbits = [(file, *orbit_and_model(file, trust, pictured)) for file in files]
     for file, orbit, _ in orbits:
         checked_name(orbit.name, f"{file}: name")
     return orbits

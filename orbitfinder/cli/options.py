@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from orbitfinder._runtime.limit import limited
-from orbitfinder.records.jsontext import finite
+from orbitfinder.records.reading import finite
 
 FILES = click.Path(path_type=Path)
 NOT_CERTIFIED, BAD_INPUT, INTERRUPTED = 1, 2, 130
@@ -38,7 +38,7 @@ TRUST = "Execute Python problem files; only for files you have read."
 SYSTEM_TRUST = "Import the Python module that a system was made with; only if you have read it."
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
-orbit_files: Decorator = click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json...")
+orbit_files: Decorator = click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
 
 
 def _remember_json(context: click.Context, _: click.Parameter, value: bool) -> None:

@@ -25,7 +25,8 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
     """Make a static site from any mixture of orbits, families and atlases.
 
     PATH is an orbit.json, a family.json, an atlas (database or JSON export), or a folder that holds
-    such files. The site opens from disk: no network, no server.
+    such files; FILE#K is one point of a family (from 0) or orbit of an atlas. The site opens from disk: no network,
+    no server.
 
     \b
     Examples:

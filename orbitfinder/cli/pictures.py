@@ -17,6 +17,8 @@ from orbitfinder.errors import InputError
 def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
+
     \b
     Example:
       orbitfinder plot orbits/triple-1/orbit.json -o figures
@@ -26,7 +28,8 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
 
     orbits = named_orbits(files, trust)
     for file, orbit, model in orbits:
-        folder = file.parent if out is None else (out if len(orbits) == 1 else out / orbit.name)
+        beside = file.parent if file.exists() else file.parent / orbit.name
+        folder = beside if out is None else (out if len(orbits) == 1 else out / orbit.name)
         check_writable(folder)
         for written in save_figures(orbit, folder, model):
             click.echo(str(written))
@@ -38,6 +41,8 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
 @trust_option(SYSTEM_TRUST)
 def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     """Animate each ORBIT.json in real time over whole periods, as a GIF (or MP4 with the extra `mp4`).
+
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
     Examples:

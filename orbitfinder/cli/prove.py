@@ -46,32 +46,35 @@ def prove(
 
     Needs the extra `proof` (python-flint). A proof encloses the orbit, its minimal period and its
     multipliers, and is recorded in the file. Exit code 0: all proved; 1: some not, with the reason.
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas; its proof is not recorded.
 
     \b
     Examples:
       orbitfinder prove orbits/triple-1/orbit.json
       orbitfinder prove orbits/*/orbit.json --no-record --json
     """
+    from orbitfinder.atlas.store import orbit_of
     from orbitfinder.cli.console import note
     from orbitfinder.cli.jobs import check_writable
     from orbitfinder.proof.record import checked, entry, write_entry
     from orbitfinder.proof.theorem import Options, provable_model
     from orbitfinder.proof.theorem import prove as proved
-    from orbitfinder.records.orbit import load_orbit
 
     given = {"order": order, "bits": bits, "tolerance": tolerance}
     chosen = Options(symmetry=symmetry, segments=segments)
     settings = replace(chosen.settings, **{k: v for k, v in given.items() if v is not None})  # type: ignore[arg-type]
     options, results = checked(replace(chosen, settings=settings)), []
     for file in files:
-        orbit = load_orbit(file)
+        orbit = orbit_of(file)
         if record:
             check_writable(file.parent, "--record")
         model = provable_model(orbit, file.parent if trust else None)
         proof = proved(orbit, model, options, lambda line, name=orbit.name: note(f"{name}: {line}"))  # type: ignore[misc]
         interrupt.check()
-        if proof.proved and record:
+        if proof.proved and record and file.exists():
             write_entry(file, proof)
+        elif proof.proved and record:
+            note(f"{file}: the proof is not recorded: one orbit of a file has no entry for it")
         results.append({"file": str(file), "name": orbit.name} | entry(proof))
         _print_proof(f"{file} ({orbit.name})", proof)
     passed = all(result["proved"] for result in results)
@@ -101,12 +104,12 @@ def _print_proof(heading: str, proof: Proof) -> None:
 
 def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
     """Replay the proof recorded in a file: `passed`, and `message`, one sentence."""
+    from orbitfinder.atlas.store import orbit_of
     from orbitfinder.proof.record import read_entry, replay
     from orbitfinder.proof.theorem import provable_model
-    from orbitfinder.records.orbit import load_orbit
 
-    orbit = load_orbit(file)
-    proof, wrong = replay(orbit, read_entry(file), provable_model(orbit, file.parent if trust else None))
+    orbit = orbit_of(file)
+    proof, wrong = replay(orbit, read_entry(orbit, file), provable_model(orbit, file.parent if trust else None))
     if wrong:
         return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
     assert proof.stability is not None
@@ -136,13 +139,13 @@ def refine(
       orbitfinder refine orbits/triple-1/orbit.json --digits 50
       orbitfinder refine orbits/triple-1/orbit.json --digits 50 --order 80 --bits 300
     """
+    from orbitfinder.atlas.store import orbit_of
     from orbitfinder.cli.console import note
     from orbitfinder.proof.refine import refine as refined
     from orbitfinder.proof.refine import settings_for
     from orbitfinder.proof.theorem import provable_model
-    from orbitfinder.records.orbit import load_orbit
 
-    settings, orbit = settings_for(digits, order, bits), load_orbit(file)
+    settings, orbit = settings_for(digits, order, bits), orbit_of(file)
     model = provable_model(orbit, file.parent if trust else None)
     found = refined(orbit, settings, digits, model, symmetry, enclose, note)
     document = refined_document(found)

@@ -29,7 +29,7 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
     from orbitfinder.exports.table import csv_text
     from orbitfinder.orbits.simulate import simulate as simulated
     from orbitfinder.problemfile.read import load_problem_file
-    from orbitfinder.records.orbit import write_atomically
+    from orbitfinder.records.reading import write_atomically
 
     loaded = load_problem_file(file, trust)
     if out is not None:

@@ -24,12 +24,14 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
 
     Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
     every file passed; 1: some failed, and are named. The equations of a system that a Python module
-    of yours makes are that module's; it is run only with --trust.
+    of yours makes are that module's; it is run only with --trust. FILE#K is point K of a family.json,
+    counted from 0, or orbit K of an atlas.
 
     \b
     Examples:
       orbitfinder verify orbits/triple-1/orbit.json
       orbitfinder verify orbits/*/orbit.json --json
+      orbitfinder verify families/triple-mode-2/family.json#17
     """
     from orbitfinder.cli.jobs import verify_file
     from orbitfinder.cli.prove import verify_proof

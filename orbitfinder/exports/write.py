@@ -12,7 +12,8 @@ from orbitfinder.exports.plain_c import c_file
 from orbitfinder.exports.source import Source, source_of
 from orbitfinder.exports.table import csv_text
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.orbit import Orbit, write_atomically
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import write_atomically
 
 FORMATS: dict[str, Callable[[Source], dict[str, str]]] = {
     "csv": lambda source: {

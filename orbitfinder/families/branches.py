@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.events import parameter_slopes
-from orbitfinder.families.point import Event, FamilySettings, parameter_value
+from orbitfinder.families.point import FamilySettings, parameter_value
 from orbitfinder.families.scale import extent
 from orbitfinder.families.start import (
     Start,
@@ -32,6 +32,7 @@ from orbitfinder.families.start import (
 from orbitfinder.loops.conditions import SYMMETRIES
 from orbitfinder.loops.continued import Aim, Curve, Place, Solution, advanced, at_place, correct, head_of, scaled
 from orbitfinder.loops.graded import build_propagator
+from orbitfinder.records.family import Event
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
@@ -148,7 +149,7 @@ def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
 
 def _place_of(curve: Curve, event: Event) -> Place:
     free = np.array(list(event.free.values()))
-    return Place(event.nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
+    return Place(event.shooting_nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
 
 
 def _turns(curve: Curve, event: Event) -> np.ndarray:
@@ -161,7 +162,7 @@ def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Place:
     """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
     base, fraction = at_place(curve, _place_of(curve, event)), SYMMETRIES[symmetry].fraction
     n = curve.propagator.size // 2
-    each = (base.place.mesh.size - 1) // len(event.nodes)
+    each = (base.place.mesh.size - 1) // len(event.shooting_nodes)
     mesh, states = unfolded(curve, base.place.mesh, base.march.states)
     count = mesh.size - 1
     first = int(np.argmin(np.abs(mesh - share)))

@@ -10,13 +10,14 @@ from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
-from orbitfinder.families.point import End, FamilyPoint, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.samples import Interval
 from orbitfinder.families.scale import extents, span
 from orbitfinder.families.start import full_samples
 from orbitfinder.loops.continued import Aim, Curve, Place, Solution, at_place, blended, correct, distance
 from orbitfinder.loops.graded import invariants_at, rate_at, rates
 from orbitfinder.loops.symmetry import recognise
+from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""

@@ -20,7 +20,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.collisions import collisions, look, meeting
 from orbitfinder.families.crossings import crossings
 from orbitfinder.families.passages import Measure, Test, located, passages
-from orbitfinder.families.point import Event, FamilySettings, parameter_value
+from orbitfinder.families.point import FamilySettings, parameter_value
 from orbitfinder.families.samples import Interval as Interval
 from orbitfinder.families.samples import Probe as Probe
 from orbitfinder.families.samples import make_interval as make_interval
@@ -29,6 +29,7 @@ from orbitfinder.families.samples import parameter_slopes as parameter_slopes
 from orbitfinder.families.strips import strips
 from orbitfinder.loops.continued import Curve, head_of
 from orbitfinder.orbits.floquet import ERROR_FLOOR
+from orbitfinder.records.family import Event
 
 CRITICAL = ("branch_point", "period_doubling", "torus")
 """Kinds at which a multiplier leaves or enters the unit circle."""
@@ -121,7 +122,7 @@ def _event(curve: Curve, probe: Probe, test: Test, settings: FamilySettings, arc
         detail=test.detail,
         order=test.order,
         multiplier=test.multiplier,
-        nodes=place.nodes,
+        shooting_nodes=place.nodes,
         mesh=place.mesh,
         tangent=head_of(probe.whole, place),
         symmetry=curve.propagator.symmetry.name,

@@ -8,9 +8,10 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.events import Interval, make_probe
-from orbitfinder.families.point import FamilyPoint, make_point, parameter_value
+from orbitfinder.families.point import make_point, parameter_value
 from orbitfinder.families.run import Stand, Walk
 from orbitfinder.loops.continued import Aim, Place, Solution, correct, distance, head_of, tangent
+from orbitfinder.records.family import FamilyPoint
 
 
 def exact_points(

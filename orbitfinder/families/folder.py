@@ -15,10 +15,22 @@ from orbitfinder.errors import InputError, LimitError
 from orbitfinder.families.certified import batch_certified, certified
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.follow import follow
-from orbitfinder.families.journal import (
+from orbitfinder.families.point import FamilySettings, winding
+from orbitfinder.families.run import Walk, first_point
+from orbitfinder.families.start import Start, begin, curve_of
+from orbitfinder.families.switching import Branch
+from orbitfinder.loops.continued import Curve
+from orbitfinder.loops.problem import Problem
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import (
+    CLOSURE,
     FORMAT,
     JOURNAL,
     VERSION,
+    Batch,
+    Family,
+    FamilyPoint,
     Journal,
     append,
     assemble,
@@ -28,15 +40,8 @@ from orbitfinder.families.journal import (
     save_family,
     start_journal,
 )
-from orbitfinder.families.point import CLOSURE, Batch, Family, FamilyPoint, FamilySettings, winding
-from orbitfinder.families.run import Walk, first_point
-from orbitfinder.families.start import Start, begin, curve_of
-from orbitfinder.families.switching import Branch
-from orbitfinder.loops.continued import Curve
-from orbitfinder.loops.problem import Problem
-from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model
-from orbitfinder.records.orbit import Orbit, load_orbit
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.store import load_orbit
 
 SAVE_EVERY = 50
 """Steps between two rewritings of family.json while a family grows."""
@@ -94,7 +99,7 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     check = closure_check(curve.propagator.model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
-        closure = check(point.state, point.period, winding(curve), allowed, point.free)
+        closure = check(point.state, point.period, np.array(winding(curve)), allowed, point.free)
         if not closure <= allowed:
             raise InputError(
                 f"{folder / JOURNAL}: the point at {journal.header['parameter']} {point.value:.9g} closes only to "
@@ -123,8 +128,8 @@ def _source(origin: Orbit | Problem | Start | Branch) -> dict[str, Any]:
     """What the family was started from, for its file."""
     if isinstance(origin, Branch):
         return {"kind": "branch", **origin.described()}
-    kinds = {Orbit: "orbit", Problem: "problem", Start: "start"}
-    return {"kind": kinds[type(origin)], "name": getattr(origin, "name", "")}
+    kind = "orbit" if isinstance(origin, Orbit) else "problem" if isinstance(origin, Problem) else "start"
+    return {"kind": kind, "name": getattr(origin, "name", "")}
 
 
 def _request(

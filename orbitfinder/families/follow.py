@@ -18,7 +18,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.ends import end_after, energies_of, merged, returned, shortest_step
 from orbitfinder.families.events import Interval, Probe, find_events, make_interval, make_probe
 from orbitfinder.families.exact import exact_points
-from orbitfinder.families.point import Batch, End, Event, FamilyPoint, FamilySettings, make_point
+from orbitfinder.families.point import FamilySettings, make_point
 from orbitfinder.families.run import Stand, Walk, stand_at, trend_of
 from orbitfinder.families.scale import span
 from orbitfinder.families.stability import Spectrum
@@ -36,6 +36,7 @@ from orbitfinder.loops.continued import (
     tangent,
 )
 from orbitfinder.loops.mesh import refined, regraded, settled
+from orbitfinder.records.family import Batch, End, Event, FamilyPoint
 
 SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
@@ -214,7 +215,7 @@ def _events(interval: Interval, settings: FamilySettings) -> list[tuple[float, E
 
 def _place_of(curve: Curve, event: Event) -> Place:
     free = np.array(list(event.free.values()))
-    return Place(event.nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
+    return Place(event.shooting_nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
 
 
 def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.point import Family, FamilyPoint, FamilySettings, place_of
+from orbitfinder.families.point import FamilySettings, place_of
 from orbitfinder.families.start import curve_of, full_samples
+from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.continued import at_place
+from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.orbits.certify import certified
+from orbitfinder.orbits.measure import dense
+from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.records.orbit import Orbit
 
 SAMPLES = 240
 
@@ -31,6 +37,22 @@ def at_values(model: Model, free: Mapping[str, float]) -> Model:
     for name, value in free.items():
         numbers[model.parameter_index(name)] = value
     return replace(model, parameter_values=numbers)
+
+
+def whole(orbit: Orbit, model: Model) -> Orbit:
+    """The orbit with samples over its period; a point of a family as an Orbit of its own, certified, with the symmetry
+    that it has and not only its formulation's.
+    """
+    if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
+        times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
+    else:
+        curve = curve_of(orbit.curve, model, FamilySettings(parameter=next(iter(orbit.free), "energy")))
+        times, samples = full_samples(curve, at_place(curve, place_of(orbit)), 4 * SAMPLES)
+    kept = {one.name: getattr(orbit, one.name) for one in fields(Orbit)} | {"times": times, "samples": samples}
+    if not isinstance(orbit, FamilyPoint):
+        return Orbit(**kept)
+    symmetry = recognise(times, samples, np.asarray(model.angles))
+    return certified(Orbit(**kept | {"symmetry": symmetry, "closure": 0.0}), model)
 
 
 def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:

@@ -1,15 +1,13 @@
-"""What a family is made of: points, events, ends; plain frozen numbers."""
+"""How a family is followed, and what makes a point of it out of a corrected orbit."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime import notebook as display
-from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.closure import ClosureCheck
 from orbitfinder.families.scale import extents
@@ -17,9 +15,9 @@ from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Place, Solution
 from orbitfinder.loops.graded import invariants_at
 from orbitfinder.orbits.closure import carried
+from orbitfinder.records.family import CLOSURE, FamilyPoint, turns
+from orbitfinder.records.orbit import system_at
 
-CLOSURE = 1e-11
-"""Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
 PIECEWISE = 1e3
 """Growth of errors beyond which an orbit is checked piece by piece as well."""
 
@@ -51,137 +49,6 @@ class FamilySettings:
     """period-q resonances are looked for up to this q"""
     events: bool = True
     certify: bool = True
-
-
-@dataclass(frozen=True)
-class FamilyPoint:
-    """One periodic orbit of a family, complete: what an Orbit says, and where it is on the family.
-
-    `closure` is by the independent integrator and relative to the extent of the motion, `scale`
-    what its allowed value 1e-11 is multiplied by: the largest multiplier, or what errors grow by until the
-    end of the part that is integrated. Where that is more than
-    1e-8, one turn says little, and the orbit is checked piece by piece as well: `defect` is the largest
-    gap, as relative, between where the same integrator leaves one of the shooting nodes and the next
-    node, of which 1e-11 times the growth over a piece is allowed; elsewhere it is the closure itself.
-    `indices` are the stability indices in the order that follows each curve along the family, of the
-    map whose power `root` is the monodromy. `tangent` is d(x(0), T, free)/d(arclength); `nodes` and
-    `mesh` rebuild the shooting unknowns. `role`: step | at | end.
-    """
-
-    __repr__ = brief("index", "value", "period", "energy", "closure", "stability", "role")
-
-    index: int
-    arclength: float
-    value: float
-    state: np.ndarray
-    period: float
-    energy: float
-    action: float
-    closure: float
-    scale: float
-    floquet_multipliers: np.ndarray
-    pair_defect: float
-    stability: str
-    krein: tuple[int, ...]
-    symmetry: str
-    indices: np.ndarray
-    root: int
-    unfolding: np.ndarray
-    free: Mapping[str, float]
-    nodes: np.ndarray
-    mesh: np.ndarray
-    tangent: np.ndarray
-    step: float
-    role: str = "step"
-    wall_time: float = 0.0
-    defect: float = 0.0
-    certified: bool = False
-    """whether it has every check of a certificate and not only those of its closure"""
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that happens between two points, located on the family.
-
-    `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change. `detail`
-    says what exactly (of what the fold is, q of the resonance, what changed); `multiplier` is the
-    critical multiplier of the root map, `order` the number of periods after which the branch closes.
-    """
-
-    __repr__ = brief("kind", "detail", "parameter", "period", "index")
-
-    kind: str
-    index: int
-    arclength: float
-    parameter: float
-    state: np.ndarray
-    period: float
-    energy: float
-    detail: str = ""
-    order: int = 1
-    multiplier: complex = 1.0 + 0.0j
-    nodes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    mesh: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    tangent: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    symmetry: str = "none"
-    free: Mapping[str, float] = field(default_factory=dict)
-    certified: bool = False
-
-
-@dataclass(frozen=True)
-class End:
-    """Why a family stopped in one direction: a short name and the sentence."""
-
-    kind: str
-    reason: str
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
-
-    __repr__ = brief("direction", "points", "events", "end")
-
-    direction: int
-    points: tuple[FamilyPoint, ...] = ()
-    events: tuple[Event, ...] = ()
-    end: End | None = None
-
-
-@dataclass(frozen=True)
-class Family:
-    """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
-
-    `curve` is what rebuilds the equations (see `store.curve_of`), `source` what the family was started from.
-    """
-
-    __repr__ = brief("name", "parameter", "points", "events", "ends")
-
-    name: str
-    system: Mapping[str, Any]
-    parameter: str
-    points: tuple[FamilyPoint, ...]
-    events: tuple[Event, ...]
-    ends: tuple[End, ...]
-    curve: Mapping[str, Any] = field(default_factory=dict)
-    source: Mapping[str, Any] = field(default_factory=dict)
-
-    def values(self, name: str) -> np.ndarray:
-        """One number of every point as an array, in order along the family."""
-        return np.asarray([getattr(point, name) for point in self.points])
-
-    @property
-    def counts(self) -> str:
-        """How many orbits are closed and how many of them certified, in words."""
-        sure = [sum(one.certified for one in some) for some in (self.points, self.events)]
-        return (
-            f"{len(self.points)} closed orbits, {sure[0]} of them certified; "
-            f"{len(self.events)} events, {sure[1]} of them at certified orbits"
-        )
-
-    def _repr_html_(self) -> str | None:
-        """How a notebook shows it."""
-        return display.html(self)
 
 
 Check = ClosureCheck
@@ -219,7 +86,8 @@ def make_point(
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
     free = dict(zip(p.free, map(float, place.free), strict=True))
-    closure = 0.0 if check is None else check(place.nodes[0], place.period, winding(curve), allowed, free, units)
+    turned = winding(curve)
+    closure = 0.0 if check is None else check(place.nodes[0], place.period, np.array(turned), allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
     defect = closure
@@ -229,6 +97,13 @@ def make_point(
             raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
     where.setdefault("indices", about.indices)
     point = FamilyPoint(
+        name="",
+        system=system_at(p.model.system, free),
+        winding=turned,
+        nodes=place.nodes[:1],
+        times=np.zeros(0),
+        samples=np.zeros((0, p.size)),
+        tolerance=CLOSURE,
         value=parameter_value(curve, place, parameter),
         state=place.nodes[0],
         period=place.period,
@@ -243,9 +118,9 @@ def make_point(
         krein=about.krein,
         symmetry=p.symmetry.name,
         root=about.root,
-        unfolding=place.unfolding,
+        unfolding=tuple(float(s) for s in place.unfolding),
         free=free,
-        nodes=place.nodes,
+        shooting_nodes=place.nodes,
         mesh=place.mesh,
         tangent=along,
         **where,
@@ -268,16 +143,13 @@ def piecewise_defect(curve: Curve, found: Solution, check: Check, free: Mapping[
     return float(np.abs(gaps).max()), max(1.0, float(growth))
 
 
-def winding(curve: Curve) -> np.ndarray:
+def winding(curve: Curve) -> tuple[int, ...]:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-    n = curve.propagator.size // 2
-    if curve.propagator.symmetry.name == "reversal":
-        return np.asarray(np.round((curve.constant[n:] - curve.constant[:n]) / np.pi))
-    if curve.propagator.symmetry.name != "none":
-        return np.zeros(n)
-    return np.asarray(np.round(curve.constant[:n] / (2 * np.pi)))
+    return turns(curve.propagator.symmetry.name, curve.constant, curve.propagator.size // 2)
 
 
 def place_of(point: FamilyPoint) -> Place:
     """The shooting unknowns that a stored point stands for."""
-    return Place(point.nodes, point.period, point.unfolding, np.array(list(point.free.values())), point.mesh)
+    return Place(
+        point.shooting_nodes, point.period, np.array(point.unfolding), np.array(list(point.free.values())), point.mesh
+    )

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.families.events import Probe, make_probe, parameter_slopes
-from orbitfinder.families.point import Check, FamilyPoint, FamilySettings, make_point, place_of
+from orbitfinder.families.point import Check, FamilySettings, make_point, place_of
 from orbitfinder.families.scale import span
 from orbitfinder.families.start import Start
 from orbitfinder.loops.continued import Curve, Solution, at_place, bend, tangent
+from orbitfinder.records.family import FamilyPoint
 
 
 @dataclass(frozen=True)

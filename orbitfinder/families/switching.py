@@ -9,11 +9,11 @@ from typing import Any
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branches import SWITCHABLE, switch
-from orbitfinder.families.journal import load_family
-from orbitfinder.families.point import Event, Family, FamilySettings
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import Start, curve_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import Event, Family, load_family
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def branches(
     where = family.name if isinstance(family, Family) else str(family)
     family = family if isinstance(family, Family) else load_family(family)
     chosen = _event(family, event, where)
-    if not chosen.nodes.size:
+    if not chosen.shooting_nodes.size:
         raise InputError(f"{where}: family.npz is not beside it; continue the family again to switch from it")
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     curve = curve_of(family.curve, model or build_model(family.system), settings)

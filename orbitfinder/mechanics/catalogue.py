@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.maximal import chain_dae
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.partition import minimal_linkage
+from orbitfinder.records.orbit import system_at
 
 REBUILDABLE = ("chain", "linkage")
 """Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
@@ -67,24 +69,10 @@ def _built(builder: Callable[..., Any], system: Mapping[str, Any]) -> Any:
 
 def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     """The same Model with some physical parameters changed, its description included."""
-    from dataclasses import replace
-
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
-    if model.system.get("kind") == "python":
-        arguments = {**model.system.get("arguments", {}), **{name: float(value) for name, value in values.items()}}
-        return replace(model, parameter_values=numbers, system={**model.system, "arguments": arguments})
-    if model.system.get("kind") not in REBUILDABLE:
-        return replace(model, parameter_values=numbers)
-    system = dict(model.system)
-    for name, value in values.items():
-        field = name.rstrip("0123456789")
-        if field == name:
-            system[name] = float(value)
-        else:
-            position = int(name[len(field) :]) - 1
-            column = list(system[field])
-            column[position] = float(value)
-            system[field] = column
-    return build_model(system)
+    system = system_at(model.system, values)
+    if model.system.get("kind") in REBUILDABLE:
+        return build_model(system)
+    return replace(model, parameter_values=numbers, system=system)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import operator
 import re
@@ -17,8 +16,8 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import arb, flint, precision
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, prove
-from orbitfinder.records.orbit import Orbit, read_document, write_atomically
-from orbitfinder.records.reading import read_as
+from orbitfinder.records.orbit import Orbit, read_document
+from orbitfinder.records.reading import read_as, write_json
 
 DIGITS = 30
 """Decimal places of the centres of enclosures in a record"""
@@ -77,15 +76,13 @@ def _proved(proof: Proof) -> dict[str, Any]:
 
 def write_entry(path: Path, proof: Proof) -> None:
     """Put the entry into an orbit.json; everything else in the file, its digest included, stays as it is."""
-    document = read_document(path)
-    document["proof"] = entry(proof)
-    write_atomically(path, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+    write_json(path, read_document(path) | {"proof": entry(proof)})
 
 
-def read_entry(path: Path) -> dict[str, Any]:
-    """The entry of an orbit.json. `InputError` when there is none, or it is of another theorem."""
-    found = read_document(path).get("proof")
-    if not isinstance(found, dict):
+def read_entry(orbit: Orbit, path: Path) -> Mapping[str, Any]:
+    """The entry of an orbit, read from a path. `InputError` when there is none, or it is of another theorem."""
+    found = orbit.proof
+    if found is None:
         raise InputError(f"{path}: proof: missing; prove the orbit first: orbitfinder prove {path}")
     if found.get("theorem") != STATEMENT:
         raise InputError(

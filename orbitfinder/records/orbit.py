@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +12,7 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
-from orbitfinder.records.reading import arrays, content_digest, json_file
+from orbitfinder.records.reading import arrays, content_digest, json_bytes, json_file, write_atomically, write_npz
 
 FORMAT, VERSION = "orbitfinder/orbit", 1
 AGAIN = "run the problem again"
@@ -94,6 +91,8 @@ class Orbit:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     title: str = ""
     source: str = ""
+    proof: Mapping[str, Any] | None = None
+    """what was proved of it (see `proof.record`)"""
     record: str | None = None
     """digest of the numbers as written, present on orbits read from a file"""
 
@@ -129,7 +128,7 @@ def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
         "provenance": dict(orbit.provenance),
     }
     document["record"] = digest(document)
-    return document
+    return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
 
 
 def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
@@ -151,43 +150,41 @@ def _with_number(check: Mapping[str, Any]) -> dict[str, Any]:
     return dict(check) | {"value": float("nan") if check["value"] is None else float(check["value"])}
 
 
+def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping[str, Any]:
+    """The description of a system with some physical parameters changed: `length3` is the third entry of `length`."""
+    if not values:
+        return system
+    if "function" in system:
+        return {**system, "arguments": {**system.get("arguments", {}), **{k: float(v) for k, v in values.items()}}}
+    found = dict(system)
+    for name, value in values.items():
+        entry = name.rstrip("0123456789")
+        if entry == name and name in found:
+            found[name] = float(value)
+        elif entry in found:
+            column = list(found[entry])
+            column[int(name[len(entry) :]) - 1] = float(value)
+            found[entry] = column
+    return found
+
+
 def digest(document: Mapping[str, Any]) -> str:
     """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
     return content_digest({name: document.get(name) for name in DIGESTED})
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all: a temporary file beside it, then a rename."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-
-
 def save_orbit(orbit: Orbit, path: str | Path) -> Path:
     """Write orbit.json and, beside it, the dense samples in orbit.npz; returns the JSON's path."""
-    import io
-
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(orbit_to_document(orbit), indent=1, allow_nan=False)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, times=orbit.times, samples=orbit.samples)
-    write_atomically(target.with_suffix(".npz"), buffer.getvalue())
-    write_atomically(target, (text + "\n").encode())
+    text = json_bytes(orbit_to_document(orbit))  # refuses what is no number before anything is written
+    write_npz(target.with_suffix(".npz"), {"times": orbit.times, "samples": orbit.samples})
+    write_atomically(target, text)
     return target
 
 
-def load_orbit(path: str | Path) -> Orbit:
-    """Read orbit.json (and orbit.npz if it is there). Raises `InputError` on anything unreadable."""
-    source = Path(path)
+def read_orbit(source: Path) -> Orbit:
+    """The Orbit of an orbit.json (and orbit.npz if it is there). Raises `InputError` on anything unreadable."""
     document = read_document(source)
     return orbit_from_document(document, *dense_samples(source.with_suffix(".npz"), len(document["state"])))
 
@@ -210,10 +207,13 @@ def read_document(source: Path) -> dict[str, Any]:
 
 def check_document(document: Any, where: str) -> dict[str, Any]:
     """An orbit document with every required entry of the right kind, or `InputError`."""
+    one = f"give an orbit.json, or one orbit of the file: {where}#0"
     if not isinstance(document, dict):
-        raise InputError(f"{where}: format: expected an object, got {type(document).__name__}; give an orbit.json")
+        remedy = one if isinstance(document, list) and document else "give an orbit.json"
+        raise InputError(f"{where}: format: expected an object, got {type(document).__name__}; {remedy}")
     if document.get("format") != FORMAT:
-        raise InputError(f"{where}: format: expected {FORMAT!r}, got {document.get('format')!r}; give an orbit.json")
+        remedy = one if "points" in document else "give an orbit.json"
+        raise InputError(f"{where}: format: expected {FORMAT!r}, got {document.get('format')!r}; {remedy}")
     if document.get("version") != VERSION:
         raise InputError(
             f"{where}: version: this orbitfinder reads {VERSION}, got {document.get('version')!r}; "
@@ -258,6 +258,7 @@ def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples:
             expected=expected, certificate=certificate,
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),
+            proof=dict(document["proof"]) if isinstance(document.get("proof"), Mapping) else None,
         )  # fmt: skip
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise InputError(f"orbit document: malformed entry ({error}); run the problem again") from error

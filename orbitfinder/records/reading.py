@@ -1,4 +1,5 @@
-"""Files that others made, read within bounds: the one way from a path to bytes, JSON, arrays and typed records.
+"""Files that others made, read within bounds: the one way from a path to bytes, JSON, arrays and typed records;
+and ours, written whole or not at all.
 
 Whatever a file holds, what comes back is what was asked for, or an `InputError` of one sentence; nothing is
 expanded, nested or counted beyond the bounds below, and only regular files are opened (no pipes, no devices).
@@ -13,6 +14,7 @@ import json
 import math
 import os
 import stat
+import tempfile
 import typing
 import zipfile
 import zlib
@@ -316,3 +318,46 @@ def read_as(kind: Any, value: Any, where: str, remedy: str) -> Any:
         return typed(kind, value, "")
     except ValueError as error:
         raise InputError(f"{where}: {error}; {remedy}") from error
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all: a temporary file beside it, then a rename."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def json_bytes(document: Any, compact: bool = False) -> bytes:
+    """A document as one line, or over as many lines as it has entries; floats round-trip exactly."""
+    form: dict[str, Any] = {"separators": (",", ":")} if compact else {"indent": 1}
+    return (json.dumps(document, allow_nan=False, **form) + "\n").encode()
+
+
+def write_json(path: Path, document: Any) -> Path:
+    """Write a JSON document whole or not at all; returns its path."""
+    write_atomically(path, json_bytes(document))
+    return path
+
+
+def write_npz(path: Path, members: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays whole or not at all."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **members)  # type: ignore[arg-type]
+    write_atomically(path, buffer.getvalue())
+
+
+def finite(value: Any) -> Any:
+    """The same document with null for every NaN and infinity, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -6,7 +6,7 @@ import io
 from pathlib import Path
 from typing import Any
 
-from orbitfinder.records.orbit import write_atomically
+from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.style import RESOLUTION
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from orbitfinder.records.orbit import write_atomically
+from orbitfinder.records.reading import write_atomically
 from orbitfinder.reproduce.facts import HOURS_FOR_100_LINKS, ORBITS, SEPARATION, TOLERANCE
 
 Numbers = dict[str, Any]

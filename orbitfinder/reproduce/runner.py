@@ -12,7 +12,7 @@ from typing import Any
 
 from orbitfinder._runtime.version import __version__
 from orbitfinder.errors import InputError
-from orbitfinder.records.orbit import write_atomically
+from orbitfinder.records.reading import write_atomically
 
 
 @dataclass(frozen=True)

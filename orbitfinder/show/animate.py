@@ -17,7 +17,8 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.records.orbit import Orbit, write_atomically
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.style import COLOURS
 
 

@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from orbitfinder.families.point import Family
+from orbitfinder.records.family import Family
 from orbitfinder.show.family_plot import runs
 from orbitfinder.show.style import COLOURS
 from orbitfinder.show.svg import path, picture

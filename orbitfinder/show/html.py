@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import OrbitfinderError
-from orbitfinder.families.point import Family, FamilyPoint
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Certificate, Orbit
 from orbitfinder.show.diagram import diagram
 from orbitfinder.show.svg import moving_mechanism, moving_portrait, unit_circle
@@ -35,7 +35,7 @@ def html(value: Any) -> str | None:
     from orbitfinder.atlas.store import Atlas
 
     makers = {Orbit: orbit_html, Certificate: certificate_html, Family: family_html, Atlas: atlas_html}
-    maker = makers.get(type(value))
+    maker = next((one for kind, one in makers.items() if isinstance(value, kind)), None)
     if maker is None:
         return None
     try:

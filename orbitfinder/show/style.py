@@ -52,7 +52,7 @@ def save_png(figure: Figure, path: Path) -> Path:
     """Write a figure whole or not at all."""
     import io
 
-    from orbitfinder.records.orbit import write_atomically
+    from orbitfinder.records.reading import write_atomically
 
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=RESOLUTION)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any
 
 from orbitfinder._runtime.version import __version__
+from orbitfinder.records.family import Family
 from orbitfinder.site.explorers import atlas_data, atlas_main, family_data, family_main, options
 from orbitfinder.site.gather import AtlasFile, Gathered, evenly
 from orbitfinder.site.motion import Films, packed
@@ -107,8 +108,8 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
     motions: dict[str, Any] = {}
     families = slug_maker()
     for family in found.families:
-        links.append(_add_family(site, family, families(str(family["name"])), films, motions))
-        tell(f"family {family['name']}: {plural(len(family['points']), 'point')}")
+        links.append(_add_family(site, family, families(family.name), films, motions))
+        tell(f"family {family.name}: {plural(len(family.points), 'point')}")
     atlases = slug_maker()
     for atlas in found.atlases:
         link, shown = _add_atlas(site, atlas, films, (atlases(atlas.name), slug), motions)
@@ -138,22 +139,22 @@ def _add_orbit(site: Site, entry: Entry) -> None:
     site.add(f"orbits/{entry.slug}.html", entry.title, orbit_main(entry), ("orbit", orbit_data(entry)), scripts, about)
 
 
-def _add_family(site: Site, family: Mapping[str, Any], slug: str, films: Films, motions: dict[str, Any]) -> Html:
+def _add_family(site: Site, family: Family, slug: str, films: Films, motions: dict[str, Any]) -> Html:
     data = family_data(family, films)
-    back = f"orbitfinder continue FILE --parameter {family['parameter']}"
+    back = f"orbitfinder continue FILE --parameter {family.parameter}"
     main = family_main(family, data["items"], back)
-    about = f"A family of periodic orbits of the {mechanism(family['system'])}."
+    about = f"A family of periodic orbits of the {mechanism(family.system)}."
     scripts = (PLOTTING, "plots.js", "explorer.js")
-    site.add(f"families/{slug}.html", f"Family {family['name']}", main, ("explorer", data), scripts, about)
+    site.add(f"families/{slug}.html", f"Family {family.name}", main, ("explorer", data), scripts, about)
     moving = [item["motion"] for item in data["items"] if item["motion"]]
     key = f"family/{slug}"
     if moving:
         motions[key] = moving[len(moving) * 2 // 3]
     energies = data["columns"]["energy"]
     note = f"{plural(len(energies), 'orbit')}, {number(min(energies), 4)} to {number(max(energies), 4)} J"
-    words = mechanism(family["system"])
+    words = mechanism(family.system)
     return fill(
-        "link", kind="Family", href=f"families/{slug}.html", title=family["name"], note=note, motion=key, words=words
+        "link", kind="Family", href=f"families/{slug}.html", title=family.name, note=note, motion=key, words=words
     )
 
 

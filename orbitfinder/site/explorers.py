@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.records.orbit import system_at
 from orbitfinder.site.gather import evenly
 from orbitfinder.site.motion import Films, packed
 from orbitfinder.site.orbits import Entry, player, symmetry_words
@@ -19,80 +21,81 @@ MOST_EVENTS = 60
 UNITS = {"energy": "J", "period": "s"}
 
 
-def family_items(family: Mapping[str, Any], films: Films) -> list[dict[str, Any]]:
+def family_items(family: Family, films: Films) -> list[dict[str, Any]]:
     """The points and events that can be picked, in order along the family."""
-    points, events = family["points"], family["events"]
-    found = [(_place(points[k], k), _item(family, points[k], films, "")) for k in spread(points, MOST_POINTS)]
-    rare = [event for event in events if event.get("kind") != "resonance"]
-    common = [event for event in events if event.get("kind") == "resonance"]
+    found = [(family.points[k].arclength, _item(family.points[k], films)) for k in spread(family.points, MOST_POINTS)]
+    rare = [event for event in family.events if event.kind != "resonance"]
+    common = [event for event in family.events if event.kind == "resonance"]
     kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
     kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
-    for event in kept:
-        about = _nearest(points, event) | dict(event)
-        found.append(
-            (_place(event, float(event.get("index", 0)) + 0.5), _item(family, about, films, event_words(event)))
-        )
+    found += [(event.arclength, _event_item(family, event, films)) for event in kept]
     return [item for _, item in sorted(found, key=lambda pair: pair[0])]
 
 
-def spread(points: Sequence[Mapping[str, Any]], most: int) -> list[int]:
+def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     """At most `most` points, equally far apart along the curve of energy, frequency and arclength, ends among them."""
     if len(points) <= most:
         return list(range(len(points)))
-    table = np.array([[one["energy"], 1.0 / one["period"], _place(one, float(k))] for k, one in enumerate(points)])
+    table = np.array([[one.energy, 1.0 / one.period, one.arclength] for one in points])
     steps = np.linalg.norm(np.diff(table / np.maximum(np.ptp(table, axis=0), 1e-300), axis=0), axis=1)
     length = np.concatenate([[0.0], np.cumsum(steps)])
     wanted = np.linspace(0.0, length[-1], most)
     return sorted({int(np.abs(length - one).argmin()) for one in wanted} | {0, len(points) - 1})
 
 
-def _place(entry: Mapping[str, Any], default: float) -> float:
-    return float(entry.get("arclength", default))
-
-
-def _nearest(points: Sequence[Mapping[str, Any]], event: Mapping[str, Any]) -> dict[str, Any]:
-    """What an event does not carry itself, from the point before it."""
-    before = points[min(max(int(event.get("index", 0)), 0), len(points) - 1)]
-    kept = {key: before[key] for key in ("energy", "stability", "floquet_multipliers") if key in before}
-    return kept | {"value": event.get("parameter"), "action": None, "closure": None}
-
-
-def event_words(event: Mapping[str, Any]) -> str:
+def event_words(event: Event) -> str:
     """An event in words: its kind and detail."""
-    kind = str(event.get("kind", ""))
-    return f"{EVENTS.get(kind, kind)} {event.get('detail', '')}".strip()
+    return f"{EVENTS.get(event.kind, event.kind)} {event.detail}".strip()
 
 
-def _item(family: Mapping[str, Any], entry: Mapping[str, Any], films: Films, event: str) -> dict[str, Any]:
-    motion = films.member(family["system"], entry)
+def _item(point: FamilyPoint, films: Films) -> dict[str, Any]:
+    motion = films.member(point.system, point)
     return {
-        "energy": entry.get("energy"),
-        "period": entry["period"],
-        "value": entry.get("value"),
-        "action": entry.get("action"),
-        "closure": entry.get("closure"),
-        "stability": entry.get("stability", ""),
-        "symmetry": symmetry_words(str(entry.get("symmetry", "none"))),
-        "multipliers": entry.get("floquet_multipliers"),
-        "event": event,
-        "kind": str(entry.get("kind", "")) if event else "",
+        "energy": point.energy,
+        "period": point.period,
+        "value": point.value,
+        "action": point.action,
+        "closure": point.closure,
+        "stability": point.stability,
+        "symmetry": symmetry_words(point.symmetry),
+        "multipliers": [[mu.real, mu.imag] for mu in point.floquet_multipliers.tolist()],
+        "event": "",
+        "kind": "",
         "motion": packed(motion) if motion else None,
     }
 
 
-def family_data(family: Mapping[str, Any], films: Films) -> dict[str, Any]:
+def _event_item(family: Family, event: Event, films: Films) -> dict[str, Any]:
+    """An event; what it does not carry itself is that of the point before it."""
+    before = family.points[min(max(event.index, 0), len(family.points) - 1)]
+    motion = films.member(system_at(family.system, event.free), event)
+    return {
+        "energy": event.energy,
+        "period": event.period,
+        "value": event.parameter,
+        "action": None,
+        "closure": None,
+        "stability": before.stability,
+        "symmetry": symmetry_words(event.symmetry),
+        "multipliers": [[mu.real, mu.imag] for mu in before.floquet_multipliers.tolist()],
+        "event": event_words(event),
+        "kind": event.kind,
+        "motion": packed(motion) if motion else None,
+    }
+
+
+def family_data(family: Family, films: Films) -> dict[str, Any]:
     """What the family page's script works with."""
-    points = family["points"]
-    columns = {name: [point[name] for point in points] for name in ("energy", "period", "action", "closure", "value")}
+    columns = {name: family.values(name).tolist() for name in ("energy", "period", "action", "closure", "value")}
     return {
         "page": "family",
-        "name": str(family["name"]),
-        "parameter": str(family["parameter"]),
-        "unit": UNITS.get(family["parameter"], ""),
+        "name": family.name,
+        "parameter": family.parameter,
+        "unit": UNITS.get(family.parameter, ""),
         "columns": columns
         | {
-            "stable": [point["stability"] != "unstable" for point in points],
-            "largest": [_largest(point["floquet_multipliers"]) for point in points],
+            "stable": [point.stability != "unstable" for point in family.points],
+            "largest": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in family.points],
         },
         "items": family_items(family, films),
     }
@@ -104,28 +107,23 @@ def span(values: Sequence[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _largest(pairs: Sequence[Sequence[float]]) -> float:
-    return float(max((abs(complex(*pair)) for pair in pairs), default=1.0))
-
-
-def family_main(family: Mapping[str, Any], items: Sequence[Mapping[str, Any]], back: str) -> Html:
+def family_main(family: Family, items: Sequence[Mapping[str, Any]], back: str) -> Html:
     """What stands inside <main> of a family page."""
-    points, events = family["points"], family["events"]
-    energies, periods = [p["energy"] for p in points], [p["period"] for p in points]
-    unstable = sum(point["stability"] == "unstable" for point in points)
+    points, events = family.points, family.events
+    energies, periods = family.values("energy").tolist(), family.values("period").tolist()
+    unstable = sum(point.stability == "unstable" for point in points)
     summary = (
-        f"{plural(len(points), 'orbit')} of the {mechanism(family['system'])}, {unstable} of them unstable, "
+        f"{plural(len(points), 'orbit')} of the {mechanism(family.system)}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "
-        f"Parameter: {family['parameter']}. All as orbitfinder continue recorded it; not checked here."
+        f"Parameter: {family.parameter}. All as orbitfinder continue recorded it; not checked here."
     )
-    columns = ["energy", "period"] if family["parameter"] in UNITS else ["value", "energy", "period"]
-    words = {"value": str(family["parameter"]), "energy": "energy, J", "period": "period, s"}
+    columns = ["energy", "period"] if family.parameter in UNITS else ["value", "energy", "period"]
+    words = {"value": family.parameter, "energy": "energy, J", "period": "period, s"}
     heads = [Html(f'<th scope="col">{escaped(words[name])}</th>') for name in columns]
-    ends = [Html(f"<li>{escaped(str(end.get('kind', '')))}: {escaped(str(end.get('reason', '')))}</li>")
-            for end in family["ends"]]  # fmt: skip
+    ends = [Html(f"<li>{escaped(end.kind)}: {escaped(end.reason)}</li>") for end in family.ends]  # fmt: skip
     return fill(
         "family",
-        title=f"Family {family['name']}", summary=summary, events=_event_rows(items, columns), heads=joined(heads),
+        title=f"Family {family.name}", summary=summary, events=_event_rows(items, columns), heads=joined(heads),
         ends=joined(ends) if ends else Html("<li>not recorded</li>"),
         listed=_listed(items, len(events)), axis=axis_options(family), back=back, inspector=inspector(),
     )  # fmt: skip
@@ -136,11 +134,11 @@ def _listed(items: Sequence[Mapping[str, Any]], total: int) -> str:
     return "" if count == total else f"{count} of {total} events are listed; resonances are left out first."
 
 
-def axis_options(family: Mapping[str, Any]) -> Html:
+def axis_options(family: Family) -> Html:
     """The choices for the horizontal axis; the parameter too where it is neither energy nor period."""
     options = [("energy", "energy"), ("action", "action")]
-    if family["parameter"] not in ("energy", "period"):
-        options.append(("value", str(family["parameter"])))
+    if family.parameter not in ("energy", "period"):
+        options.append(("value", family.parameter))
     return joined(Html(f'<option value="{key}">{escaped(text)}</option>') for key, text in options)
 
 

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.atlas.store import Atlas, orbit_of
 from orbitfinder.errors import InputError
-from orbitfinder.families.journal import FORMAT as FAMILY
-from orbitfinder.families.journal import family_to_document, load_family
-from orbitfinder.families.point import Family
-from orbitfinder.records.orbit import AGAIN, check_document, dense_samples, orbit_from_document
+from orbitfinder.families.motions import whole
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.records.family import FORMAT as FAMILY
+from orbitfinder.records.family import Family, load_family
+from orbitfinder.records.orbit import AGAIN, check_document, dense_samples, orbit_from_document, orbit_to_document
 from orbitfinder.records.orbit import FORMAT as ORBIT
-from orbitfinder.records.reading import file_head, json_file
+from orbitfinder.records.reading import json_file
+from orbitfinder.records.store import DATABASES, kind_of, member
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
-DATABASES = (".sqlite", ".sqlite3", ".db")
 NAMES = ("orbit.json", "family.json")
-OURS = re.compile(rb'\s*\{\s*"format"\s*:\s*"orbitfinder/(orbit|family)"')
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Gathered:
     """Everything that the paths hold."""
 
     orbits: list[OrbitFile] = field(default_factory=list)
-    families: list[Mapping[str, Any]] = field(default_factory=list)
+    families: list[Family] = field(default_factory=list)
     atlases: list[AtlasFile] = field(default_factory=list)
 
 
@@ -59,7 +59,7 @@ def evenly(count: int, most: int) -> list[int]:
 
 
 def gather(paths: Sequence[Path]) -> Gathered:
-    """Read orbit.json, family.json, atlas exports and atlas databases, or folders of them.
+    """Read orbit.json, family.json, atlas exports and atlas databases, FILE#K for one orbit, or folders of files.
 
     Of a folder every orbit, family and *.sqlite below it is taken, in alphabetical order; what `run` wrote as
     rejected.json is left out.
@@ -100,12 +100,16 @@ def _holds_results(file: Path) -> bool:
     """Whether a file below a folder is meant: by its name, or as a single orbit or family under another name."""
     if file.name in NAMES or file.suffix in DATABASES:
         return True
-    if file.suffix != ".json" or file.name.startswith("rejected"):
-        return False
-    return OURS.match(file_head(file, 400)) is not None
+    single = file.suffix == ".json" and not file.name.startswith("rejected")
+    return single and kind_of(file) in ("orbit", "family")
 
 
 def _take(file: Path, found: Gathered) -> None:
+    if member(file)[1] is not None:
+        one = orbit_of(file)
+        one = whole(one, build_model(one.system))
+        found.orbits.append(replace(_orbit(orbit_to_document(one), str(file)), dense=(one.times, one.samples)))
+        return
     if file.suffix in DATABASES:
         found.atlases.append(_from_database(file))
         return
@@ -113,7 +117,7 @@ def _take(file: Path, found: Gathered) -> None:
     if isinstance(document, list):
         found.atlases.append(_from_export(document, file))
     elif isinstance(document, dict) and document.get("format") == FAMILY:
-        found.families.append(_with_nodes(load_family(file)))
+        found.families.append(load_family(file))
     elif isinstance(document, dict) and document.get("format") == ORBIT:
         orbit = _orbit(document, str(file))
         times, samples = dense_samples(file.with_suffix(".npz"), len(document["state"]))
@@ -157,24 +161,8 @@ def _order(one: OrbitFile) -> tuple[float, float]:
     return float(f"{one.document['energy']:.9g}"), float(one.document["period"])
 
 
-def _with_nodes(family: Family) -> dict[str, Any]:
-    """The document of a family with its shooting nodes, where they are known, in `nodes` and `edges`.
-
-    `edges` are the times of the nodes and of the end of the last segment, in periods.
-    """
-    document = family_to_document(family)
-    for entries, members in ((document["points"], family.points), (document["events"], family.events)):
-        for entry, one in zip(entries, members, strict=True):
-            if one.nodes.size:  # type: ignore[attr-defined]
-                every = (one.mesh.size - 1) // len(one.nodes)  # type: ignore[attr-defined]
-                entry |= {"nodes": one.nodes, "edges": one.mesh[::every]}  # type: ignore[attr-defined]
-    return document
-
-
 def _from_database(file: Path) -> AtlasFile:
     """The atlas of a database. Raises `InputError`."""
-    from orbitfinder.atlas.store import Atlas
-
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:

@@ -17,8 +17,9 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.rk8 import march
-from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import Event, FamilyPoint
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480)
 """Samples a period that are tried in turn."""
@@ -72,13 +73,12 @@ class Films:
     def __init__(self) -> None:
         self._known: dict[str, tuple[Model, Any] | None] = {}
 
-    def model(self, system: Mapping[str, Any], free: Mapping[str, float] | None = None) -> tuple[Model, Any] | None:
+    def model(self, system: Mapping[str, Any]) -> tuple[Model, Any] | None:
         """The Model of a description and its field f(t, x, s, p), or None where no file describes it."""
-        key = repr((sorted(system.items()), sorted((free or {}).items())))
+        key = repr(sorted(system.items()))
         if key not in self._known:
             try:
                 built = build_model(system)
-                built = with_parameters(built, free) if free else built
                 self._known[key] = (built, vector_field(built, (), ()))
             except OrbitfinderError:
                 self._known[key] = None
@@ -98,18 +98,16 @@ class Films:
             return None
         return _motion(model, *path, period)
 
-    def member(self, system: Mapping[str, Any], entry: Mapping[str, Any]) -> Motion | None:
+    def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Motion | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry."""
-        found, period = self.model(system, entry.get("free") or None), float(entry["period"])
-        if found is None or len(entry["state"]) != len(found[0].state_names):
+        found, period, symmetry = self.model(system), one.period, one.symmetry
+        if found is None or len(one.state) != len(found[0].state_names) or symmetry not in SHARES:
             return None
         model, field = found
-        symmetry = str(entry.get("symmetry", "none"))
-        if symmetry not in SHARES:
-            return None
-        nodes = np.asarray(entry.get("nodes", [entry["state"]]), float)
-        edges = np.asarray(entry.get("edges", [0.0, SHARES[symmetry]]), float) * period
-        path = _pieces(field, nodes, edges)
+        nodes, edges = one.state[None], np.array([0.0, SHARES[symmetry]])
+        if one.shooting_nodes.size:
+            nodes, edges = one.shooting_nodes, one.mesh[:: (one.mesh.size - 1) // len(one.shooting_nodes)]
+        path = _pieces(field, nodes, edges * period)
         if path is None or not _joins(path[1], symmetry, np.array(model.angles or (True,) * model.degrees_of_freedom)):
             return None
         return _motion(model, *path_completed(*path, symmetry), period)

@@ -16,7 +16,7 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
-from orbitfinder.records.jsontext import finite
+from orbitfinder.records.reading import finite
 
 ASSETS = "assets"
 

@@ -1,4 +1,5 @@
-"""A family on disk: a journal that survives being killed, and family.json + family.npz made from it.
+"""What a family is made of, points, events and ends in plain numbers, and its files: a journal that survives
+being killed, and family.json + family.npz made from it.
 
 `family.jsonl` holds a header line and then one line per step with everything that the step added,
 flushed to the disk before the next step begins. Every line ends with a digest of itself: a last line that was
@@ -11,31 +12,168 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
-import json
 import logging
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime import notebook as display
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
-from orbitfinder.families.point import Batch, End, Event, Family, FamilyPoint
-from orbitfinder.records.orbit import write_atomically
-from orbitfinder.records.reading import arrays, content_digest, file_lines, json_document, json_file, read_as, typed
+from orbitfinder.records.orbit import Orbit, system_at
+from orbitfinder.records.reading import (
+    arrays,
+    content_digest,
+    file_lines,
+    json_bytes,
+    json_document,
+    json_file,
+    read_as,
+    typed,
+    write_atomically,
+    write_json,
+    write_npz,
+)
 
 FORMAT, VERSION = "orbitfinder/family", 1
 JOURNAL = "family.jsonl"
 COMPLEX = ("floquet_multipliers", "indices")
-DENSE = ("nodes", "mesh", "tangent")
-"""What goes into family.npz instead of family.json."""
+DENSE = {"nodes": "shooting_nodes", "mesh": "mesh", "tangent": "tangent"}
+"""What goes into family.npz instead of family.json, and what it is called here."""
+CLOSURE = 1e-11
+"""Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
 SEAL = "digest"
 """The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
 SEAL_DIGITS = 16
 AGAIN = "continue the family again"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FamilyPoint(Orbit):
+    """An Orbit and its place on a family: the `index`-th point, at an `arclength` and a `value` of the parameter.
+
+    `closure` is by the independent integrator and relative to the extent of the motion, `scale`
+    what its allowed value 1e-11 is multiplied by: the largest multiplier, or what errors grow by until the
+    end of the part that is integrated. Where that is more than
+    1e-8, one turn says little, and the orbit is checked piece by piece as well: `defect` is the largest
+    gap, as relative, between where the same integrator leaves one of the shooting nodes and the next
+    node, of which 1e-11 times the growth over a piece is allowed; elsewhere it is the closure itself.
+    `symmetry` is that of the formulation, which the orbit has at least. `indices` are the stability indices in
+    the order that follows each curve along the family, of the map whose power `root` is the monodromy.
+    `tangent` is d(x(0), T, free)/d(arclength); `shooting_nodes` and `mesh` (times over the period) rebuild the
+    shooting unknowns. `role`: step | at | end.
+    """
+
+    __repr__ = brief("name", "value", "period", "energy", "closure", "stability", "role")
+
+    index: int
+    arclength: float
+    value: float
+    scale: float
+    krein: tuple[int, ...]
+    indices: np.ndarray
+    root: int
+    free: Mapping[str, float]
+    shooting_nodes: np.ndarray
+    mesh: np.ndarray
+    tangent: np.ndarray
+    step: float
+    role: str = "step"
+    wall_time: float = 0.0
+    defect: float = 0.0
+    certified: bool = False
+    """whether it has every check of a certificate and not only those of its closure"""
+    curve: Mapping[str, Any] = field(default_factory=dict)
+    """what rebuilds the equations of its family"""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happens between two points, located on the family.
+
+    `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change. `detail`
+    says what exactly (of what the fold is, q of the resonance, what changed); `multiplier` is the
+    critical multiplier of the root map, `order` the number of periods after which the branch closes.
+    """
+
+    __repr__ = brief("kind", "detail", "parameter", "period", "index")
+
+    kind: str
+    index: int
+    arclength: float
+    parameter: float
+    state: np.ndarray
+    period: float
+    energy: float
+    detail: str = ""
+    order: int = 1
+    multiplier: complex = 1.0 + 0.0j
+    shooting_nodes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    mesh: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    tangent: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    symmetry: str = "none"
+    free: Mapping[str, float] = field(default_factory=dict)
+    certified: bool = False
+
+
+@dataclass(frozen=True)
+class End:
+    """Why a family stopped in one direction: a short name and the sentence."""
+
+    kind: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
+
+    __repr__ = brief("direction", "points", "events", "end")
+
+    direction: int
+    points: tuple[FamilyPoint, ...] = ()
+    events: tuple[Event, ...] = ()
+    end: End | None = None
+
+
+@dataclass(frozen=True)
+class Family:
+    """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
+
+    `curve` is what rebuilds the equations (see `start.curve_of`), `source` what the family was started from.
+    """
+
+    __repr__ = brief("name", "parameter", "points", "events", "ends")
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    points: tuple[FamilyPoint, ...]
+    events: tuple[Event, ...]
+    ends: tuple[End, ...]
+    curve: Mapping[str, Any] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict)
+
+    def values(self, name: str) -> np.ndarray:
+        """One number of every point as an array, in order along the family."""
+        return np.asarray([getattr(point, name) for point in self.points])
+
+    @property
+    def counts(self) -> str:
+        """How many orbits are closed and how many of them certified, in words."""
+        sure = [sum(one.certified for one in some) for some in (self.points, self.events)]
+        return (
+            f"{len(self.points)} closed orbits, {sure[0]} of them certified; "
+            f"{len(self.events)} events, {sure[1]} of them at certified orbits"
+        )
+
+    def _repr_html_(self) -> str | None:
+        """How a notebook shows it."""
+        return display.html(self)
 
 
 @dataclass(frozen=True)
@@ -59,11 +197,13 @@ class Journal:
 
 
 def plain(value: Any) -> Any:
-    """JSON-ready: arrays as lists, complex numbers as [re, im]."""
+    """JSON-ready: arrays as lists, complex numbers as [re, im], of a point what its family does not say already."""
     if isinstance(value, np.ndarray):
         return [[float(z.real), float(z.imag)] for z in value] if np.iscomplexobj(value) else value.tolist()
     if isinstance(value, complex):
         return [value.real, value.imag]
+    if isinstance(value, (FamilyPoint, Event)):
+        return {name: plain(getattr(value, DENSE.get(name, name))) for name in ENTRIES[type(value)]}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -73,17 +213,55 @@ def plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def _entries_of(kind: type[FamilyPoint] | type[Event]) -> tuple[str, ...]:
+    """What a file says of each point or event; the rest of a point follows from its family."""
+    told = {"state", "period", "energy", "action", "closure", "symmetry", "floquet_multipliers", "pair_defect"}
+    told |= {"stability", "unfolding"}
+    family = {one.name for one in dataclasses.fields(Orbit)} - told | {"curve"}
+    names = [one.name for one in dataclasses.fields(kind) if kind is Event or one.name not in family]
+    return tuple("nodes" if name == DENSE["nodes"] else name for name in names)
+
+
+ENTRIES = {kind: _entries_of(kind) for kind in (FamilyPoint, Event)}
+
+
 def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any], where: str = "") -> Any:
     """A FamilyPoint or an Event out of what `plain` made of it; `ValueError` names the entry that is wrong."""
-    found = typed(kind, document, where)
+    entries = {DENSE.get(name, name): document[name] for name in ENTRIES[kind] if name in document}
+    found = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}), where)
     named = [name for name in COMPLEX if hasattr(found, name)]
     one = replace(found, **{name: _as_complex(getattr(found, name), f"{where}.{name}") for name in named})
-    size = one.state.size
+    size, nodes = one.state.size, one.shooting_nodes
     if one.state.ndim != 1 or size < 2 or size % 2 or not one.period > 0:
         raise ValueError(f"{where}: state of {size} numbers, period {one.period}: no orbit")
-    if one.nodes.size and (one.nodes.shape[1:] != (size,) or not _fits(one.mesh, len(one.nodes))):
+    if nodes.size and (nodes.shape[1:] != (size,) or not _fits(one.mesh, len(nodes))):
         raise ValueError(f"{where}.nodes: do not fit the state or the mesh")
     return one
+
+
+def _untold(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries of an Orbit that only the family of a point knows (see `situated`), and those that are left out."""
+    state = entries.get("state")
+    return {"name": "", "system": {}, "winding": (), "nodes": [state], "times": [], "samples": [],
+            "tolerance": CLOSURE}  # fmt: skip
+
+
+def situated(point: FamilyPoint, index: int, name: str, system: Mapping[str, Any], curve: Mapping[str, Any]) -> Any:
+    """A point with what its family knows: its number, its name, its system at the freed parameters, its turns."""
+    return replace(
+        point, index=index, name=f"{name}-{index}", system=system_at(system, point.free),
+        winding=turns(str(curve.get("symmetry", "none")), curve.get("constant", ()), point.state.size // 2),
+        samples=np.zeros((0, point.state.size)), curve=curve,
+    )  # fmt: skip
+
+
+def turns(symmetry: str, constant: Sequence[float] | np.ndarray, n: int) -> tuple[int, ...]:
+    """Whole turns of each of n coordinates in one period by a formulation's boundary; 0 for orbits that swing back."""
+    shift = np.asarray(constant, float)
+    if shift.size < 2 * n or symmetry not in ("none", "reversal"):
+        return (0,) * n
+    turned = shift[:n] / (2 * np.pi) if symmetry == "none" else (shift[n : 2 * n] - shift[:n]) / np.pi
+    return tuple(int(k) for k in np.round(turned))
 
 
 def _as_complex(pairs: np.ndarray, where: str) -> np.ndarray:
@@ -117,8 +295,8 @@ class _Header:
     parameter: str
     origin: Mapping[str, Any]
     curve: Mapping[str, Any]
-    request: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    request: Mapping[str, Any] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict)
     away: int = 1
 
 
@@ -132,8 +310,8 @@ class _Document:
     points: tuple[Mapping[str, Any], ...]
     events: tuple[Mapping[str, Any], ...]
     ends: tuple[End, ...]
-    curve: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    curve: Mapping[str, Any] = field(default_factory=dict)
+    source: Mapping[str, Any] = field(default_factory=dict)
     dense: str = ""
 
 
@@ -164,7 +342,7 @@ def append(folder: Path, batch: Batch) -> None:
 
 def _line(document: Mapping[str, Any]) -> bytes:
     entries = plain(document)
-    return (json.dumps(entries | {SEAL: _seal(entries)}, separators=(",", ":"), allow_nan=False) + "\n").encode()
+    return json_bytes(entries | {SEAL: _seal(entries)}, compact=True)
 
 
 def _seal(entries: Mapping[str, Any]) -> str:
@@ -254,14 +432,15 @@ def assemble(journal: Journal) -> Family:
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
     points = [origin, *(point for batch in journal.batches for point in batch.points)]
     points.sort(key=lambda point: point.arclength)
-    numbered = tuple(replace(point, index=k) for k, point in enumerate(points))
+    header = journal.header
+    about = header["name"], header["system"], header["curve"]
+    numbered = tuple(situated(point, k, *about) for k, point in enumerate(points))
     places = np.array([point.arclength for point in numbered])
     events = sorted((event for batch in journal.batches for event in batch.events), key=lambda one: one.arclength)
     indexed = tuple(replace(one, index=int(np.searchsorted(places, one.arclength)) - 1) for one in events)
     ends = tuple(end for end in (journal.end(-1), journal.end(1)) if end is not None)
-    header = journal.header
-    about = header["curve"], header.get("source", {})
-    return Family(header["name"], header["system"], header["parameter"], numbered, indexed, ends, *about)
+    more = header["curve"], header.get("source", {})
+    return Family(header["name"], header["system"], header["parameter"], numbered, indexed, ends, *more)
 
 
 def family_to_document(family: Family) -> dict[str, Any]:
@@ -291,17 +470,14 @@ def save_family(family: Family, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     dense: dict[str, np.ndarray] = {}
     for kind, members in (("point", family.points), ("event", family.events)):
-        for name in DENSE:
-            pieces = [np.asarray(getattr(one, name), float).ravel() for one in members]  # type: ignore[attr-defined]
+        for name, here in DENSE.items():
+            pieces = [np.asarray(getattr(one, here), float).ravel() for one in members]  # type: ignore[attr-defined]
             dense[f"{kind}_{name}"] = np.concatenate(pieces) if pieces else np.zeros(0)
             dense[f"{kind}_{name}_sizes"] = np.array([piece.size for piece in pieces], int)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **dense)  # type: ignore[arg-type]
-    write_atomically(folder / "family.npz", buffer.getvalue())
+    write_npz(folder / "family.npz", dense)
     document = family_to_document(family) | {"dense": _dense_digest(dense)}
     document["record"] = content_digest(document)
-    write_atomically(folder / "family.json", (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
-    return folder / "family.json"
+    return write_json(folder / "family.json", document)
 
 
 def _dense_digest(dense: Mapping[str, np.ndarray]) -> str:
@@ -336,7 +512,12 @@ def load_family(path: str | Path) -> Family:
             raise ValueError("state: not of one size in all points and events")
     except ValueError as error:
         raise InputError(f"{source}: {error}; {AGAIN}") from error
-    return Family(found.name, found.system, found.parameter, points, events, found.ends, found.curve, found.source)
+    try:
+        about = found.name, found.system, found.curve
+        known = tuple(situated(one, k, *about) for k, one in enumerate(points))
+    except (TypeError, ValueError, IndexError, OverflowError) as error:
+        raise InputError(f"{source}: curve or system: {error}; {AGAIN}") from error
+    return Family(found.name, found.system, found.parameter, known, events, found.ends, found.curve, found.source)
 
 
 def _read_dense(path: Path, expected: str) -> dict[str, np.ndarray]:
