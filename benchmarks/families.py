@@ -118,7 +118,7 @@ def ours(start: Start, points: int, clock: Clock, events: bool, judge: bool = Fa
         found = [point for batch in follow(walk) for point in batch.points]
         taken.append(clock() - began)
     seconds = min(taken)
-    closure = judged(start.curve.propagator.model, found) if judge else float("nan")
+    closure = judged(start.curve.equations.model, found) if judge else float("nan")
     return Run(seconds / len(found), len(found), closure, (found[0].energy, max(point.energy for point in found)))
 
 

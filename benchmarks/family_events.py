@@ -123,7 +123,7 @@ def switched(file: Path) -> None:
         began = time.perf_counter()
         try:
             found = branches(file, k)
-            told = ", ".join(one.start.curve.propagator.symmetry.name for one in found)
+            told = ", ".join(one.start.curve.equations.symmetry.name for one in found)
         except (ConvergenceError, IntegrationError) as error:
             told = f"none: {error}"
         print(f"| {family.name} | {described(family, k)} | {told} | {time.perf_counter() - began:.1f} s |", flush=True)

@@ -46,7 +46,7 @@ def refreshed(orbit: of.Orbit, model: Model) -> of.Orbit:
     return replace(
         orbit, energy=found.energy, action=found.action, closure=found.closure, pair_defect=found.floquet.pair_defect,
         floquet_multipliers=found.floquet.multipliers, stability=found.floquet.stability,
-        symmetry=recognise(found.times, found.states, np.asarray(model.angles)), nodes=orbit.state[None],
+        symmetry=recognise(found.times, found.states, model), nodes=orbit.state[None],
         times=np.zeros(0), samples=np.zeros((0, orbit.state.size)), expected={}, record=None, certificate=None,
     )  # fmt: skip
 

@@ -22,8 +22,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.proof.formulation import PARTS
 from orbitfinder.proof.record import entry
@@ -41,7 +39,7 @@ def cost(document: dict[str, Any]) -> float:
 def attempt(task: tuple[str, dict[str, Any]]) -> tuple[str, dict[str, Any], dict[str, Any]]:
     """The proof of one document, in a process of its own."""
     name, document = task
-    orbit = orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+    orbit = orbit_from_document(document)
     return name, document, entry(prove(orbit))
 
 

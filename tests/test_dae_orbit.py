@@ -16,7 +16,6 @@ from orbitfinder.errors import InputError
 from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, linkage_mode, linkage_modes
 from orbitfinder.integrate.cvodes import transition
 from orbitfinder.integrate.dop853 import integrate
-from orbitfinder.loops.conditions import unfolded_invariants
 from orbitfinder.loops.dae_segments import build_dae_flow, forward_sensitivities
 from orbitfinder.mechanics.constrained import reduced
 from orbitfinder.mechanics.model import energy
@@ -104,7 +103,7 @@ def test_forward_sensitivities_agree_with_the_reduced_variational_equations():
     model = of.linkage(**FOUR_BAR)
     theta = of.linkages.assemble(model, {"theta1": 0.6})
     problem = dae_problem(model, np.concatenate([theta, np.zeros(3)]), 1.0)
-    flow = build_dae_flow(problem.model, (), unfolded_invariants(problem.model, problem.boundary))
+    flow = build_dae_flow(problem.model, (), problem.boundary.unfolded(problem.model))
     end, matrix = forward_sensitivities(flow, problem.guess.state, 0.3)
     other, expected = transition(flow, problem.guess.state, 0.3)
     assert np.abs(end - other).max() < 1e-9

@@ -30,7 +30,7 @@ def record(model, state, period, turns=None, **changes):
     found = gather(model, state, period, turns)
     orbit = of.Orbit(
         name="planted", system=model.system, state=state, period=period, energy=found.energy, action=found.action,
-        closure=found.closure, symmetry=recognise(found.times, found.states, np.asarray(model.angles)),
+        closure=found.closure, symmetry=recognise(found.times, found.states, model),
         winding=tuple(int(k) for k in turns), floquet_multipliers=found.floquet.multipliers,
         pair_defect=found.floquet.pair_defect, stability=found.floquet.stability, unfolding=(0.0,), nodes=state[None],
         times=np.zeros(0), samples=np.zeros((0, 2 * n)), tolerance=1e-12,

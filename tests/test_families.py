@@ -21,11 +21,12 @@ from orbitfinder.families.closure import closure_check
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.follow import follow
 from orbitfinder.families.normal_modes import equilibria, mode_problem, normal_modes
-from orbitfinder.families.point import FamilySettings, make_point, place_of
+from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Walk, first_point
 from orbitfinder.families.stability import matched
 from orbitfinder.families.start import begin, curve_of
 from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.continued import at_place
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
@@ -127,7 +128,7 @@ def second_mode():
 def walked(mode, until):
     settings = FamilySettings()
     start = begin(mode_problem(chain(3), mode), settings)
-    check = closure_check(start.curve.propagator.model)
+    check = closure_check(start.curve.equations.model)
     origin = first_point(start, settings, check)
     batches = list(follow(Walk(start.curve, settings, 1, origin, check, until)))
     points = [origin, *(point for batch in batches for point in batch.points)]
@@ -137,7 +138,7 @@ def walked(mode, until):
 def branch_at(start, energy, points=80):
     """Follow a branch away from where it was born; the point at an energy."""
     settings = FamilySettings(events=False, points=points)
-    check = closure_check(start.curve.propagator.model)
+    check = closure_check(start.curve.equations.model)
     origin = first_point(start, settings, check)
     sign = 1 if np.sum(start.curve.weights * origin.tangent * start.direction) > 0 else -1
     for batch in follow(Walk(start.curve, settings, sign, origin, check, at=(energy,))):
@@ -153,7 +154,7 @@ def test_triple_1_is_reached_by_switching(second_mode):
     event = next(one for one in events if one.kind == "branch_point")
     assert event.multiplier == -1.0  # of the half map: the reflection is lost
     (start,) = switch(curve, event)
-    assert start.curve.propagator.symmetry.name == "brake"
+    assert start.curve.equations.symmetry.name == "brake"
     point = branch_at(start, REPORT["triple-1"]["energy"])
     assert abs(point.period - 1.65533898831464) < 1e-11
     wanted = complex_of(REPORT["triple-1"]["floquet_multipliers"])
@@ -180,8 +181,8 @@ def test_triple_2_is_reached_by_switching():
     curve, _, events = walked(3, -43.0)
     event = next(one for one in events if one.kind == "resonance" and one.order == 4)
     starts = switch(curve, event)
-    assert {start.curve.propagator.symmetry.name for start in starts} == {"brake", "reversal"}
-    start = next(one for one in starts if one.curve.propagator.symmetry.name == "reversal")
+    assert {start.curve.equations.symmetry.name for start in starts} == {"brake", "reversal"}
+    start = next(one for one in starts if one.curve.equations.symmetry.name == "reversal")
     point = branch_at(start, REPORT["triple-2"]["energy"])
     assert abs(point.period - 2.92523733309107) < 1e-11
 
@@ -189,7 +190,7 @@ def test_triple_2_is_reached_by_switching():
 def test_events_are_located(second_mode):
     """At a branch point a multiplier of the whole period is +1: by CVODES over a full period."""
     curve, _, events = second_mode
-    model = curve.propagator.model
+    model = curve.equations.model
     flow, chosen = build_flow(model), [one for one in events if one.kind in ("branch_point", "period_doubling")]
     assert len(chosen) >= 3
     for event in chosen:
@@ -261,7 +262,7 @@ import sys
 sys.path.insert(0, {root!r})
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.normal_modes import mode_problem
-from orbitfinder.families.point import FamilySettings, make_point, place_of
+from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.mechanics.chain import chain
 settings = FamilySettings(directions="forward", longest_step={step})
@@ -324,7 +325,7 @@ def test_torn_line_is_dropped(tmp_path):
     assert len(kept.steps(1)) < 6
     again = follow_family(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
     assert [p.period for p in again.points] == pytest.approx([p.period for p in first.points], abs=1e-10)
-    assert curve_of(kept.header["curve"], chain(1), settings).propagator.symmetry.name == "brake+reflection"
+    assert curve_of(kept.header["curve"], chain(1), settings).equations.symmetry.name == "brake+reflection"
 
 
 @pytest.fixture(scope="module")
@@ -332,7 +333,7 @@ def wild():
     """The double pendulum's slow mode where its largest multiplier is far above what one turn can close to."""
     settings = FamilySettings(events=False)
     start = begin(mode_problem(chain(2), 1, 0.5), settings, symmetry="brake+reflection")
-    check = closure_check(start.curve.propagator.model)
+    check = closure_check(start.curve.equations.model)
     walk = Walk(start.curve, settings, 1, first_point(start, settings, check), check, until=19.55)
     points = [point for batch in follow(walk) for point in batch.points]
     return walk, points[-1]
@@ -348,7 +349,7 @@ def test_very_unstable_orbits_fit_piece_by_piece(wild):
 def test_broken_piece_is_refused(wild):
     """One node moved by 1e-6: the loop's tolerance would let it pass, the pieces do not."""
     walk, point = wild
-    place = place_of(point)
+    place = unknowns_of(walk.curve, point)
     nodes = place.nodes.copy()
     nodes[1, 0] += 1e-6
     moved = at_place(walk.curve, replace(place, nodes=nodes))
@@ -402,8 +403,8 @@ def test_variations_that_overflow_are_a_shorter_step_and_no_traceback(monkeypatc
 
     start = begin(mode_problem(chain(2), 1, 0.5), FamilySettings(), symmetry="brake+reflection")
     place, head = start.found.place, np.ones(start.found.place.head.size)
-    assert system.correct(start.curve, place, system.Aim(float(head @ place.head), head)).residual < 1e-8
-    whole = system._jacobian
-    monkeypatch.setattr(system, "_jacobian", lambda *given: np.full_like(whole(*given), np.nan))
+    assert system.correct(start.curve, place, system.Condition(float(head @ place.head), head)).residual < 1e-8
+    whole = Linearised.matrix
+    monkeypatch.setattr(Linearised, "matrix", lambda given: np.full_like(whole(given), np.nan))
     with pytest.raises(ConvergenceError, match="variations of the corrector's orbit overflow"):
-        system.correct(start.curve, place, system.Aim(float(head @ place.head), head))
+        system.correct(start.curve, place, system.Condition(float(head @ place.head), head))

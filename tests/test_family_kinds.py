@@ -10,8 +10,8 @@ from scipy.integrate import quad, solve_ivp
 from orbitfinder.errors import InputError
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.folder import follow_family
+from orbitfinder.families.members import motions
 from orbitfinder.families.minimal import bar_states, dead_point, minimal_problem, native_state
-from orbitfinder.families.motions import motions
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.stability import spectrum
@@ -343,7 +343,7 @@ def test_motion_more_symmetric_than_its_system():
     model = lagrange(ca.dot(v, v) / 2, potential, Symbols(q, v), names=["x", "y"])
     problem = Problem(model, Guess(np.array([0.5, 0.0, 0.0, 0.0]), 2 * np.pi), pin(energy=0.125), name="line")
     orbit, start = find_orbit(problem), begin(problem)
-    assert orbit.symmetry == "brake+reflection" and start.curve.propagator.symmetry.name == "brake"
+    assert orbit.symmetry == "brake+reflection" and start.curve.equations.symmetry.name == "brake"
     found = spectrum(start.curve, start.found).floquet.multipliers
     assert np.sort(found.real) == pytest.approx(np.sort(orbit.floquet_multipliers.real), rel=1e-9)
     assert orbit.stability == "unstable"

@@ -169,7 +169,7 @@ def test_running_orbit_of_a_chain_with_an_orbit_file(tmp_path):
     settings = FamilySettings(directions="backward")
     family = follow_family(orbit, out=tmp_path / "families", settings=settings)
     assert family.ends[0].kind == "homoclinic" and family.points[0].energy == pytest.approx(4.9, abs=0.05)
-    assert begin(orbit).curve.propagator.symmetry.name == "reversal"
+    assert begin(orbit).curve.equations.symmetry.name == "reversal"
     assert np.all(np.diff(family.values("period")) < 0)
 
 

@@ -11,8 +11,9 @@ from scipy.special import ellipk
 
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.loops.conditions import SYMMETRIES, pin
+from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energy

@@ -22,12 +22,14 @@ def test_marches_do_not_depend_on_the_lanes(step, segments, monkeypatch):
     starts = random.normal(size=(segments, step.size1_in(0)))
     parameters = np.tile([0.01, *np.zeros(step.size1_in(1) - 1)], (segments * steps, 1))
     monkeypatch.setattr(lanes, "LANES", 1)
-    alone = lanes.marched(step, starts, parameters)
+    alone = lanes.Lanes().marched(step, starts, parameters, True)
     monkeypatch.setattr(lanes, "LANES", 3)
     monkeypatch.setattr(lanes, "WORTH", 0.0)
     lanes._pool.cache_clear()
     for _ in range(20):
-        np.testing.assert_array_equal(lanes.marched(step, starts, parameters), alone)
+        shared = lanes.Lanes()
+        np.testing.assert_array_equal(shared.marched(step, starts, parameters, True), alone)
+        np.testing.assert_array_equal(shared.marched(step, starts, parameters, False), alone[steps - 1 :: steps])
     expected = step.mapaccum(steps)(starts[-1], parameters[:steps].T).full().T
     np.testing.assert_array_equal(alone[-steps:], expected)
 
@@ -40,7 +42,7 @@ def test_evaluations_do_not_depend_on_the_chunks(count, monkeypatch):
     monkeypatch.setattr(lanes, "LANES", 4)
     monkeypatch.setattr(lanes, "WORTH", 0.0)
     lanes._pool.cache_clear()
-    found = lanes.evaluated(function, 1, places)
+    found = lanes.Lanes().evaluated(function, 1, places)
     np.testing.assert_array_equal(found, function.map(count)(places.T).full().T)
 
 

@@ -13,11 +13,12 @@ import orbitfinder as of
 from orbitfinder.atlas.store import Atlas, orbit_of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families.motions import whole
+from orbitfinder.families.members import whole
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify
-from orbitfinder.records.family import FamilyPoint, load_family, save_family, turns
+from orbitfinder.records.family import FamilyPoint, load_family, save_family, situated
 from orbitfinder.records.orbit import Orbit, save_orbit, system_at
 from orbitfinder.records.store import kind_of, load_orbit, member
 
@@ -120,11 +121,27 @@ def test_a_changed_description_is_that_of_the_changed_model(model, values):
     assert np.array_equal(build_model(described).parameter_values, with_parameters(model, values).parameter_values)
 
 
-def test_turns_follow_from_the_boundary():
-    """Of a formulation over a whole period its shift; of a reversal twice the way between its two instants."""
-    assert turns("none", [2 * np.pi, -4 * np.pi, 0.0, 0.0], 2) == (1, -2)
-    assert turns("reversal", [0.0, np.pi, 3 * np.pi, np.pi], 2) == (3, 0)
-    assert turns("brake+reflection", [0.0, 0.0, np.pi, 0.0], 2) == turns("none", [], 2) == (0, 0)
+@pytest.mark.parametrize(
+    ("symmetry", "constant", "turns"),
+    [
+        ("none", [2 * np.pi, -4 * np.pi, 0.0, 0.0], (1, -2)),
+        ("reversal", [0.0, np.pi, 3 * np.pi, np.pi], (3, 0)),
+        ("brake+reflection", [0.0, 0.0, np.pi, 0.0], (0, 0)),
+        ("none", [], (0, 0)),
+    ],
+)
+def test_turns_of_older_files_follow_from_the_boundary(symmetry, constant, turns):
+    """As the symmetry has them; files of today say the turns."""
+    point = load_family(QUICK[0]).points[0]
+    about = 7, "some", point.system
+    curve = {"symmetry": symmetry, "constant": constant}
+    assert situated(point, *about, curve).winding == turns
+    if constant:
+        assert tuple(SYMMETRIES[symmetry].turns(np.array(constant))) == turns
+    assert situated(point, *about, curve | {"winding": [4, 5]}).winding == (4, 5)
+    for wrong in ([4], ["a", 5], 3, [1.5, 2]):
+        with pytest.raises(ValueError, match="curve.winding"):
+            situated(point, *about, curve | {"winding": wrong})
 
 
 @pytest.mark.parametrize("dense", [True, False])

@@ -11,10 +11,10 @@ import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.second import transition_function
-from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
 from orbitfinder.loops.freedom import Constraint
 from orbitfinder.loops.ipopt import SolveSettings, hessian
 from orbitfinder.loops.shooting import transcribe
+from orbitfinder.loops.symmetry import NONE, SYMMETRIES
 from orbitfinder.orbits.find import find_orbit, initial_nodes
 from orbitfinder.orbits.instability import instability, measured, rank
 
@@ -35,7 +35,7 @@ def index_of(orbit):
 def test_derivatives_of_the_transition_matrix(links):
     """Second-order variational equations against central differences, in every argument."""
     model = of.chain(links)
-    function = transition_function(build_flow(model, ("length2",), unfolded_invariants(model, SYMMETRIES["none"])))
+    function = transition_function(build_flow(model, ("length2",), NONE.unfolded(model)))
     start = [0.0, np.r_[np.linspace(0.5, 1, links), np.linspace(-1, 1, links)], 0.5, [0.1], [1.1]]
     base = [np.atleast_1d(np.asarray(one, float)) for one in start]
     found = function.jacobian()(*base, np.zeros((2 * links, 2 * links)))
@@ -66,7 +66,7 @@ def test_monodromy_over_a_part_of_the_period(symmetry):
     """Variables.monodromy is Phi(T) whatever part of the period is integrated: its trace is that of the orbit."""
     problem = fast_mode(0.5, pin=of.pin(energy=-18.0), symmetry=symmetry)
     orbit = find_orbit(problem, FAST)
-    flow = build_flow(DOUBLE, (), unfolded_invariants(DOUBLE, problem.boundary))
+    flow = build_flow(DOUBLE, (), problem.boundary.unfolded(DOUBLE))
     guess = of.Guess(orbit.state, orbit.period)
     placed = of.Problem(DOUBLE, guess, symmetry=symmetry, objective=lambda v: ca.trace(v.monodromy))
     nodes = initial_nodes(placed, flow, FAST)

@@ -23,6 +23,7 @@ from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.rk8 import march
+from orbitfinder.loops.symmetry import REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
@@ -34,7 +35,7 @@ from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.explorers import span, spread
 from orbitfinder.site.gather import evenly, gather
-from orbitfinder.site.motion import SHARES, Films, completed, histories, packed, path_completed, resampled
+from orbitfinder.site.motion import Films, histories, packed, resampled
 from orbitfinder.site.recipe import problem_name, problem_text, toml
 from orbitfinder.site.text import Html, fill, number, script_data, size, slug_maker
 from orbitfinder.site.words import coordinate, mechanism, plural
@@ -390,7 +391,8 @@ def test_symmetries_complete_an_orbit(symmetry, start, share):
     steps = 200
     whole = march(field, np.array(start), period, steps, np.zeros(0))
     part = march(field, np.array(start), share * period, int(steps * share), np.zeros(0))
-    assert np.abs(completed(part, symmetry) - whole).max() < 1e-8
+    made = SYMMETRIES[symmetry].whole(np.linspace(0, share * period, len(part)), part)[1]
+    assert np.abs(made - whole).max() < 1e-8
 
 
 def test_symmetry_of_a_running_orbit_keeps_its_turns():
@@ -400,7 +402,7 @@ def test_symmetry_of_a_running_orbit_keeps_its_turns():
     path = march(field, np.array([0.0, speed]), 1.0, 400, np.zeros(0))
     period = float(np.interp(2 * np.pi, path[:, 0], times))
     part = march(field, np.array([0.0, speed]), period / 2, 100, np.zeros(0))
-    made = completed(part, "reversal")
+    made = REVERSAL.whole(np.linspace(0, period / 2, 101), part)[1]
     assert made[-1, 0] == pytest.approx(2 * np.pi, abs=1e-3) and made[-1, 1] == pytest.approx(speed, abs=1e-3)
 
 
@@ -434,7 +436,7 @@ def test_family_motions_start_from_the_nodes(material, tmp_path):
         gather([tmp_path / "family.json"])
 
 
-@pytest.mark.parametrize("symmetry", SHARES)
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
 def test_a_member_that_does_not_join_is_not_drawn(symmetry):
     """From the state of another instant the part that a symmetry leaves free does not meet what follows."""
     system, period = chain(1).system, pendulum_period(1.2)
@@ -447,10 +449,10 @@ def test_a_member_that_does_not_join_is_not_drawn(symmetry):
     assert Films().member(system, replace(one, state=np.array([1.0]))) is None
 
 
-@pytest.mark.parametrize("symmetry", SHARES)
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
 def test_completed_times_reach_the_period(symmetry):
-    times = SHARES[symmetry] * np.array([0.0, 0.1, 0.5, 1.0]) * 3.0
-    made, states = path_completed(times, np.zeros((4, 2)), symmetry)
+    times = SYMMETRIES[symmetry].fraction * np.array([0.0, 0.1, 0.5, 1.0]) * 3.0
+    made, states = SYMMETRIES[symmetry].whole(times, np.zeros((4, 2)))
     assert made[0] == 0.0 and made[-1] == pytest.approx(3.0) and np.all(np.diff(made) > 0) and len(states) == len(made)
 
 

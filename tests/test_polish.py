@@ -7,9 +7,9 @@ import pytest
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.dop853 import TIGHTEST, integrate, vector_field
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
-from orbitfinder.loops import newton as polish
+from orbitfinder.loops import polish
 from orbitfinder.loops.conditions import pin
-from orbitfinder.loops.newton import end_of, graded_end, segment, tail_of
+from orbitfinder.loops.polish import end_of, graded_end, segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.find import find_orbit

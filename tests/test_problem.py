@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import CountError, InputError
-from orbitfinder.loops.conditions import SYMMETRIES, lowest_energy, pin
+from orbitfinder.loops.conditions import lowest_energy, pin
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.orbits import objectives

@@ -8,11 +8,12 @@ import pytest
 from conftest import PRINTED, dop853, printed_problem, reference
 
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.loops.conditions import SYMMETRIES, pin, unfolded_invariants
+from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import SolveSettings, hessian
-from orbitfinder.loops.newton import polish, residual
+from orbitfinder.loops.polish import polish, residual
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.find import initial_nodes
@@ -21,7 +22,7 @@ from orbitfinder.orbits.prepare import at_section
 
 def shoot(problem: Problem) -> Shooting:
     """The program of a problem started from its simulated guess."""
-    flow = build_flow(problem.model, problem.free, unfolded_invariants(problem.model, problem.boundary))
+    flow = build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
     return transcribe(problem, initial_nodes(problem, flow, SolveSettings()), flow)
 
 

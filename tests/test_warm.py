@@ -7,13 +7,17 @@ from conftest import PRINTED, dop853, pendulum_period, printed_problem
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError
 from orbitfinder.integrate.compiled import available, compiling
+from orbitfinder.integrate.march import uniform
 from orbitfinder.loops import condensed as elimination
 from orbitfinder.loops.condensed import Linearised, eliminated
-from orbitfinder.loops.conditions import SYMMETRIES, pin
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.newton import NewtonSettings
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.orbits.refine import Refined, Refiner, WarmSettings
+from orbitfinder.orbits.refine import Refined, Refiner
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +52,8 @@ def test_compiled_and_interpreted_agree(tmp_path, monkeypatch):
     with compiling("on"):
         fast = Refiner(printed_problem("triple-2"))
         found = fast.refine()
-    assert fast.marches._march.function.is_a("External") and fast.marches._vary.function.is_a("External")
+    march = fast.equations.march
+    assert march._step.is_a("External") and march._varied_step.is_a("External")
     np.testing.assert_allclose(found.state, plain.state, rtol=0, atol=1e-13)
     assert abs(found.period - plain.period) < 1e-13
 
@@ -153,24 +158,23 @@ def test_guess_with_a_trajectory():
 @pytest.mark.parametrize("name", ["gallery/forced-duffing-lower", "report/triple-1"])
 def test_derivatives_of_the_march(name):
     """Ends by nodes, period (the clock of a driven system included) and unfolding, against central differences."""
-    from dataclasses import replace
     from pathlib import Path
 
-    from orbitfinder.loops.segments import Path as Nodes
-
     problem = of.load_problem(Path(__file__).parents[1] / "problems" / f"{name}.toml")
-    marches = Refiner(replace(problem, segments=3)).marches
-    path = marches.start(problem.guess)
-    _, system = marches.linearised(path)
-    for k in range(path.tail.size):
-        step = np.zeros(path.tail.size)
+    equations = Equations(problem.model, problem.boundary)
+    march, mesh = equations.march, uniform(problem.boundary.fraction, 3, 40)
+    tail = equations.unknowns(np.zeros((3, equations.size)), problem.guess.period, mesh).tail
+    nodes = march.states(np.asarray(problem.guess.state)[None], mesh, tail)[:-1:40]
+    system = march.varied(nodes, mesh, tail)
+    for k in range(tail.size):
+        step = np.zeros(tail.size)
         step[k] = 1e-5
-        ends = [marches.ends(Nodes(path.nodes, path.tail + sign * step), 1) for sign in (1, -1)]
+        ends = [march.ends(nodes, mesh, tail + sign * step) for sign in (1, -1)]
         np.testing.assert_allclose(system.columns[:, :, k], (ends[0] - ends[1]) / 2e-5, atol=2e-7)
-    for k in range(path.nodes.shape[1]):
-        step = np.zeros_like(path.nodes)
+    for k in range(nodes.shape[1]):
+        step = np.zeros_like(nodes)
         step[:, k] = 1e-5
-        ends = [marches.ends(Nodes(path.nodes + sign * step, path.tail), 1) for sign in (1, -1)]
+        ends = [march.ends(nodes + sign * step, mesh, tail) for sign in (1, -1)]
         np.testing.assert_allclose(system.transitions[:, :, k], (ends[0] - ends[1]) / 2e-5, atol=2e-7)
 
 
@@ -183,16 +187,19 @@ def test_elimination_solves_the_whole_system(count, monkeypatch):
         random.normal(size=(6, 4)), random.normal(size=(6, 4)), random.normal(size=(6, 2)),
     )  # fmt: skip
     defects, rows = random.normal(size=(count - 1, 4)), random.normal(size=6)
-    steps = [eliminated(system)(defects, rows)]
+    whole = np.concatenate([defects.ravel(), rows])
+    steps = [eliminated(system)(whole)]
     monkeypatch.setattr(elimination, "LARGEST_PRODUCT", 0.0)
-    steps.append(eliminated(system)(defects, rows))
-    for nodes, tail in steps:
+    steps.append(eliminated(system)(whole))
+    for step in steps:
+        nodes, tail = step[: 4 * count].reshape(count, 4), step[4 * count :]
+        np.testing.assert_allclose(system.matrix() @ step, -whole, atol=1e-10)
         ends = np.einsum("kij,kj->ki", system.transitions, nodes) + system.columns @ tail
         np.testing.assert_allclose(ends[:-1] - nodes[1:], -defects, atol=1e-10)
         np.testing.assert_allclose(
             system.first @ nodes[0] + system.last @ ends[-1] + system.tail @ tail, -rows, atol=1e-10
         )
-    np.testing.assert_allclose(steps[0][0], steps[1][0], atol=1e-9)
+    np.testing.assert_allclose(steps[0], steps[1], atol=1e-9)
 
 
 # ---- what it refuses -------------------------------------------------------------------------------
@@ -251,6 +258,6 @@ def test_motion_that_cannot_be_integrated():
 
 def test_stalled():
     """Settings that allow no accuracy are named as such."""
-    refiner = Refiner(printed_problem("triple-1"), WarmSettings(converged=1e-20))
+    refiner = Refiner(printed_problem("triple-1"), NewtonSettings(converged=1e-20))
     with pytest.raises(ConvergenceError, match="stalled at a residual of"):
         refiner.refine()

@@ -24,7 +24,7 @@ from orbitfinder.families.closure import closure_check
 from orbitfinder.families.start import Start, full_samples
 from orbitfinder.integrate.cvodes import build_flow, vector_field
 from orbitfinder.integrate.rk8 import block, variational_field
-from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
+from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.model import energy
 
 AUTO = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))
@@ -138,7 +138,7 @@ class AutoFamily:
 
     def __init__(self, folder: Path, start: Start, clock: Clock) -> None:
         self.folder, self.start, self.clock = folder, start, clock
-        self.model = start.curve.propagator.model
+        self.model = start.curve.equations.model
         self.first = energy(self.model, start.found.place.nodes[0])
         prepare(folder, start)
 
@@ -226,8 +226,8 @@ def best_of(program: AutoFamily, asked: Asked, repeats: int) -> Run:
 
 def prepare(folder: Path, start: Start) -> None:
     """Equations and the first orbit, compiled and linked as AUTO's own makefile does."""
-    model = start.curve.propagator.model
-    field = vector_field(model, (), unfolded_invariants(model, SYMMETRIES["none"]))
+    model = start.curve.equations.model
+    field = vector_field(model, (), NONE.unfolded(model))
     x, s = ca.SX.sym("x", field.size1_in(1)), ca.SX.sym("s")
     rate = field(0.0, x, s, ca.SX(0, 1))
     slopes = [rate, ca.densify(ca.jacobian(rate, x)), ca.densify(ca.jacobian(rate, s))]
@@ -259,7 +259,7 @@ def solutions(path: Path) -> list[tuple[np.ndarray, float]]:
 
 def growth(start: Start, state: np.ndarray, period: float) -> float:
     """max(1, largest multiplier) of an orbit of AUTO's, from its own monodromy matrix."""
-    varied, size = variational_field(build_flow(start.curve.propagator.model).field), state.size
+    varied, size = variational_field(build_flow(start.curve.equations.model).field), state.size
     begun = np.concatenate([[0.0], state, np.eye(size).ravel()])
     ended = block(varied, STEPS, 1)(begun, [period / STEPS]).full().ravel()
     multipliers = np.linalg.eigvals(ended[1 + size :].reshape(size, size))

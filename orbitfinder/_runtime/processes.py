@@ -20,7 +20,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from orbitfinder._runtime import interrupt
-from orbitfinder._runtime.threads import NAMES, children_see
+from orbitfinder._runtime.threads import NAMES, PROCESSORS, children_see
 
 SAFE_PATH = "PYTHONSAFEPATH"
 """Environment variable that keeps the current folder off a child's path"""
@@ -65,7 +65,7 @@ def hired(work: Callable[..., None], *arguments: Any) -> Hand:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_begin, args=(theirs, work, *arguments), daemon=True)
-    with children_see(dict.fromkeys((*NAMES, SAFE_PATH), "1")):
+    with children_see(dict.fromkeys((*NAMES, PROCESSORS, SAFE_PATH), "1")):
         resource_tracker.ensure_running()  # its start lets Ctrl-C through again, so it comes before that is held back
         try:
             with interrupt.held_back():

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that BLAS libraries read when they are loaded"""
+PROCESSORS = "ORBITFINDER_PROCESSORS"
+"""Environment variable: how many processors one process may keep busy; processes of ours get one"""
 
 
 @lru_cache(maxsize=1)

@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.signature import Signature, resampled
-from orbitfinder.atlas.solver import Path, QuickSettings, Stalled, polished, segments_needed, shot, solve, system
+from orbitfinder.atlas.solver import QuickSettings, Stalled, polished, scaled, shot, solve
 from orbitfinder.atlas.starts import Bench, Start, make_start, strategy_of
 from orbitfinder.atlas.valley import orbit_in_valley
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.batch import derivatives, ends, rounded, states_along
+from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.square import segments_needed
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certified, return_distances
@@ -55,11 +57,11 @@ class Attempt:
 
 
 @dataclass(frozen=True)
-class Loop:
-    """A converged loop before it is measured: path over the horizon, nodes and states of one period, its action."""
+class Found:
+    """A converged loop before it is measured: w over the horizon, nodes and states of one period, its action."""
 
     problem: Problem
-    path: Path
+    w: Unknowns
     nodes: np.ndarray
     times: np.ndarray
     states: np.ndarray
@@ -68,7 +70,7 @@ class Loop:
     @property
     def numbers(self) -> Numbers:
         """Energy, period and |action|, which images of a loop share."""
-        return self.problem.pin[0].value, self.path.period, abs(self.action)
+        return self.problem.pin[0].value, self.w.period, abs(self.action)
 
 
 def attempt(
@@ -123,24 +125,33 @@ def name_of(one: Bench, seed: int, start: Start) -> str:
     return f"e{one.target.energy:g}-s{seed}-n{start.index}".replace("+", "")
 
 
-def loop_signature(one: Bench, loop: Loop) -> Signature:
+def loop_signature(one: Bench, loop: Found) -> Signature:
     """The signature of a loop that is not measured yet."""
     energy, period, action = loop.numbers
     angles = tuple(one.model.angles) or (False,) * one.model.degrees_of_freedom
     return Signature(energy, period, action, resampled(loop.times, loop.states), angles)
 
 
-def converged(one: Bench, start: Start, settings: QuickSettings) -> Loop:
+def converged(one: Bench, start: Start, settings: QuickSettings) -> Found:
     """The loop that a start leads to, over the period found."""
     guess = Guess(start.state, start.period)
     problem = Problem(one.model, guess, pin=pin(energy=one.target.energy), symmetry=start.symmetry)
-    march = one.marches[start.symmetry]
-    horizon = problem.boundary.fraction * start.period
-    count = segments_needed(march, one.step, start.state, horizon, settings)
-    nodes, end = shot(march, one.step, start.state, horizon, count)
-    if start.symmetry == "none":
-        problem = replace(problem, winding=turns(one, nodes, end))
-    return solved(one, problem, Path(nodes, start.period, np.zeros(march.unfolded)), settings)
+    equations = one.equations[start.symmetry]
+    w, end = begun(one, equations, start.state, start.period, settings)
+    if not problem.boundary.maps:
+        problem = replace(problem, winding=turns(one, w.nodes, end))
+    return solved(one, problem, w, settings)
+
+
+def begun(
+    one: Bench, equations: Equations, state: np.ndarray, period: float, settings: QuickSettings
+) -> tuple[Unknowns, np.ndarray]:
+    """The unknowns of the motion from a state, in as many segments as it needs, and its end."""
+    horizon, between = period * equations.symmetry.fraction, (settings.fewest_segments, settings.most_segments)
+    mesh = uniform(equations.symmetry.fraction, 1, rounded(horizon / one.step))
+    alone = equations.unknowns(np.asarray(state, float)[None], period, mesh)
+    count = segments_needed(equations, alone, horizon / np.pi, settings.growth_per_segment, between)
+    return shot(equations, one.step, state, period, count)
 
 
 def turns(one: Bench, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ...]:
@@ -150,54 +161,53 @@ def turns(one: Bench, nodes: np.ndarray, end: np.ndarray) -> tuple[int, ...]:
     return tuple(int(k) for k in np.where(np.asarray(one.model.angles or (False,) * n), whole, 0))
 
 
-def solved(one: Bench, problem: Problem, path: Path, settings: QuickSettings) -> Loop:
-    """The polished loop of a path that is near one."""
+def solved(one: Bench, problem: Problem, w: Unknowns, settings: QuickSettings) -> Found:
+    """The polished loop near w."""
     low, high = one.target.periods
-    motion = one.marches[problem.symmetry], one.step
-    equations = system(problem, motion, path.nodes, (low / PERIOD_MARGIN, high * PERIOD_MARGIN))
+    periods = low / PERIOD_MARGIN, high * PERIOD_MARGIN
+    loop = scaled(problem, one.equations[problem.symmetry], one.step, w, periods)
     try:
-        found, steps = polished(equations, *solve(equations, path, settings), settings)
+        found = polished(loop, *solve(loop, w, settings), settings)
     except Stalled as stall:
-        found, steps = polished(equations, *orbit_in_valley(equations, stall.path, settings), settings)
+        found = polished(loop, *orbit_in_valley(loop, stall.w, settings), settings)
     if np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
         raise ConvergenceError("unfolding does not vanish")
     found = replace(found, nodes=centred(one, problem, found.nodes))
-    nodes, times, states = whole_period(one, problem, found, steps)
+    nodes, times, states = whole_period(one, problem, found)
     if np.ptp(states, axis=0).max() < SMALLEST:
         raise ConvergenceError("equilibrium")
-    return Loop(problem, found, nodes, times, states, action(one.model, times, states))
+    return Found(problem, found, nodes, times, states, action(one.model, times, states))
 
 
-def whole_period(one: Bench, problem: Problem, path: Path, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def whole_period(one: Bench, problem: Problem, w: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes of one period from those of a part of it; equal times over it and the states there, to round-off."""
-    nodes = full_period(problem, one.flows[problem.symmetry], path.nodes, path.period)
-    duration, march = path.period / len(nodes), one.marches["none"]
-    none = np.zeros(march.unfolded)
-    steps = max(steps, rounded(SAMPLES / len(nodes)))
-    pieces = [states_along(march, node, duration, steps, none)[:-1] for node in nodes]
+    nodes = full_period(problem, one.flows[problem.symmetry], w.nodes, w.period)
+    march, steps = one.equations["none"].march, max(w.steps, rounded(SAMPLES / len(nodes)))
+    tail = np.append(w.period, np.zeros(march.unfolding))
+    states = march.states(nodes, uniform(1.0, len(nodes), steps), tail)
+    states[::steps] = [*nodes, states[-1]]  # the node, not the end of the segment before it
     shift = np.concatenate([2 * np.pi * problem.turns, np.zeros(problem.model.degrees_of_freedom)])
-    states = np.vstack([*pieces, nodes[:1] + shift])
-    return nodes, np.linspace(0.0, path.period, len(states)), states
+    states[-1] = nodes[0] + shift
+    return nodes, np.linspace(0.0, w.period, len(states)), states
 
 
-def measured(one: Bench, loop: Loop) -> Orbit:
+def measured(one: Bench, loop: Found) -> Orbit:
     """The Orbit of a loop, as `periodic.measure` makes it, by the compiled march."""
-    model, problem, march = one.model, loop.problem, one.marches["none"]
-    period, none, n = loop.path.period, np.zeros(march.unfolded), one.model.degrees_of_freedom
-    steps = (len(loop.times) - 1) // len(loop.nodes)
-    monodromy = np.eye(2 * n)
-    for matrix in derivatives(march, loop.nodes, period / len(loop.nodes), steps, none)[1][:, :, : 2 * n]:
+    model, problem, march = one.model, loop.problem, one.equations["none"].march
+    period, mesh = loop.w.period, loop.times / loop.times[-1]
+    tail, monodromy = np.append(period, np.zeros(march.unfolding)), np.eye(2 * model.degrees_of_freedom)
+    for matrix in march.varied(loop.nodes, mesh, tail).transitions:
         monodromy = matrix @ monodromy
     gradients, directions = frame(model, one.flows["none"], loop.nodes[0])
     floquet = analyse(reduce_monodromy(monodromy, gradients, directions), conservative=True)
-    end = ends(march, loop.nodes[:1], period, len(loop.times) - 1, none)[0]
+    end = march.ends(loop.nodes[:1], mesh, tail)[0]
     return Orbit(
         name=problem.name, system=model.system, state=loop.nodes[0], period=period,
         energy=energy(model, loop.nodes[0]), action=loop.action, closure=gap(loop.nodes[0], end, problem.turns),
-        symmetry=recognise(loop.times, loop.states, np.asarray(model.angles)),
+        symmetry=recognise(loop.times, loop.states, model),
         winding=tuple(int(k) for k in problem.turns), floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect, stability=floquet.stability,
-        unfolding=tuple(float(s) for s in loop.path.unfolding), nodes=loop.nodes, times=loop.times,
+        unfolding=tuple(float(s) for s in loop.w.unfolding), nodes=loop.nodes, times=loop.times,
         samples=loop.states, tolerance=problem.tolerance,
     )  # fmt: skip
 
@@ -205,16 +215,16 @@ def measured(one: Bench, loop: Loop) -> Orbit:
 def centred(one: Bench, problem: Problem, nodes: np.ndarray) -> np.ndarray:
     """Nodes with the first one's angles in (-pi, pi], where whole turns may be taken off."""
     n = one.model.degrees_of_freedom
-    if problem.symmetry in ("reflection", "brake+reflection"):
+    if problem.boundary.forward is not None:
         return nodes
     whole = np.ceil((nodes[0, :n] - np.pi) / (2 * np.pi)) * np.asarray(one.model.angles or (False,) * n)
     return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(n)])
 
 
-def minimal(one: Bench, loop: Loop, settings: QuickSettings) -> Loop:
+def minimal(one: Bench, loop: Found, settings: QuickSettings) -> Found:
     """The same loop over its minimal period; `ConvergenceError` when that is not in the range wanted."""
     low, high = one.target.periods
-    if not low <= loop.path.period <= 2 * high:  # a multiple cover that is too long may have a period in range
+    if not low <= loop.w.period <= 2 * high:  # a multiple cover that is too long may have a period in range
         raise ConvergenceError("period outside the range")
     angles = np.asarray(one.model.angles or (False,) * one.model.degrees_of_freedom)
     covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
@@ -223,21 +233,20 @@ def minimal(one: Bench, loop: Loop, settings: QuickSettings) -> Loop:
         near = [far < COVER for far in return_distances(loop.times, loop.states, angles, covers)]
     if any(near):
         loop = uncovered(one, loop, max(compress(covers, near)), settings)
-    if not low <= loop.path.period <= high:
+    if not low <= loop.w.period <= high:
         raise ConvergenceError("period outside the range")
     return loop
 
 
-def uncovered(one: Bench, loop: Loop, cover: int, settings: QuickSettings) -> Loop:
+def uncovered(one: Bench, loop: Found, cover: int, settings: QuickSettings) -> Found:
     """The loop solved again over a `cover`-th of its period."""
-    period, state = loop.path.period / cover, loop.states[0]
+    period, state = loop.w.period / cover, loop.states[0]
     if period < one.target.periods[0]:
         raise ConvergenceError("period outside the range")
     winding = tuple(int(k) // cover for k in loop.problem.turns)
     problem = Problem(one.model, Guess(state, period), pin=pin(energy=one.target.energy), winding=winding)
-    march = one.marches["none"]
-    nodes, _ = shot(march, one.step, state, period, segments_needed(march, one.step, state, period, settings))
-    return solved(one, problem, Path(nodes, period, np.zeros(march.unfolded)), settings)
+    w, _ = begun(one, one.equations["none"], state, period, settings)
+    return solved(one, problem, w, settings)
 
 
 def origin(seed: int, start: Start) -> dict[str, Any]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from orbitfinder.atlas.attempt import Attempt, Numbers, finished, reasons
 from orbitfinder.atlas.solver import QuickSettings
 from orbitfinder.atlas.starts import Bench, Start
@@ -28,7 +26,7 @@ def continued(
 ) -> Attempt:
     """The attempt from the orbit of a document, followed to the energy of the bench."""
     with reasons(index, CONTINUATION) as ended:
-        point = followed(one, orbit_from_document(source, np.zeros(0), np.zeros((0, 0))))
+        point = followed(one, orbit_from_document(source))
         start = Start(index, CONTINUATION, "none", point.state, point.period)
         ended.append(finished(one, seed, start, known, QuickSettings()))
     return ended[-1]

@@ -1,24 +1,21 @@
-"""Cheap first: damped Newton (Levenberg-Marquardt) on loosely integrated multiple shooting, in NumPy.
+"""Cheap first: damped Newton (Levenberg-Marquardt) on loosely integrated multiple shooting.
 
-The step of the fixed-step march is the only graph, built once and used for every start with other
-numbers; nothing is transcribed, so a hopeless start costs a few integrations. Rows and unknowns are
-those of `periodic.shooting`: defects, boundary, phase, energy in nodes, period and unfolding.
-Source of the damping: K. Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168; D. Marquardt,
-SIAM Journal 11 (1963) 431-441.
+The equations are built once and used for every start with other numbers; nothing is transcribed, so a hopeless start
+costs a few integrations. Source of the damping: K. Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168;
+D. Marquardt, SIAM Journal 11 (1963) 431-441.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.batch import March, derivatives, rates, refined_ends, rounded, states_along
-from orbitfinder.integrate.batch import ends as ends_of
+from orbitfinder.integrate.march import rounded, uniform
+from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.shooting import boundary_shift, phase_directions
+from orbitfinder.loops.square import loop_of
 
 FINER = 3
 """The polish begins with steps shorter than the cheap stage's by this factor."""
@@ -33,11 +30,11 @@ NARROW = 3e-2
 
 
 class Stalled(ConvergenceError):
-    """Newton's method came near an orbit that is nearly degenerate, and no nearer; `path` is where it stands."""
+    """Newton's method came near an orbit that is nearly degenerate, and no nearer; `w` is where it stands."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, w: Unknowns) -> None:
         super().__init__("stalled near a degenerate orbit")
-        self.path = path
+        self.w = w
 
 
 @dataclass(frozen=True)
@@ -64,164 +61,97 @@ class QuickSettings:
 
 
 @dataclass(frozen=True)
-class Path:
-    """Where the iteration is: nodes (N x 2n), period (s), unfolding."""
+class Scaled:
+    """The loop of one start, the longest step of its marches (s), what unknowns and rows are measured in."""
 
-    nodes: np.ndarray
-    period: float
-    unfolding: np.ndarray
-
-
-@dataclass(frozen=True)
-class System:
-    """The fixed part of one start's equations: problem, march and its step (s), scales, phase reference, boundary."""
-
-    problem: Problem
-    march: March
+    loop: Loop
     step: float
     columns: np.ndarray
     rows: np.ndarray
-    reference: np.ndarray
-    phases: np.ndarray
-    shift: np.ndarray
     periods: tuple[float, float]
 
-
-def segments_needed(march: March, step: float, state: np.ndarray, horizon: float, settings: QuickSettings) -> int:
-    """As many segments as keep each state-transition matrix small."""
-    none = np.zeros(march.unfolded)
-    matrix = derivatives(march, state[None], horizon, rounded(horizon / step), none)[1][0, :, : state.size]
-    n = state.size // 2
-    clock = np.concatenate([np.ones(n), np.full(n, horizon / np.pi)])
-    growth = float(np.linalg.norm(matrix * clock[:, None] / clock[None, :], 2))
-    needed = int(np.ceil(np.log(max(growth, 2.0)) / np.log(settings.growth_per_segment)))
-    return min(max(needed, settings.fewest_segments), settings.most_segments)
+    def at(self, w: Unknowns) -> Unknowns:
+        """w on the mesh that the step asks for."""
+        count, fraction = len(w.nodes), self.loop.equations.symmetry.fraction
+        steps = rounded(w.period * fraction / count / self.step)
+        return w if w.mesh.size == steps * count + 1 else replace(w, mesh=uniform(fraction, count, steps))
 
 
-def shot(march: March, step: float, state: np.ndarray, horizon: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (count x 2n) of the motion from a state, and its end (2n)."""
-    steps = rounded(horizon / count / step)
-    states = states_along(march, np.asarray(state, float), horizon, steps * count, np.zeros(march.unfolded))
-    return states[:-1:steps], states[-1]
+def shot(
+    equations: Equations, step: float, state: np.ndarray, period: float, count: int
+) -> tuple[Unknowns, np.ndarray]:
+    """The unknowns (of `count` segments) of the motion from a state, and its end (d)."""
+    fraction = equations.symmetry.fraction
+    mesh = uniform(fraction, count, rounded(period * fraction / count / step))
+    w = equations.unknowns(np.asarray(state, float)[None], period, mesh)
+    states = equations.march.states(w.nodes, mesh, w.tail)
+    return replace(w, nodes=states[: -1 : (mesh.size - 1) // count]), states[-1]
 
 
-def system(problem: Problem, motion: tuple[March, float], nodes: np.ndarray, periods: tuple[float, float]) -> System:
-    """Scales and references of one start, taken from its guess."""
-    n, count = problem.model.degrees_of_freedom, len(nodes)
-    rate = max(float(np.sqrt(np.mean(nodes[:, n:] ** 2))), 2 * np.pi / problem.guess.period)
+def scaled(problem: Problem, equations: Equations, step: float, w: Unknowns, periods: tuple[float, float]) -> Scaled:
+    """The loop of one start, scales and references taken from its guess."""
+    n, count = problem.model.degrees_of_freedom, len(w.nodes)
+    rate = max(float(np.sqrt(np.mean(w.nodes[:, n:] ** 2))), 2 * np.pi / problem.guess.period)
     node = np.concatenate([np.ones(n), np.full(n, rate)])
-    phases = np.asarray(phase_directions(problem, nodes[0])).reshape(-1, 2 * n)
-    lowest = float(problem.model.potential(nodes[0, :n], problem.model.parameter_values))
+    loop = loop_of(problem, equations, w, None, problem.pin)
+    lowest = float(problem.model.potential(w.nodes[0, :n], problem.model.parameter_values))
     span = max(abs(problem.pin[0].value - lowest), 0.1 * abs(problem.pin[0].value), 1e-3)
-    boundary = {"brake": np.full(2 * n, rate), "brake+reflection": node[::-1]}.get(problem.symmetry, node)
-    return System(
-        problem, *motion,
-        columns=np.concatenate([np.tile(node, count), [problem.guess.period], np.ones(motion[0].unfolded)]),
-        rows=np.concatenate([np.tile(node, count - 1), boundary, np.full(len(phases), rate), [span]]),
-        reference=nodes[0].copy(), phases=phases, shift=boundary_shift(problem, nodes), periods=periods,
+    first, last = problem.boundary.rows(n)
+    boundary = (np.maximum(np.abs(first), np.abs(last)) * node).max(axis=1)
+    phases = np.full(len(loop.normals), rate)
+    return Scaled(
+        loop, step,
+        columns=w.joined(node, problem.guess.period, 1.0, np.zeros(0)),
+        rows=np.concatenate([np.tile(node, count - 1), boundary, phases, [span]]), periods=periods,
     )  # fmt: skip
 
 
-def energy_row(one: System, state: np.ndarray) -> tuple[float, np.ndarray]:
-    """Energy minus its pin, and the gradient (2n)."""
-    total, gradient = one.march.energy(state)
-    return float(total) - one.problem.pin[0].value, gradient.full().ravel()
+def linearised(one: Scaled, w: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    """Scaled residual and Jacobian by the variational equations."""
+    w = one.at(w)
+    path = one.loop.equations.varied(w)
+    jacobian = one.loop.linearised(w, path).matrix()
+    return one.loop.rows(w, path.ends) / one.rows, jacobian * one.columns / one.rows[:, None]
 
 
-@lru_cache(maxsize=8)
-def boundary(symmetry: str, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """A and B (2n x 2n) of the boundary rows A x(0) + B x(end) - shift (see `conditions.boundary_rows`)."""
-    unit, zero = np.eye(n), np.zeros((n, n))
-    rates_at_start = np.block([[zero, unit], [zero, zero]])
-    return {
-        "none": (-np.eye(2 * n), np.eye(2 * n)),
-        "reflection": (np.eye(2 * n), np.eye(2 * n)),
-        "brake": (rates_at_start, np.block([[zero, zero], [zero, unit]])),
-        "brake+reflection": (rates_at_start, np.block([[zero, zero], [unit, zero]])),
-    }[symmetry]
+def moved(one: Scaled, w: Unknowns, step: np.ndarray) -> Unknowns:
+    """The unknowns after a scaled step, the period kept in range."""
+    after = w.moved(step * one.columns)
+    return replace(after, period=float(np.clip(after.period, *one.periods)))
 
 
-def displacement(problem: Problem, shift: np.ndarray) -> np.ndarray:
-    """What the boundary rows are compared with (2n)."""
-    if problem.symmetry == "brake+reflection":
-        return np.concatenate([np.zeros_like(shift), shift / 2])
-    return np.concatenate([shift, np.zeros_like(shift)])
+def bounded(one: Scaled, w: Unknowns, settings: QuickSettings) -> Unknowns:
+    """The unknowns, if rates and unfolding are within bounds; `IntegrationError` otherwise."""
+    n = w.nodes.shape[1] // 2
+    fast = float(np.abs(w.nodes[:, n:]).max()) > settings.largest_rate * one.columns[n]
+    if fast or float(np.abs(w.unfolding).max(initial=0.0)) > settings.largest_unfolding:
+        raise IntegrationError("out of bounds", time=0.0, state=w.nodes[0])
+    return w
 
 
-def rows(one: System, path: Path, ends: np.ndarray) -> np.ndarray:
-    """Unscaled residual for given end states (N x 2n)."""
-    first, last = boundary(one.problem.symmetry, ends.shape[1] // 2)
-    closing = first @ path.nodes[0] + last @ ends[-1] - displacement(one.problem, one.shift)
-    energy, _ = energy_row(one, path.nodes[0])
-    return np.concatenate(
-        [(ends[:-1] - path.nodes[1:]).ravel(), closing, one.phases @ (path.nodes[0] - one.reference), [energy]]
-    )
-
-
-def linearised(one: System, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled residual and Jacobian of a path by the variational equations."""
-    count, size = path.nodes.shape
-    span = one.problem.boundary.fraction / count
-    duration = path.period * span
-    ends, slopes = derivatives(one.march, path.nodes, duration, rounded(duration / one.step), path.unfolding)
-    speed = rates(one.march, ends, path.unfolding) * span
-    columns = np.concatenate([slopes[:, :, :size], speed[:, :, None], slopes[:, :, size:]], axis=2)
-    first, last = boundary(one.problem.symmetry, size // 2)
-    columns[-1] = last @ columns[-1]
-    jacobian = np.zeros((one.rows.size, one.columns.size))
-    for k in range(count):
-        block = slice(k * size, (k + 1) * size)
-        jacobian[block, block] = columns[k, :, :size]
-        if k < count - 1:
-            jacobian[block, (k + 1) * size : (k + 2) * size] = -np.eye(size)
-    jacobian[: count * size, count * size :] = columns[:, :, size:].reshape(count * size, -1)
-    jacobian[(count - 1) * size : count * size, :size] += first
-    jacobian[count * size : -1, :size] = one.phases
-    jacobian[-1, :size] = energy_row(one, path.nodes[0])[1]
-    return rows(one, path, ends) / one.rows, jacobian * one.columns / one.rows[:, None]
-
-
-def moved(one: System, path: Path, step: np.ndarray) -> Path:
-    """The path after a scaled step, its period kept in range."""
-    count, size = path.nodes.shape
-    change = step * one.columns
-    period = float(np.clip(path.period + change[count * size], *one.periods))
-    nodes = path.nodes + change[: count * size].reshape(count, size)
-    return Path(nodes, period, path.unfolding + change[count * size + 1 :])
-
-
-def bounded(one: System, path: Path, settings: QuickSettings) -> Path:
-    """The path, if its rates and unfolding are within bounds; `IntegrationError` otherwise."""
-    n = path.nodes.shape[1] // 2
-    fast = float(np.abs(path.nodes[:, n:]).max()) > settings.largest_rate * one.columns[n]
-    if fast or float(np.abs(path.unfolding).max(initial=0.0)) > settings.largest_unfolding:
-        raise IntegrationError("out of bounds", time=0.0, state=path.nodes[0])
-    return path
-
-
-def solve(one: System, start: Path, settings: QuickSettings) -> tuple[Path, np.ndarray]:
-    """A path with a small scaled residual and the Jacobian there; `ConvergenceError` says why there is none."""
-    path, damping = start, 1e-2
-    residual, jacobian = linearised(one, path)
+def solve(one: Scaled, w: Unknowns, settings: QuickSettings) -> tuple[Unknowns, np.ndarray]:
+    """Unknowns with a small scaled residual and the Jacobian there; `ConvergenceError` says why there is none."""
+    damping = 1e-2
+    residual, jacobian = linearised(one, w)
     norm = float(np.abs(residual).max())
     norms: list[float] = []
     for evaluation in range(1, settings.most_evaluations + 1):
         if norm < settings.converged:
-            return path, jacobian
+            return w, jacobian
         if any(evaluation > after and norm > most for after, most in settings.hopeless):
             raise ConvergenceError("hopeless start")
         norms.append(norm)
         if creeping(norms) and narrow(jacobian):
-            raise Stalled(path)
+            raise Stalled(w)
         step = damped_step(jacobian, residual, damping, settings.largest_step)
         try:
-            trial = bounded(one, moved(one, path, step), settings)
+            trial = bounded(one, moved(one, w, step), settings)
             found, slopes = linearised(one, trial)
         except IntegrationError:
             damping = max(10 * damping, 1e-3)
             continue
         if float(np.linalg.norm(found)) < float(np.linalg.norm(residual)):
-            path, residual, jacobian = trial, found, slopes
+            w, residual, jacobian = trial, found, slopes
             norm, damping = float(np.abs(residual).max()), damping / 10 if damping > 1e-9 else 0.0
         else:
             damping = max(5 * damping, 1e-4)
@@ -254,28 +184,24 @@ def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float, long
     return np.asarray(step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300)))
 
 
-def polished(one: System, path: Path, jacobian: np.ndarray, settings: QuickSettings) -> tuple[Path, int]:
-    """The path to round-off, by chord Newton steps with an accurate residual, and the steps that a segment needs."""
+def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray, settings: QuickSettings) -> Unknowns:
+    """w to round-off, by chord Newton steps with an accurate residual, on the mesh that it needs."""
     inverse = np.linalg.pinv(jacobian, rcond=1e-13)
-    duration = path.period * one.problem.boundary.fraction / len(path.nodes)
-    ends, steps = refined_ends(one.march, path.nodes, duration, rounded(FINER * duration / one.step), path.unfolding)
-    residual = rows(one, path, ends) / one.rows
+    equations = one.loop.equations
+    w = replace(one, step=one.step / FINER).at(w)
+    ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail)
+    w = replace(w, mesh=mesh)
+    residual = one.loop.rows(w, ends) / one.rows
     best = float(np.abs(residual).max())
     for _ in range(settings.polish_steps):
-        trial = moved(one, path, -inverse @ residual)
-        found = accurate(one, trial, steps)
+        trial = moved(one, w, -inverse @ residual)
+        found = one.loop.rows(trial, equations.ends(trial)) / one.rows
         size = float(np.abs(found).max())
         if not size < best:
             break
-        path, residual, best = trial, found, size
+        w, residual, best = trial, found, size
         if best < settings.polished:
             break
     if not best < 1e-10:
-        raise Stalled(path)
-    return path, steps
-
-
-def accurate(one: System, path: Path, steps: int) -> np.ndarray:
-    """Scaled residual with segments integrated in so many steps."""
-    duration = path.period * one.problem.boundary.fraction / len(path.nodes)
-    return rows(one, path, ends_of(one.march, path.nodes, duration, steps, path.unfolding)) / one.rows
+        raise Stalled(w)
+    return w

@@ -16,10 +16,10 @@ from orbitfinder.atlas.mirrors import mirrors, off_section
 from orbitfinder.atlas.resting import reach_of, resting_place
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.guesses.modes import normal_modes
-from orbitfinder.integrate.batch import March, build_march, ends, rounded, states_along
 from orbitfinder.integrate.cvodes import Flow, build_flow
-from orbitfinder.loops.conditions import SYMMETRIES, unfolded_invariants
-from orbitfinder.loops.symmetry import check_symmetry
+from orbitfinder.integrate.march import rounded, uniform
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.symmetry import BRAKE, NONE, QUARTER, REFLECTION, REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.hamilton import prepare
 
@@ -39,7 +39,7 @@ SPANS = 16
 CALIBRATION_STATES = 24
 STEP_ERROR = 1e-7
 MOST_HALVINGS = 12
-HALVES = ("reversal", "mirror")
+HALVES = (REVERSAL.name, "mirror")
 """Strategies that begin in the fixed set of a reversal and look for the next return to it, half a period on."""
 
 
@@ -55,13 +55,13 @@ class Target:
 class Bench:
     """Everything about a model that starts share.
 
-    Marches and flows by the symmetry imposed (only those that the model has), the step (s) of the
+    Equations and flows by the symmetry imposed (only those that the model has), the step (s) of the
     cheap stage, the equilibrium and the normal modes about it, the strategies that take turns, the model's mirrors.
     """
 
     model: Model
     target: Target
-    marches: Mapping[str, March]
+    equations: Mapping[str, Equations]
     flows: Mapping[str, Flow]
     step: float
     equilibrium: np.ndarray
@@ -87,13 +87,13 @@ def bench(model: Model, target: Target) -> Bench:
     place = resting_place(model, target.energy)
     prepare(model)
     found = mirrors(model)
-    known = symmetries(model) + ("mirror",) * bool(found)
+    origin = np.zeros(2 * model.degrees_of_freedom)
+    known = [*(name for name, one in SYMMETRIES.items() if one.held_by(model, origin)), *["mirror"] * bool(found)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
-    unfolded = {name: unfolded_invariants(model, SYMMETRIES[name]) for name in known if name in imposed}
-    built = {kinds: build_march(model, kinds) for kinds in dict.fromkeys(unfolded.values())}
+    unfolded = {name: SYMMETRIES[name].unfolded(model) for name in known if name in imposed}
     one = Bench(
         model, target,
-        marches={name: built[kinds] for name, kinds in unfolded.items()},
+        equations={name: Equations(model, SYMMETRIES[name]) for name in unfolded},
         flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
         strategies=tuple(name for name in TURNS if possible(name, known)), mirrors=found,
@@ -106,29 +106,18 @@ def possible(name: str, known: Sequence[str]) -> bool:
     return (name if name in HALVES else STRATEGIES[name][0]) in known
 
 
-def symmetries(model: Model) -> tuple[str, ...]:
-    """The symmetries that the model's equations have, `none` among them."""
-    found = []
-    for name in SYMMETRIES:
-        try:
-            check_symmetry(model, np.zeros(2 * model.degrees_of_freedom), name)
-            found.append(name)
-        except InputError:
-            continue
-    return tuple(found)
-
-
 def calibrated(one: Bench) -> float:
     """The step (s) with which the median motion on the energy shell is right to `STEP_ERROR` per span."""
-    random, march = np.random.default_rng(0), one.marches["none"]
+    random, march = np.random.default_rng(0), one.equations["none"].march
     states = np.array([_random_state(one, random) for _ in range(CALIBRATION_STATES)])
-    span, steps, none = one.target.periods[1] / SPANS, 4, np.zeros(march.unfolded)
+    span, steps = one.target.periods[1] / SPANS, 4
+    tail = np.append(span, np.zeros(march.unfolding))
 
     def marched(count: int) -> np.ndarray:
         found = []
         for state in states:
             try:
-                found.append(ends(march, state[None], span, count, none)[0])
+                found.append(march.ends(state[None], uniform(1.0, 1, count), tail)[0])
             except IntegrationError:
                 found.append(np.full(state.size, np.inf))
         return np.asarray(found)
@@ -272,21 +261,21 @@ def _mirrored(one: Bench, random: np.random.Generator) -> np.ndarray:
 
 
 STRATEGIES: Mapping[str, tuple[str, Callable[[Bench, np.random.Generator], np.ndarray]]] = {
-    "brake": ("brake", _random_rest),
-    "normal-modes": ("brake+reflection", _mode_rest),
-    "random": ("none", _random_state),
-    "rest-symmetric": ("brake+reflection", _random_rest),
-    "reflection": ("reflection", _random_state),
-    "brake-modes": ("brake", _mode_rest),
-    "recurrence": ("none", _random_state),
-    "centre": ("reflection", _centre),
-    "reversal": ("none", _crossing),
-    "mirror": ("none", _mirrored),
+    BRAKE.name: (BRAKE.name, _random_rest),
+    "normal-modes": (QUARTER.name, _mode_rest),
+    "random": (NONE.name, _random_state),
+    "rest-symmetric": (QUARTER.name, _random_rest),
+    REFLECTION.name: (REFLECTION.name, _random_state),
+    "brake-modes": (BRAKE.name, _mode_rest),
+    "recurrence": (NONE.name, _random_state),
+    "centre": (REFLECTION.name, _centre),
+    REVERSAL.name: (NONE.name, _crossing),
+    "mirror": (NONE.name, _mirrored),
 }
 """Name -> (symmetry imposed, proposal of a state on the energy shell)."""
 TURNS = (
-    "recurrence", "brake", "random", "reversal", "brake-modes", "recurrence", "reflection", "brake",
-    "normal-modes", "recurrence", "random", "brake-modes", "rest-symmetric", "brake", "recurrence", "centre",
+    "recurrence", BRAKE.name, "random", REVERSAL.name, "brake-modes", "recurrence", REFLECTION.name, BRAKE.name,
+    "normal-modes", "recurrence", "random", "brake-modes", "rest-symmetric", BRAKE.name, "recurrence", "centre",
     "mirror", "mirror",
 )  # fmt: skip
 """Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
@@ -304,25 +293,24 @@ def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
     if symmetry in HALVES:
         angles = np.asarray(one.model.angles or (False,) * n)
-        known = (-np.ones(n),) if symmetry == "reversal" else one.mirrors
+        known = (-np.ones(n),) if symmetry == REVERSAL.name else one.mirrors
         signs = min(known, key=lambda signs: float(off_section(signs, states[:1], angles, rate)[0]))
         return off_section(signs, states, angles, rate)
-    start, turning = states[0], wrapping(one.model)
-    if symmetry == "brake":
-        return np.asarray(np.abs(states[:, n:]).max(axis=1) / rate)
-    gaps = states - start if symmetry == "none" else states + start
-    gaps = np.where(turning, (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
-    if symmetry == "brake+reflection":
-        return np.asarray(np.abs(states[:, :n]).max(axis=1))
-    return np.asarray((np.abs(gaps) / np.concatenate([np.ones(n), np.full(n, rate)])).max(axis=1))
+    imposed = SYMMETRIES[symmetry]
+    first, last = imposed.rows(n)
+    gaps, units = states @ last.T, np.abs(last) @ np.concatenate([np.ones(n), np.full(n, rate)])
+    if not imposed.reverses:
+        gaps = gaps + first @ states[0]
+        gaps = np.where(wrapping(one.model), (gaps + np.pi) % (2 * np.pi) - np.pi, gaps)
+    return np.asarray((np.abs(gaps) / np.where(units > 0, units, 1.0)).max(axis=1))
 
 
 def simulated(one: Bench, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a loose simulation."""
     samples = SAMPLES_PER_PERIOD * duration / one.target.periods[1]
     count = rounded(max(samples, duration / one.step))
-    march = one.marches["none"]
-    return np.linspace(0.0, duration, count + 1), states_along(march, state, duration, count, np.zeros(march.unfolded))
+    march, mesh = one.equations["none"].march, uniform(1.0, 1, count)
+    return duration * mesh, march.states(state[None], mesh, np.append(duration, np.zeros(march.unfolding)))
 
 
 def _return_time(one: Bench, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:

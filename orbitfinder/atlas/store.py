@@ -18,7 +18,7 @@ from orbitfinder._runtime.suggest import closest
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, select, transaction
 from orbitfinder.errors import InputError
-from orbitfinder.loops.conditions import SYMMETRIES
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import Orbit, check_document, orbit_from_document, orbit_to_document
@@ -222,7 +222,7 @@ class Atlas:
     def orbit(self, number: int) -> Orbit:
         """An orbit by its id, certificate included; its dense samples are left out."""
         document = self.document(number)
-        return orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+        return orbit_from_document(document)
 
     def documents(self, chosen: Filter | None = None) -> Iterator[dict[str, Any]]:
         """The orbit.json documents that pass a filter, by energy and period."""
@@ -296,7 +296,7 @@ def unpacked(data: bytes, where: str) -> dict[str, Any]:
     """The document that `packed` made; `InputError` when it is damaged."""
     document = check_document(json_document(inflated(data, where, RESTORE), where, RESTORE), where)
     try:
-        orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+        orbit_from_document(document)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     return document

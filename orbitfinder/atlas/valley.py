@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder.atlas.solver import Path, QuickSettings, Stalled, System, bounded, linearised, moved
+from orbitfinder.atlas.solver import QuickSettings, Scaled, Stalled, bounded, linearised, moved
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.batch import refined_ends, rounded
+from orbitfinder.loops.loop import Unknowns
 
 LONGEST, SHORTEST = 0.3, 1e-3
 """Scaled steps along the valley."""
@@ -33,10 +33,10 @@ ROUND_OFF = 3e-13
 
 
 @dataclass(frozen=True)
-class Place:
-    """A point of the valley: path, scaled residual F and Jacobian there, u and v, and mu = u.F."""
+class Point:
+    """A point of the valley: w, scaled residual F and Jacobian there, u and v, and mu = u.F."""
 
-    path: Path
+    w: Unknowns
     residual: np.ndarray
     jacobian: np.ndarray
     left: np.ndarray
@@ -53,29 +53,29 @@ class Place:
         return float(np.abs(self.residual - self.mu * self.left).max())
 
 
-def orbit_in_valley(one: System, path: Path, settings: QuickSettings) -> tuple[Path, np.ndarray]:
-    """The path of an orbit in the valley that a path lies in, and the Jacobian there; `Stalled` when there is none."""
-    fine = replace(one, step=fine_step(one, path))
+def orbit_in_valley(one: Scaled, w: Unknowns, settings: QuickSettings) -> tuple[Unknowns, np.ndarray]:
+    """The unknowns of an orbit in the valley that w lies in, and the Jacobian there; `Stalled` when there is none."""
+    fine = replace(one, step=fine_step(one, w))
     try:
-        here = corrected(fine, settings, turned(Place(path, *linearised(fine, path), *NOWHERE)), 0.0)
+        here = corrected(fine, settings, turned(Point(w, *linearised(fine, w), *NOWHERE)), 0.0)
         if abs(here.mu) > ROUND_OFF:
             here = crossed(fine, settings, *bracket(fine, settings, turned(here)))
     except (IntegrationError, np.linalg.LinAlgError) as error:
-        raise Stalled(path) from error
-    return here.path, here.jacobian
+        raise Stalled(w) from error
+    return here.w, here.jacobian
 
 
-def fine_step(one: System, path: Path) -> float:
+def fine_step(one: Scaled, w: Unknowns) -> float:
     """The longest step (s) with which half of it agrees; the polish that follows needs no better Jacobian."""
-    duration = path.period * one.problem.boundary.fraction / len(path.nodes)
-    steps = refined_ends(one.march, path.nodes, duration, rounded(duration / one.step), path.unfolding)[1]
-    return 2 * duration / steps
+    w = one.at(w)
+    mesh = one.loop.equations.march.refined_ends(w.nodes, w.mesh, w.tail)[1]
+    return 2 * w.period * float(mesh[-1]) / (mesh.size - 1)
 
 
 NOWHERE = np.zeros(0), np.zeros(0)
 
 
-def turned(at: Place) -> Place:
+def turned(at: Point) -> Point:
     """The point with the singular vectors of its own Jacobian, in the senses of those that it came with."""
     left, _, right = np.linalg.svd(at.jacobian)
     u, v = left[:, -1], right[-1]
@@ -84,11 +84,11 @@ def turned(at: Place) -> Place:
     return replace(at, left=u, right=v)
 
 
-def corrected(one: System, settings: QuickSettings, at: Place, length: float) -> Place:
+def corrected(one: Scaled, settings: QuickSettings, at: Point, length: float) -> Point:
     """Where the regular equations hold at h = `length` from a point, by Newton's method; `Stalled` if nowhere."""
-    path, smallest = moved(one, at.path, length * at.right), np.inf
+    w, smallest = moved(one, at.w, length * at.right), np.inf
     for _ in range(MOST_CORRECTIONS):
-        found = Place(path, *linearised(one, bounded(one, path, settings)), at.left, at.right)
+        found = Point(w, *linearised(one, bounded(one, w, settings)), at.left, at.right)
         if found.rest < max(SLACK * abs(found.mu), ROUND_OFF):
             return found
         if found.rest > smallest:
@@ -96,11 +96,11 @@ def corrected(one: System, settings: QuickSettings, at: Place, length: float) ->
         smallest = found.rest
         bordered = np.block([[found.jacobian, -at.left[:, None]], [at.right[None], np.zeros((1, 1))]])
         wanted = np.append(found.mu * at.left - found.residual, 0.0)
-        path = moved(one, path, np.linalg.solve(bordered, wanted)[:-1])
-    raise Stalled(at.path)
+        w = moved(one, w, np.linalg.solve(bordered, wanted)[:-1])
+    raise Stalled(at.w)
 
 
-def bracket(one: System, settings: QuickSettings, at: Place) -> tuple[Place, Place, float]:
+def bracket(one: Scaled, settings: QuickSettings, at: Point) -> tuple[Point, Point, float]:
     """Two successive points between which mu changes its sign, and h from the first to the second."""
     length = -LONGEST * (np.sign(at.mu * (at.left @ at.jacobian @ at.right)) or 1.0)  # the way on which |mu| falls
     for _ in range(MOST_TRIALS):
@@ -114,10 +114,10 @@ def bracket(one: System, settings: QuickSettings, at: Place) -> tuple[Place, Pla
         if there.mu * at.mu <= 0:
             return at, there, length
         at, length = turned(there), float(np.clip(1.5 * length, -LONGEST, LONGEST))
-    raise Stalled(at.path)
+    raise Stalled(at.w)
 
 
-def crossed(one: System, settings: QuickSettings, first: Place, second: Place, length: float) -> Place:
+def crossed(one: Scaled, settings: QuickSettings, first: Point, second: Point, length: float) -> Point:
     """The zero of mu between two points, by the Illinois method (M. Dowell, P. Jarratt, BIT 11 (1971) 168-174)."""
     (low, below), (high, above) = (0.0, first.mu), (length, second.mu)
     found = second

@@ -161,7 +161,7 @@ def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
     from orbitfinder.mechanics.catalogue import build_model
 
     if isinstance(origin, Branch):
-        return origin.start.curve.propagator.model
+        return origin.start.curve.equations.model
     known = model or getattr(origin, "model", None)
     return known if known is not None and known.native is None else build_model(family.system)
 

@@ -212,7 +212,7 @@ def orbit_and_model(file: Path, trust: bool = False, pictured: bool = False) -> 
     model = build_model(orbit.system, file.parent if trust else None)
     check_consistent(orbit, model)
     if pictured and not file.exists():
-        from orbitfinder.families.motions import whole
+        from orbitfinder.families.members import whole
 
         orbit = whole(orbit, model)
     return orbit, model

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.events import parameter_slopes
-from orbitfinder.families.point import FamilySettings, parameter_value
+from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of, winding
 from orbitfinder.families.scale import extent
 from orbitfinder.families.start import (
     Start,
@@ -26,12 +26,11 @@ from orbitfinder.families.start import (
     full_samples,
     reformulated,
     symmetry_of,
-    unfolded,
     unknown_parameters,
 )
-from orbitfinder.loops.conditions import SYMMETRIES
-from orbitfinder.loops.continued import Aim, Curve, Place, Solution, advanced, at_place, correct, head_of, scaled
-from orbitfinder.loops.graded import build_propagator
+from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, scaled
+from orbitfinder.loops.loop import Condition, Equations, Unknowns
+from orbitfinder.loops.symmetry import NONE, Symmetry, named
 from orbitfinder.records.family import Event
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
@@ -43,17 +42,6 @@ MIRRORED = 1e-7
 """Energies and periods of mirror images agree to this share of their distance from the old orbit's."""
 CRITICAL = 1e-3
 """A singular value below this, relative to the next larger ones, belongs to the kernel."""
-NARROWER = {
-    "brake+reflection": (("brake+reflection", 0.0), ("brake", 0.0), ("reversal", 0.25), ("reflection", 0.0)),
-    "brake": (("brake", 0.0), ("brake", 0.5)),
-    "reversal": (("reversal", 0.0), ("reversal", 0.5)),
-    "reflection": (("reflection", 0.0),),
-    "none": (),
-}
-"""Formulations that a branch of each symmetry may have, with the share of the period where it starts.
-
-Half of an even number of turns is no half turn: only branches of odd order keep a reflection.
-"""
 
 
 @dataclass(frozen=True)
@@ -61,7 +49,7 @@ class Crossing:
     """The orbit of an event, q times round, in one formulation, with the directions that leave it."""
 
     curve: Curve
-    place: Place
+    place: Unknowns
     directions: tuple[np.ndarray, ...]
 
 
@@ -75,10 +63,10 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
     found: list[Start] = []
-    for symmetry, share in (*NARROWER[curve.propagator.symmetry.name], ("none", 0.0)):
-        if symmetry == "none" and found:
+    for symmetry, share in (*curve.equations.symmetry.narrower(), (NONE, 0.0)):
+        if symmetry == NONE and found:
             break
-        if symmetry == "brake+reflection" and event.order % 2 == 0:
+        if len(symmetry.maps) > 1 and event.order % 2 == 0:  # half of an even number of turns is no half turn
             continue
         crossing = _crossing(curve, event, symmetry, share, settings)
         if found and len(crossing.directions) > 2:  # a circle, on which only the symmetric ones are isolated
@@ -92,27 +80,27 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
 
 def _known(start: Start, found: list[Start], crossing: Crossing, event: Event) -> bool:
     """Whether a branch was found before: by its own symmetry, where it has more than was asked for, or as it is."""
-    own = start.curve.propagator.symmetry.name
-    known = {one.curve.propagator.symmetry.name for one in found}
-    if own != crossing.curve.propagator.symmetry.name and own in known:
+    own = start.curve.equations.symmetry.name
+    known = {one.curve.equations.symmetry.name for one in found}
+    if own != crossing.curve.equations.symmetry.name and own in known:
         return True
     return any(_same(start, other, crossing, event) for other in found)
 
 
-def _crossing(curve: Curve, event: Event, symmetry: str, share: float, settings: FamilySettings) -> Crossing:
+def _crossing(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Crossing:
     """The q-fold orbit in a formulation and the kernel of its Jacobian without the family's own tangent."""
-    free, held = unknown_parameters(curve.propagator.model, settings)
+    free, held = unknown_parameters(curve.equations.model, settings)
     place = _repeated(curve, event, symmetry, share)
-    propagator = build_propagator(curve.propagator.model, symmetry, free)
-    place = replace(place, unfolding=np.zeros(propagator.unfolding))
-    there = replace(curve_at(propagator, place, held, _turns(curve, event)), weights=curve.weights.copy())
+    equations = Equations(curve.equations.model, symmetry, free, action=True)
+    place = replace(place, unfolding=np.zeros(equations.march.unfolding))
+    there = replace(curve_at(equations, place, held, _turns(curve, event)), weights=curve.weights.copy())
     matrix, units = scaled(there, at_place(there, place))
     _, sizes, rows = np.linalg.svd(matrix)
     sizes = np.concatenate([sizes, np.zeros(len(rows) - len(sizes))])
     # the largest kernel possible: tangent, and two directions of a circle
     kernel = units * rows[-3:][sizes[-3:] < CRITICAL * sizes[-4]]
-    heads = np.stack([head_of(row, place) * np.sqrt(there.weights) for row in kernel])
-    size = there.propagator.size
+    heads = np.stack([place.head_of(row) * np.sqrt(there.weights) for row in kernel])
+    size = there.equations.size
     moved = np.concatenate([np.zeros(size), event.tangent[size : size + 1] * event.order, event.tangent[size + 1 :]])
     own = _own(there, place, heads, moved, curve, event, share)
     _, _, mixed = np.linalg.svd(np.atleast_2d(np.linalg.lstsq(heads.T, own, rcond=None)[0]))
@@ -121,20 +109,20 @@ def _crossing(curve: Curve, event: Event, symmetry: str, share: float, settings:
 
 
 def _own(
-    there: Curve, place: Place, heads: np.ndarray, moved: np.ndarray, curve: Curve, event: Event, share: float
+    there: Curve, place: Unknowns, heads: np.ndarray, moved: np.ndarray, curve: Curve, event: Event, share: float
 ) -> np.ndarray:
     """The old family's tangent (weighted head) at the start of this formulation, by differencing its orbits."""
-    step = 1e-4 * _reach(curve, at_place(curve, _place_of(curve, event)))
+    step = 1e-4 * _reach(curve, at_place(curve, unknowns_of(curve, event)))
     normal = curve.weights * event.tangent
-    base = _place_of(curve, event)
+    base = unknowns_of(curve, event)
     own = moved.copy()
     ends = []
     for sign in (-1.0, 1.0):
-        shifted = correct(curve, base, Aim(float(normal @ base.head) + sign * step, normal), base)
+        shifted = correct(curve, base, Condition(float(normal @ base.head) + sign * step, normal), base)
         moment = share * shifted.place.period
         times, states = full_samples(curve, shifted)
         ends.append(np.array([np.interp(moment, times, column) for column in states.T]))
-    own[: there.propagator.size] = (ends[1] - ends[0]) / (2 * step)
+    own[: there.equations.size] = (ends[1] - ends[0]) / (2 * step)
     return np.asarray(own * np.sqrt(there.weights))
 
 
@@ -147,49 +135,41 @@ def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
             yield np.cos(angle) * across[0] + np.sin(angle) * across[1]
 
 
-def _place_of(curve: Curve, event: Event) -> Place:
-    free = np.array(list(event.free.values()))
-    return Place(event.shooting_nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
-
-
 def _turns(curve: Curve, event: Event) -> np.ndarray:
-    n = curve.propagator.size // 2
-    alone = np.round(curve.constant[:n] / (2 * np.pi)) if curve.propagator.symmetry.name == "none" else np.zeros(n)
-    return np.asarray(alone * event.order)
+    return np.array(winding(curve)) * event.order
 
 
-def _repeated(curve: Curve, event: Event, symmetry: str, share: float) -> Place:
+def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> Unknowns:
     """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
-    base, fraction = at_place(curve, _place_of(curve, event)), SYMMETRIES[symmetry].fraction
-    n = curve.propagator.size // 2
+    base, fraction = at_place(curve, unknowns_of(curve, event)), symmetry.fraction
+    n = curve.equations.size // 2
     each = (base.place.mesh.size - 1) // len(event.shooting_nodes)
-    mesh, states = unfolded(curve, base.place.mesh, base.march.states)
+    mesh, states = curve.equations.symmetry.whole(base.place.mesh, base.march.states, curve.constant)
     count = mesh.size - 1
     first = int(np.argmin(np.abs(mesh - share)))
     laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
     times = (laps + mesh[index] - mesh[first]) / event.order
     turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(n)])
     nodes = (states[index] + laps[:, None] * turn)[:-1:each]
-    if "brake" in symmetry:
-        nodes[0, n:] = 0.0
-    return Place(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
+    nodes[0, n:][symmetry.held(n)[n:]] = 0.0
+    return Unknowns(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
 
 
 def _reach(curve: Curve, found: Solution) -> float:
     """What distances from an orbit are relative to, in the family's metric: its own extent, of angles at most 1 rad."""
     size = extent(curve.weights, found.march.states)
-    return min(size, 1.0) if any(curve.propagator.model.angles) else size
+    return min(size, 1.0) if any(curve.equations.model.angles) else size
 
 
 def _branch(crossing: Crossing, event: Event, direction: np.ndarray, settings: FamilySettings) -> Start | None:
     """The new family in one direction, or None when what is found is the old one or nothing."""
     curve, place = crossing.curve, crossing.place
-    size = curve.propagator.size
+    size = curve.equations.size
     moved = direction[: place.nodes.size].reshape(-1, size) ** 2 @ curve.weights[:size]
     direction = direction / np.sqrt(moved.max())  # the start may be where the two families part least
-    normal, reach = curve.weights * head_of(direction, place), _reach(curve, at_place(curve, place))
+    normal, reach = curve.weights * place.head_of(direction), _reach(curve, at_place(curve, place))
     for length in (share * reach for share in DISTANCES):
-        aim = Aim(float(normal @ (place.head + length * head_of(direction, place))), normal)
+        aim = Condition(float(normal @ (place.head + length * place.head_of(direction))), normal)
         try:
             start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
         except (ConvergenceError, IntegrationError):
@@ -204,13 +184,15 @@ def _branch(crossing: Crossing, event: Event, direction: np.ndarray, settings: F
 
 def _symmetric(start: Start, settings: FamilySettings) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
-    model = start.curve.propagator.model
+    model = start.curve.equations.model
     try:
-        other = reformulated(start, symmetry_of(start.curve, start.found), *unknown_parameters(model, settings))
+        other = reformulated(
+            start, named(symmetry_of(start.curve, start.found), model), *unknown_parameters(model, settings)
+        )
     except (ConvergenceError, IntegrationError):
         return start
     slopes = [list(parameter_slopes(one.curve, one.found.place, one.direction).values()) for one in (start, other)]
-    count = 2 + len(start.curve.propagator.free)
+    count = 2 + len(start.curve.equations.free)
     same = np.dot(slopes[0][:count], slopes[1][:count]) >= 0
     return other if same else replace(other, direction=-other.direction)
 
@@ -230,7 +212,7 @@ def _mid(states: np.ndarray, place: float) -> np.ndarray:
     return np.asarray(states[low] + (place - low) * (states[min(low + 1, len(states) - 1)] - states[low]))
 
 
-def _outwards(start: Start, origin: Place) -> Start:
+def _outwards(start: Start, origin: Unknowns) -> Start:
     """The same start, directed away from the orbit that it was born from."""
     moved = start.found.place.head - origin.head
     return start if np.sum(start.curve.weights * moved * start.direction) >= 0 else replace(
@@ -243,7 +225,7 @@ def _same(one: Start, other: Start, crossing: Crossing, event: Event) -> bool:
     a, b = (_moved(start, event) for start in (one, other))
     if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + 1e-13):
         return True
-    scale = np.sqrt(crossing.curve.weights[: crossing.curve.propagator.size])
+    scale = np.sqrt(crossing.curve.weights[: crossing.curve.equations.size])
     mine, theirs = (full_samples(start.curve, start.found)[1] * scale for start in (one, other))
     old = full_samples(crossing.curve, at_place(crossing.curve, crossing.place))[1] * scale
     signs, size = np.repeat([1.0, -1.0], scale.size // 2), _apart(mine, old)

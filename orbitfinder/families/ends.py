@@ -14,9 +14,9 @@ from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.samples import Interval
 from orbitfinder.families.scale import extents, span
 from orbitfinder.families.start import full_samples
-from orbitfinder.loops.continued import Aim, Curve, Place, Solution, at_place, blended, correct, distance
-from orbitfinder.loops.graded import invariants_at, rate_at, rates
-from orbitfinder.loops.symmetry import recognise
+from orbitfinder.loops.continued import Curve, Solution, at_place, correct, distance
+from orbitfinder.loops.loop import Condition, Unknowns
+from orbitfinder.loops.symmetry import NONE, REFLECTION, half_period_gaps, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
@@ -89,8 +89,8 @@ def end_after(
     if failure:
         if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and near_saddle(curve, found, state):
             return _homoclinic(curve, found, state, grown, f"; then {failure}")
-        free = dict(zip(curve.propagator.free, map(float, found.place.free), strict=True))
-        dead = dead_point(curve.propagator.model.system, found.march.states, free)
+        free = dict(zip(curve.equations.free, map(float, found.place.free), strict=True))
+        dead = dead_point(curve.equations.model.system, found.march.states, free)
         if dead:
             return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
         return _singular(curve, found, failure) or End("step underflow", failure)
@@ -102,7 +102,7 @@ def end_after(
         return None
     if grown > settings.longest_period and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, "")
-    if energies is not None and energies.settled and not curve.propagator.free and near_saddle(curve, found, state):
+    if energies is not None and energies.settled and not curve.equations.free and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f", multiplier {energies.largest:.2g}, beyond what can be told")
     return None
 
@@ -120,12 +120,12 @@ def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
 
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
-    p, place = curve.propagator, found.place
+    p, place = curve.equations, found.place
     n, units = p.size // 2, extents(found.march.states)
     x = np.concatenate([state[:n], np.zeros(n)])
     for _ in range(MOST_NEWTON):
         slopes = _linearised(curve, place, x, units)
-        step = np.linalg.lstsq(slopes[n:, :n], -rate_at(p, x, place.unfolding, place.free)[n:], rcond=1e-9)[0]
+        step = np.linalg.lstsq(slopes[n:, :n], -p.march.rates(x[None], place.tail)[0][n:], rcond=1e-9)[0]
         x[:n] += step
         if not np.all(np.isfinite(x)) or np.any(np.abs(x - state) > NEAR * units):
             return False
@@ -135,18 +135,18 @@ def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
     return False
 
 
-def _linearised(curve: Curve, place: Place, x: np.ndarray, units: np.ndarray) -> np.ndarray:
+def _linearised(curve: Curve, place: Unknowns, x: np.ndarray, units: np.ndarray) -> np.ndarray:
     """d(dx/dt)/dx (2n x 2n) by central differences."""
-    p = curve.propagator
+    p = curve.equations
     steps = DIFFERENCE * np.diag(units)
-    pairs = [[rate_at(p, x + s * one, place.unfolding, place.free) for s in (1, -1)] for one in steps]
+    pairs = [[p.march.rates((x + s * one)[None], place.tail)[0] for s in (1, -1)] for one in steps]
     return np.stack([(a - b) / (2 * size) for (a, b), size in zip(pairs, np.diag(steps), strict=True)], axis=1)
 
 
 def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
-    states, mesh, n = found.march.states, found.place.mesh, curve.propagator.size // 2
-    speed = np.linalg.norm(rates(curve.propagator, states, found.place.tail)[:, n:], axis=1)
+    states, mesh, n = found.march.states, found.place.mesh, curve.equations.size // 2
+    speed = np.linalg.norm(curve.equations.march.rates(states, found.place.tail)[:, n:], axis=1)
     usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
     if not speed.max() > ABRUPT * usual:
         return None
@@ -159,7 +159,7 @@ def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
 
 
 def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
-    energy = float(invariants_at(curve.propagator, found.place.nodes[0], found.place.free)[0][-1])
+    energy = float(curve.equations.quantities_at(found.place.nodes[0], found.place.free)[0][curve.equations.energy])
     n = state.size // 2
     where = np.array2string(state[:n], precision=4, suppress_small=True)
     return End(
@@ -174,9 +174,9 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
 
     Turning points are not slow in this sense: the speed includes the scaled acceleration.
     """
-    p, place = curve.propagator, found.place
+    p, place = curve.equations, found.place
     states, n = found.march.states, p.size // 2
-    slopes, clock = rates(p, states, place.tail), np.sqrt(curve.weights[n])
+    slopes, clock = p.march.rates(states, place.tail), np.sqrt(curve.weights[n])
     speed = np.sqrt((slopes[:, :n] ** 2).sum(axis=1) + ((clock * slopes[:, n:]) ** 2).sum(axis=1))
     weights = np.diff(place.mesh)
     slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
@@ -185,18 +185,13 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
 
 def centre(curve: Curve, found: Solution) -> np.ndarray:
     """The middle of an orbit's configurations (n): where a shrinking family is going."""
-    n, name = curve.propagator.size // 2, curve.propagator.symmetry.name
-    if name == "brake+reflection":
-        return np.asarray(curve.constant[n:])
-    if name == "reflection":
-        return np.asarray(0.5 * curve.constant[:n])
-    q = found.march.states[:, :n]
-    return np.asarray(0.5 * (q.max(axis=0) + q.min(axis=0)))
+    held, q = curve.equations.symmetry.centre(curve.constant), found.march.states[:, : curve.equations.size // 2]
+    return np.asarray(np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held))
 
 
 def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
     """Whether the last step went through an equilibrium: the orbit is now on the other side of its middle."""
-    n = curve.propagator.size // 2
+    n = curve.equations.size // 2
     weights = curve.weights[: 2 * n]
     one = before.place.nodes[0] - np.concatenate([centre(curve, before), np.zeros(n)])
     other = found.place.nodes[0] - np.concatenate([centre(curve, found), np.zeros(n)])
@@ -216,7 +211,7 @@ def returned(
     a, step = before.place.head, found.place.head - before.place.head
     if len(heads) < FEWEST_STEPS:
         return None
-    unit = span(curve.propagator.model.angles, curve.weights, found.march.states)
+    unit = span(curve.equations.model.angles, curve.weights, found.march.states)
     past = np.asarray(heads[: 1 - FEWEST_STEPS])
     ahead = np.diff(np.asarray(heads[: 2 - FEWEST_STEPS]), axis=0)
     normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
@@ -224,9 +219,10 @@ def returned(
     aside = np.sqrt(np.maximum(((past - a) ** 2) @ curve.weights - shares**2 * square, 0.0))
     near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ normal > 0)
     for k in np.flatnonzero(near):
-        guess = blended(before.place, found.place, float(shares[k]))
+        guess = before.place.blended(found.place, float(shares[k]))
         try:
-            again = correct(curve, guess, Aim(float(normal @ past[k]), normal), before.place, slope=before.jacobian)
+            aim = Condition(float(normal @ past[k]), normal)
+            again = correct(curve, guess, aim, before.place, slope=before.jacobian)
         except (ConvergenceError, IntegrationError):
             continue
         if distance(curve, again.place.head, past[k]) < SAME * unit:
@@ -244,7 +240,8 @@ def mirrored(interval: Interval, at: float) -> bool:
 
     def read(distance: float) -> np.ndarray:
         place = interval.probe(distance).found.place
-        return np.array([invariants_at(interval.curve.propagator, place.nodes[0], place.free)[0][-1], place.period])
+        equations = interval.curve.equations
+        return np.array([equations.quantities_at(place.nodes[0], place.free)[0][equations.energy], place.period])
 
     turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
     near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
@@ -255,37 +252,28 @@ def mirrored(interval: Interval, at: float) -> bool:
     return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
 
 
-def merged(curve: Curve, place: Place, interval: Interval, at: float) -> End | None:
+def merged(curve: Curve, place: Unknowns, interval: Interval, at: float) -> End | None:
     """At a fold in energy: whether the family joins there one of more symmetry or of a shorter period.
 
     A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
     """
     found = at_place(curve, place)
-    energy = float(invariants_at(curve.propagator, place.nodes[0], place.free)[0][-1])
+    energy = float(curve.equations.quantities_at(place.nodes[0], place.free)[0][curve.equations.energy])
     where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
     times, states = full_samples(curve, found)
-    angles = np.asarray(curve.propagator.model.angles)
-    name = recognise(times, states, angles)
+    angles, symmetry = np.asarray(curve.equations.model.angles), curve.equations.symmetry
+    name = recognise(times, states, curve.equations.model)
     extent, count = float(np.ptp(states, axis=0).max()), len(states) - 1
     returns = [np.abs(_between(states, count / k) - states[0]).max() for k in range(2, MOST_COVERS + 1)]
     covers = [k for k, gap in enumerate(returns, 2) if gap < JOINED * extent]
     what = ""
     if covers:
         what = f"of period T/{max(covers)}"
-    elif name not in ("none", curve.propagator.symmetry.name):
+    elif name not in (NONE.name, symmetry.name):
         what = f"of symmetry {name}"
-    elif "reflection" not in curve.propagator.symmetry.name and _unreflected(states, angles) < JOINED * extent:
+    elif symmetry.forward is None and half_period_gaps(REFLECTION.maps[0], states, angles).max() < JOINED * extent:
         what = "that is its own mirror image"
     return End("merged", f"joins a family {what} {where}") if what and mirrored(interval, at) else None
-
-
-def _unreflected(states: np.ndarray, angles: np.ndarray) -> float:
-    """The largest component of x(t + T/2) + x(t), angles modulo 2 pi."""
-    half, n = (len(states) - 1) // 2, states.shape[1] // 2
-    total = states[half : 2 * half] + states[:half]
-    wrapped = (total[:, :n] + np.pi) % (2 * np.pi) - np.pi
-    total[:, :n] = np.where(angles, wrapped, total[:, :n])
-    return float(np.abs(total).max())
 
 
 def _between(states: np.ndarray, place: float) -> np.ndarray:

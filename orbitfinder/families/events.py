@@ -27,7 +27,7 @@ from orbitfinder.families.samples import make_interval as make_interval
 from orbitfinder.families.samples import make_probe as make_probe
 from orbitfinder.families.samples import parameter_slopes as parameter_slopes
 from orbitfinder.families.strips import strips
-from orbitfinder.loops.continued import Curve, head_of
+from orbitfinder.loops.continued import Curve
 from orbitfinder.orbits.floquet import ERROR_FLOOR
 from orbitfinder.records.family import Event
 
@@ -52,7 +52,7 @@ def _slope(name: str) -> Measure:
 
 def folds(interval: Interval) -> Iterator[Test]:
     """Every fold of the interval."""
-    free = interval.curve.propagator.free
+    free = interval.curve.equations.free
     for name in free or ("energy", "period"):
         if interval.first.slopes[name] * interval.last.slopes[name] < 0:
             yield Test("fold", name, _slope(name))
@@ -124,9 +124,9 @@ def _event(curve: Curve, probe: Probe, test: Test, settings: FamilySettings, arc
         multiplier=test.multiplier,
         shooting_nodes=place.nodes,
         mesh=place.mesh,
-        tangent=head_of(probe.whole, place),
-        symmetry=curve.propagator.symmetry.name,
-        free=dict(zip(curve.propagator.free, map(float, place.free), strict=True)),
+        tangent=place.head_of(probe.whole),
+        symmetry=curve.equations.symmetry.name,
+        free=dict(zip(curve.equations.free, map(float, place.free), strict=True)),
     )
 
 

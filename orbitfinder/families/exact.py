@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.events import Interval, make_probe
 from orbitfinder.families.point import make_point, parameter_value
 from orbitfinder.families.run import Stand, Walk
-from orbitfinder.loops.continued import Aim, Place, Solution, correct, distance, head_of, tangent
+from orbitfinder.loops.continued import Solution, correct, distance, tangent
+from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.square import pinned
 from orbitfinder.records.family import FamilyPoint
 
 
@@ -26,8 +26,8 @@ def exact_points(
             continue
         guess = interval.guess(a + (b - a) * (value - low) / (high - low))
         place = _solve_level(walk, stand, guess, value, interval.length)
-        whole = tangent(walk.curve, place, head_of(stand.whole, stand.found.place))
-        normal = walk.curve.weights * head_of(stand.whole, stand.found.place)
+        whole = tangent(walk.curve, place, stand.found.place.head_of(stand.whole))
+        normal = walk.curve.weights * stand.found.place.head_of(stand.whole)
         along = float(normal @ (place.place.head - stand.found.place.head))
         expected = interval.indices(along)
         where: dict[str, Any] = {
@@ -35,7 +35,7 @@ def exact_points(
             "step": stand.point.step, "role": role,
             "indices": make_probe(walk.curve, along, place, whole, expected).indices,
         }  # fmt: skip
-        head = head_of(whole, place.place)
+        head = place.place.head_of(whole)
         found.append(make_point(walk.curve, place, head, walk.settings.parameter, walk.check, **where)[0])
     return found
 
@@ -50,19 +50,10 @@ def _level(walk: Walk, interval: Interval, at: float) -> float:
     return parameter_value(walk.curve, place, walk.settings.parameter)
 
 
-def _solve_level(walk: Walk, stand: Stand, guess: Place, value: float, reach: float) -> Solution:
+def _solve_level(walk: Walk, stand: Stand, guess: Unknowns, value: float, reach: float) -> Solution:
     """The orbit at a given value of the parameter, on a mesh that satisfies it."""
-    curve, size = walk.curve, walk.curve.propagator.size
-    name, model = walk.settings.parameter, walk.curve.propagator.model
-    unit = np.eye(curve.weights.size)
-    if name == "energy":
-        aim = Aim(value, invariant=-1)
-    elif name == "period":
-        aim = Aim(value, unit[size])
-    elif name in curve.propagator.free:
-        aim = Aim(value, unit[size + 1 + curve.propagator.free.index(name)])
-    else:
-        aim = Aim(value, unit[model.state_index(name)])
+    curve = walk.curve
+    aim = pinned(curve.equations, walk.settings.parameter, value)
     found = correct(curve, guess, aim, stand.found.place, reach=reach, slope=stand.found.jacobian)
     if distance(curve, found.place.head, stand.found.place.head) > 2 * reach:
         raise ConvergenceError("the exact value was found on another part of the family")

@@ -12,12 +12,12 @@ import numpy as np
 
 from orbitfinder._runtime import limit, locks
 from orbitfinder.errors import InputError, LimitError
-from orbitfinder.families.certified import batch_certified, certified
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.follow import follow
+from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings, winding
 from orbitfinder.families.run import Walk, first_point
-from orbitfinder.families.start import Start, begin, curve_of
+from orbitfinder.families.start import Start, begin, curve_of, entry_of
 from orbitfinder.families.switching import Branch
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
@@ -96,7 +96,7 @@ def follow_family(
 
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
-    check = closure_check(curve.propagator.model)
+    check = closure_check(curve.equations.model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         closure = check(point.state, point.period, np.array(winding(curve)), allowed, point.free)
@@ -116,7 +116,7 @@ def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings,
 def _model_of(origin: Orbit | Problem | Start | Branch, journal: Journal, model: Model | None) -> Model:
     """The model that the journal's curve is made of: a linkage's is the minimal one that was chosen then."""
     if isinstance(origin, (Start, Branch)):
-        return _started(origin, FamilySettings(), None).curve.propagator.model
+        return _started(origin, FamilySettings(), None).curve.equations.model
     model = model or (origin.model if isinstance(origin, Problem) else None)
     system = journal.header["system"]
     if model is None or "independent" in system or dict(model.system) != system:
@@ -154,15 +154,15 @@ def _header(
 ) -> dict[str, Any]:
     """The first line of a journal: the family's first point and what rebuilds its curve."""
     curve = start.curve
-    origin = first_point(start, settings, closure_check(curve.propagator.model) if settings.certify else None)
+    origin = first_point(start, settings, closure_check(curve.equations.model) if settings.certify else None)
     header: dict[str, Any] = plain({
-        "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.propagator.model.system),
+        "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.equations.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
         "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
         "curve": {
-            "symmetry": curve.propagator.symmetry.name, "free": list(curve.propagator.free),
-            "constant": curve.constant, "held": [list(one) for one in curve.held],
-            "weights": curve.weights, "period": curve.period,
+            "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
+            "constant": curve.constant, "winding": winding(curve), "weights": curve.weights,
+            **entry_of(curve.conditions),
         },
     })  # fmt: skip
     return header
@@ -199,7 +199,7 @@ def _finish(
 ) -> Family:
     """Follow what is left in each direction, journalling every step where there is a folder."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
-    check = closure_check(curve.propagator.model) if settings.certify else None
+    check = closure_check(curve.equations.model) if settings.certify else None
     batches = list(journal.batches)
     for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1))):
         done, end = journal.steps(sign), journal.end(sign)

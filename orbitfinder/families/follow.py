@@ -18,23 +18,13 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.ends import end_after, energies_of, merged, returned, shortest_step
 from orbitfinder.families.events import Interval, Probe, find_events, make_interval, make_probe
 from orbitfinder.families.exact import exact_points
-from orbitfinder.families.point import FamilySettings, make_point
+from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Stand, Walk, stand_at, trend_of
 from orbitfinder.families.scale import span
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.families.strips import avoided
-from orbitfinder.loops.continued import (
-    Aim,
-    Curve,
-    Place,
-    Solution,
-    advanced,
-    bend,
-    correct,
-    distance,
-    head_of,
-    tangent,
-)
+from orbitfinder.loops.continued import Curve, Solution, advanced, bend, correct, distance, tangent
+from orbitfinder.loops.loop import Condition
 from orbitfinder.loops.mesh import refined, regraded, settled
 from orbitfinder.records.family import Batch, End, Event, FamilyPoint
 
@@ -90,22 +80,22 @@ def stride(walk: Walk, stand: Stand) -> tuple[Stand, Batch]:
 def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
     began = time.perf_counter()
     curve, place, unit = walk.curve, stand.found.place, _span(walk.curve, stand.found)
-    head = head_of(stand.whole, place)
+    head = place.head_of(stand.whole)
     guess = advanced(place, stand.whole, length, stand.curvature)
     normal = curve.weights * head
-    aim = Aim(float(normal @ place.head) + length, normal)
+    aim = Condition(float(normal @ place.head) + length, normal)
     slope = stand.found.jacobian if stand.drift is None else stand.found.jacobian + length * stand.drift
     raw = correct(curve, guess, aim, place, reach=0.5 * length + 1e-9 * unit, slope=slope, fit=regraded)
     whole = tangent(curve, raw, head)
-    turn = _angle(curve, head, head_of(whole, raw.place))
+    turn = _angle(curve, head, raw.place.head_of(whole))
     if turn > walk.settings.sharpest_turn:
         raise ConvergenceError(f"the family turns by {turn:.2g} rad within one step")
     stretch = abs(raw.place.period / place.period - 1.0)
     if stretch > walk.settings.longest_stretch and length > LEAST_STRETCHED * unit:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
-    found = settled(curve, raw, curve.weights * head_of(whole, raw.place))
+    found = settled(curve, raw, curve.weights * raw.place.head_of(whole))
     if found is not raw:
-        whole = tangent(curve, found, head_of(whole, raw.place))
+        whole = tangent(curve, found, raw.place.head_of(whole))
     last = make_probe(curve, length, raw, tangent(curve, raw, head) if found is not raw else whole,
                       stand.point.indices + stand.trend)  # fmt: skip
     if length > walk.settings.narrowest * unit and avoided(stand.probe, last):
@@ -132,7 +122,7 @@ def _checked_point(
     walk: Walk, found: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
 ) -> tuple[FamilyPoint, Solution]:
     """The point of a corrected place, on a finer mesh where it does not close on this one."""
-    head, name = head_of(whole, found.place), walk.settings.parameter
+    head, name = found.place.head_of(whole), walk.settings.parameter
     for trial in range(REFINEMENTS + 1):
         try:
             return make_point(walk.curve, found, head, name, walk.check, about=about, **where)[0], found
@@ -145,7 +135,7 @@ def _checked_point(
 
 def _span(curve: Curve, found: Solution) -> float:
     """What lengths along the family are relative to here."""
-    return span(curve.propagator.model.angles, curve.weights, found.march.states)
+    return span(curve.equations.model.angles, curve.weights, found.march.states)
 
 
 def _angle(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:
@@ -188,7 +178,7 @@ def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
     for event in named:
         turned = (event.kind, event.detail) == ("fold", "energy")
         at = abs(event.arclength - where)
-        joined = merged(curve, _place_of(curve, event), interval, at) if turned else None
+        joined = merged(curve, unknowns_of(curve, event), interval, at) if turned else None
         if joined is not None:
             reach = abs(event.arclength - where)
             kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
@@ -211,11 +201,6 @@ def _events(interval: Interval, settings: FamilySettings) -> list[tuple[float, E
             raise
         logging.getLogger(__name__).warning("an event could not be located: %s", error)
         return []
-
-
-def _place_of(curve: Curve, event: Event) -> Place:
-    free = np.array(list(event.free.values()))
-    return Place(event.shooting_nodes, event.period, np.zeros(curve.propagator.unfolding), free, event.mesh)
 
 
 def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:

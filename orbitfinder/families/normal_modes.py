@@ -17,6 +17,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.guesses import modes as guesses
 from orbitfinder.loops.problem import Problem
+from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model
 
 AMPLITUDE = 0.02
@@ -81,4 +82,4 @@ def mode_problem(
             f"{len(modes.centres)} oscillating modes out of {model.degrees_of_freedom}"
         )
     guess = guesses.normal_mode(model, modes.centres[mode - 1] + 1, amplitude, equilibrium)
-    return Problem(model, guess, symmetry="brake+reflection", name=name or f"mode-{mode}")
+    return Problem(model, guess, symmetry=QUARTER.name, name=name or f"mode-{mode}")

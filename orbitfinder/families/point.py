@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,10 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.closure import ClosureCheck
 from orbitfinder.families.scale import extents
 from orbitfinder.families.stability import Spectrum, spectrum
-from orbitfinder.loops.continued import Curve, Place, Solution
-from orbitfinder.loops.graded import invariants_at
+from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.closure import carried
-from orbitfinder.records.family import CLOSURE, FamilyPoint, turns
+from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
 
 PIECEWISE = 1e3
@@ -54,15 +54,15 @@ class FamilySettings:
 Check = ClosureCheck
 
 
-def parameter_value(curve: Curve, place: Place, name: str) -> float:
+def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:
     """The number that the family's parameter has at a place."""
-    p = curve.propagator
+    p = curve.equations
     if name in p.free:
         return float(place.free[p.free.index(name)])
     if name == "period":
         return place.period
     if name == "energy":
-        return float(invariants_at(p, place.nodes[0], place.free)[0][-1])
+        return float(p.quantities_at(place.nodes[0], place.free)[0][p.energy])
     return float(place.nodes[0][p.model.state_index(name)])
 
 
@@ -79,10 +79,10 @@ def make_point(
 
     Raises `ConvergenceError` when the independent closure is above what double precision can hold.
     """
-    p, place = curve.propagator, found.place
+    p, place = curve.equations, found.place
     about = about or spectrum(curve, found)
     units = extents(found.march.states)
-    parts = [matrix[:, : p.size] * units / units[:, None] for matrix in found.march.sensitivities]
+    parts = list(found.march.transitions * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
     free = dict(zip(p.free, map(float, place.free), strict=True))
@@ -108,7 +108,7 @@ def make_point(
         state=place.nodes[0],
         period=place.period,
         energy=parameter_value(curve, place, "energy"),
-        action=found.march.action / p.symmetry.fraction,
+        action=found.march.integral / p.symmetry.fraction,
         closure=closure,
         defect=defect,
         scale=grown,
@@ -133,23 +133,24 @@ def piecewise_defect(curve: Curve, found: Solution, check: Check, free: Mapping[
 
     Both relative to the motion; the growth of a piece is the 2-norm of its state-transition matrix.
     """
-    place, size, units = found.place, curve.propagator.size, extents(found.march.states)
-    across = np.maximum(np.abs(curve.first) * units, np.abs(curve.last) * units).max(axis=1)
+    place, units = found.place, extents(found.march.states)
+    first, last = curve.equations.boundary
+    across = np.maximum(np.abs(first) * units, np.abs(last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
     ends = check.ends(place.nodes, durations, free)
-    boundary = curve.first @ place.nodes[0] + curve.last @ ends[-1] - curve.constant
+    boundary = first @ place.nodes[0] + last @ ends[-1] - curve.constant
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
-    growth = max(np.linalg.norm(matrix[:, :size] * units / units[:, None], 2) for matrix in found.march.sensitivities)
+    growth = max(np.linalg.norm(matrix * units / units[:, None], 2) for matrix in found.march.transitions)
     return float(np.abs(gaps).max()), max(1.0, float(growth))
 
 
 def winding(curve: Curve) -> tuple[int, ...]:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-    return turns(curve.propagator.symmetry.name, curve.constant, curve.propagator.size // 2)
+    return tuple(int(k) for k in curve.equations.symmetry.turns(curve.constant))
 
 
-def place_of(point: FamilyPoint) -> Place:
-    """The shooting unknowns that a stored point stands for."""
-    return Place(
-        point.shooting_nodes, point.period, np.array(point.unfolding), np.array(list(point.free.values())), point.mesh
-    )
+def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:
+    """The shooting unknowns that a stored point or event stands for."""
+    free = np.array(list(member.free.values()))
+    w = curve.equations.unknowns(member.shooting_nodes, member.period, member.mesh, free)
+    return replace(w, unfolding=np.array(member.unfolding)) if isinstance(member, FamilyPoint) else w

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.families.events import Probe, make_probe, parameter_slopes
-from orbitfinder.families.point import Check, FamilySettings, make_point, place_of
+from orbitfinder.families.point import Check, FamilySettings, make_point, unknowns_of
 from orbitfinder.families.scale import span
 from orbitfinder.families.start import Start
 from orbitfinder.loops.continued import Curve, Solution, at_place, bend, tangent
@@ -53,7 +53,7 @@ def first_point(start: Start, settings: FamilySettings, check: Check | None) -> 
     head = start.direction
     if parameter_slopes(start.curve, start.found.place, head)[settings.parameter] < 0:
         head = -head
-    unit = span(start.curve.propagator.model.angles, start.curve.weights, start.found.march.states)
+    unit = span(start.curve.equations.model.angles, start.curve.weights, start.found.march.states)
     where: dict[str, Any] = {"index": 0, "arclength": 0.0, "step": settings.first_step * unit}
     return make_point(start.curve, start.found, head, settings.parameter, check, **where)[0]
 
@@ -61,17 +61,17 @@ def first_point(start: Start, settings: FamilySettings, check: Check | None) -> 
 def stand_at(walk: Walk, points: Sequence[FamilyPoint]) -> Stand:
     """The state of the walk after its last point; everything follows from the points themselves."""
     last = points[-1]
-    found = at_place(walk.curve, place_of(last))
+    found = at_place(walk.curve, unknowns_of(walk.curve, last))
     sign = walk.direction if len(points) == 1 else 1
     whole = tangent(walk.curve, found, sign * last.tangent)
     curvature, trend = np.zeros_like(whole), np.zeros_like(last.indices)
     if len(points) > 1:
         before = points[-2]
-        curvature = bend(walk.curve, found.place, whole, place_of(before))
+        curvature = bend(walk.curve, found.place, whole, unknowns_of(walk.curve, before))
         trend = trend_of(before, last)
     shortest = min(point.period for point in points)
     probe = make_probe(walk.curve, 0.0, found, whole, last.indices)
-    heads = tuple(place_of(point).head for point in points)
+    heads = tuple(unknowns_of(walk.curve, point).head for point in points)
     return Stand(last, found, whole, curvature, trend, shortest, probe, heads)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.scale import span
 from orbitfinder.families.stability import Spectrum, matching, spectrum
-from orbitfinder.loops.continued import Aim, Curve, Place, Solution, advanced, bend, correct, head_of, tangent
-from orbitfinder.loops.graded import invariants_at
+from orbitfinder.loops.continued import Curve, Solution, advanced, bend, correct, tangent
+from orbitfinder.loops.loop import Condition, Unknowns
 
 REAL = 1e-7
 """An index counts as real when its imaginary part is below this, relative to its size."""
@@ -70,17 +70,17 @@ class Interval:
     def probed(self, distance: float) -> Probe:
         """The same, computed."""
         first, curve = self.first, self.curve
-        normal = curve.weights * head_of(first.whole, first.found.place)
-        aim = Aim(float(normal @ first.found.place.head) + distance, normal)
+        normal = curve.weights * first.found.place.head_of(first.whole)
+        aim = Condition(float(normal @ first.found.place.head) + distance, normal)
         reach = max(0.5 * self.length, 1e-6 * self.unit)
         found = correct(curve, self.guess(distance), aim, first.found.place, reach, self.slope(distance))
-        whole = tangent(curve, found, head_of(first.whole, first.found.place))
+        whole = tangent(curve, found, first.found.place.head_of(first.whole))
         probe = make_probe(curve, distance, found, whole, self.indices(distance))
         if probe.indices.shape != first.indices.shape:
             raise ConvergenceError("the orbit is a relative equilibrium, whose flow is one of its symmetries")
         return probe
 
-    def guess(self, distance: float) -> Place:
+    def guess(self, distance: float) -> Unknowns:
         """The cubic through both ends with both tangents."""
         bent = self.curvature + (distance - self.length) * self.twist
         return advanced(self.first.found.place, self.first.whole, distance, bent)
@@ -96,10 +96,10 @@ class Interval:
         return np.asarray((1 - share) * self.first.indices + share * self.last.indices)
 
 
-def parameter_slopes(curve: Curve, place: Place, head: np.ndarray) -> dict[str, float]:
+def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[str, float]:
     """d/ds of energy, period and every freed parameter along a direction over the head."""
-    p, size = curve.propagator, curve.propagator.size
-    _, slope, free = invariants_at(p, place.nodes[0], place.free)
+    p, size = curve.equations, curve.equations.size
+    _, slope, free = p.quantities_at(place.nodes[0], place.free)
     energy = float(slope[-1] @ head[:size] + free[-1] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.free)}
@@ -109,7 +109,7 @@ def parameter_slopes(curve: Curve, place: Place, head: np.ndarray) -> dict[str, 
 def make_probe(curve: Curve, distance: float, found: Solution, whole: np.ndarray, expected: np.ndarray) -> Probe:
     """Everything that the tests read, at one corrected place."""
     about = spectrum(curve, found)
-    slopes = parameter_slopes(curve, found.place, head_of(whole, found.place))
+    slopes = parameter_slopes(curve, found.place, found.place.head_of(whole))
     order = matching(expected, about.indices)
     return Probe(distance, found, whole, about, about.indices[order], about.turns[order], slopes)
 
@@ -121,10 +121,10 @@ def make_interval(curve: Curve, first: Probe, last: Probe) -> Interval:
     """
     curvature = bend(curve, first.found.place, first.whole, last.found.place)
     twist, length = np.zeros_like(curvature), last.distance
-    along = float((curve.weights * head_of(first.whole, first.found.place)) @ head_of(last.whole, last.found.place))
+    along = float((curve.weights * first.found.place.head_of(first.whole)) @ last.found.place.head_of(last.whole))
     if last.whole.shape == first.whole.shape and along > 0.5:
         twist = (last.whole / along - first.whole - 2 * length * curvature) / length**2
-    unit = span(curve.propagator.model.angles, curve.weights, first.found.march.states)
+    unit = span(curve.equations.model.angles, curve.weights, first.found.march.states)
     return Interval(curve, first, last, curvature, twist, unit=unit)
 
 

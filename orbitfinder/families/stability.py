@@ -9,7 +9,6 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.continued import Curve, Solution
-from orbitfinder.loops.graded import invariants_at, momentum_slopes, rate_at
 from orbitfinder.orbits.floquet import Floquet, analyse, reciprocal_pairs, reduce_monodromy
 
 UNRESOLVED = 1e7
@@ -42,7 +41,7 @@ class Spectrum:
 
 def spectrum(curve: Curve, found: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
-    p, place = curve.propagator, found.place
+    p, place = curve.equations, found.place
     root_map, root = _root_map(curve, found)
     gradients, directions = _frame(curve, found)
     reduced = reduce_monodromy(root_map, gradients, directions)
@@ -83,31 +82,19 @@ def _resolved(floquet: Floquet) -> Floquet:
 
 
 def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
-    """The map whose power `root` is the monodromy.
-
-    With R = diag(1, -1) the reversal of rates and A the matrix of the horizon: reflection, -A
-    (T/2), brake, R A^-1 R A (T), reversal, P A^-1 P A (T), both, -(P A^-1 P A) with P = diag(-1, 1) (T/2).
-    """
-    size = curve.propagator.size
-    name, n = curve.propagator.symmetry.name, size // 2
+    """The matrix of which the monodromy is a power, and that power, from the horizon's matrix by the symmetry."""
+    size = curve.equations.size
     matrix = np.eye(size)
-    for block in found.march.sensitivities:
-        matrix = block[:, :size] @ matrix
-    if name == "none":
-        return matrix, 1
-    if name == "reflection":
-        return -matrix, 2
-    back = _inverse(curve, found, matrix)
-    signs = np.concatenate([np.ones(n), -np.ones(n)])
-    folded = (signs[:, None] * back * signs[None, :]) @ matrix
-    return (-folded, 2) if name == "brake+reflection" else (folded, 1)
+    for transition in found.march.transitions:
+        matrix = transition @ matrix
+    return curve.equations.symmetry.root(matrix, lambda other: _inverse(curve, found, matrix) @ other, size)
 
 
 def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
     """A^-1 by symplecticity, C A^-1 C'^-1 = -J (C' A C^-1)^T J in canonical coordinates."""
     place, end = found.place, found.march.ends[-1]
-    before = momentum_slopes(curve.propagator, place.nodes[0], place.free)
-    after = momentum_slopes(curve.propagator, end, place.free)
+    before = curve.equations.momentum_slopes(place.nodes[0], place.free)
+    after = curve.equations.momentum_slopes(end, place.free)
     canonical = after @ matrix @ np.linalg.inv(before)
     unit = _symplectic_unit(len(matrix) // 2)
     return np.asarray(np.linalg.solve(before, -unit @ canonical.T @ unit @ after))
@@ -119,13 +106,14 @@ def _symplectic_unit(n: int) -> np.ndarray:
 
 def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of the invariants and symmetry directions, the flow first, at x(0). Raises `ConvergenceError`."""
-    p, place = curve.propagator, found.place
+    p, place = curve.equations, found.place
     x, n = place.nodes[0], p.size // 2
-    directions = [rate_at(p, x, place.unfolding, place.free)]
+    directions = [p.march.rates(x[None], place.tail)[0]]
     if not np.any(directions[0]):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
-    directions += [one(x[:n], x[n:], p.model.parameter_values).full().ravel() for one in p.generators]
-    gradients = invariants_at(p, x, place.free)[1][:-1]
+    values = p.model.parameter_values
+    directions += [one.generator(x[:n], x[n:], values).full().ravel() for one in p.model.invariants if one.generator]
+    gradients = p.quantities_at(x, place.free)[1][: p.energy]
     return gradients, np.asarray(directions)
 
 
@@ -138,7 +126,7 @@ def _basis(gradients: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 def _form(curve: Curve, x: np.ndarray, free: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """The symplectic form J, in canonical coordinates, on the space that a basis spans."""
-    lift = momentum_slopes(curve.propagator, x, free) @ basis
+    lift = curve.equations.momentum_slopes(x, free) @ basis
     return np.asarray(lift.T @ _symplectic_unit(len(lift) // 2) @ lift)
 
 

@@ -14,12 +14,14 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.scale import length
-from orbitfinder.loops.conditions import SYMMETRIES, Pin
-from orbitfinder.loops.continued import Aim, Curve, Place, Solution, correct, head_of, kernel, make_curve
-from orbitfinder.loops.graded import Propagator, boundary_matrices, build_propagator, invariants_at, march, rates
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
+from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.symmetry import check_symmetry, recognise
+from orbitfinder.loops.square import pinned
+from orbitfinder.loops.symmetry import NONE, Symmetry, named, off_centre, recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit
@@ -55,12 +57,12 @@ def begin(
     if free and problem.model.conservative:
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
-    base = replace(problem, symmetry="none") if wanted != problem.symmetry else problem
+    base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest"
     start = (_found_first if chosen else _tried)(base, free, held)
     if symmetry == "auto":
         wanted = symmetry_of(start.curve, start.found)
-    return reformulated(start, wanted, free, held)
+    return reformulated(start, named(wanted, problem.model), free, held)
 
 
 def _tried(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
@@ -119,68 +121,64 @@ def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[st
 def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
     """The same orbit on the curve on which physical parameters vary and what is held keeps its value."""
     old, place = base.curve, base.found.place
-    model = old.propagator.model
-    numbers = np.array([model.parameter_values[model.parameter_index(name)] for name in free])
-    propagator, place = build_propagator(model, old.propagator.symmetry.name, free), replace(place, free=numbers)
-    curve = replace(curve_at(propagator, place, held), constant=old.constant)
-    return corrected(curve, place, Aim(float(numbers[0]), np.eye(curve.weights.size)[-1]))
+    model = old.equations.model
+    equations = Equations(model, old.equations.symmetry, free, action=True)
+    place = replace(place, free=equations.numbers)
+    curve = replace(curve_at(equations, place, held), constant=old.constant)
+    return corrected(curve, place, pinned(equations, free[0], float(place.free[0])))
 
 
 def _start(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
-    propagator = build_propagator(problem.model, problem.symmetry, free)
-    state = np.asarray(problem.guess.state, float)
-    numbers = np.array([problem.model.parameter_values[problem.model.parameter_index(name)] for name in free])
-    place = Place(state[None], float(problem.guess.period), np.zeros(propagator.unfolding), numbers, np.zeros(0))
-    curve = curve_at(propagator, place, held, problem.turns)
-    steps = int(FIRST_STEPS * propagator.symmetry.fraction)
-    place = replace(place, mesh=np.linspace(0.0, propagator.symmetry.fraction, steps + 1))
-    aim = _first_aim(curve, place, problem, free)
-    return corrected(curve, place, aim)
+    equations = Equations(problem.model, problem.boundary, free, action=True)
+    fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
+    place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
+    curve = curve_at(equations, place, held, problem.turns)
+    return corrected(curve, place, _first_aim(curve, place, problem, free))
 
 
 def curve_at(
-    propagator: Propagator, place: Place, held: tuple[str, ...] = (), turns: np.ndarray | None = None
+    equations: Equations, place: Unknowns, held: tuple[str, ...] = (), turns: np.ndarray | None = None
 ) -> Curve:
     """The curve with its boundary constant and held values taken at a place near it.
 
     The constants are multiples of pi: a symmetric motion may be symmetric about an upright link.
     """
-    model, n, name = propagator.model, propagator.size // 2, propagator.symmetry.name
-    constant = np.zeros(2 * n)
-    steps = np.linspace(0, propagator.symmetry.fraction, len(place.nodes) * 40 + 1)
-    path = march(propagator, place.nodes, steps, place.tail)
-    if name == "none":
-        constant[:n] = 2 * np.pi * (0 if turns is None else turns)
-    elif name != "brake":
-        end, first = path.ends[-1, :n], place.nodes[0, :n]
-        if name == "reflection":
-            constant[:n] = 2 * _half_turns(model, 0.5 * (first + end))
-        else:
-            constant[n:] = _half_turns(model, end)
-            constant[:n] = _half_turns(model, first) if name == "reversal" else 0.0
-    values = invariants_at(propagator, place.nodes[0], place.free)[0]
+    model, symmetry = equations.model, equations.symmetry
+    steps = uniform(symmetry.fraction, len(place.nodes), 40)
+    states = equations.march.states(place.nodes, steps, place.tail)
+    whole = None if symmetry.maps else turns
+    constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], states[-1], whole)
+    values = equations.quantities_at(place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
-    fixed = tuple((names.index(one), float(values[names.index(one)])) for one in held if one in names)
-    curve = make_curve(propagator, constant, place.head, fixed, length(model.angles, path.states))
-    return replace(curve, period=place.period) if "period" in held else curve
+    known = {"period": place.period} | dict(zip(names, map(float, values), strict=False))
+    fixed = tuple(pinned(equations, one, known[one]) for one in held if one in known)
+    return make_curve(equations, constant, place, fixed, length(model.angles, states))
 
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
     known = read_as(CurveEntry, entry, "curve", "continue the family again")
-    if known.symmetry not in SYMMETRIES:
+    if known.symmetry not in symmetries_of(model):
         raise InputError(f"curve: unknown symmetry {known.symmetry!r}; continue the family again")
     unknown_parameters(model, settings)
     for name in known.free:
         model.parameter_index(name)
-    propagator = build_propagator(model, known.symmetry, known.free)
-    first, last = boundary_matrices(propagator)
-    wanted = len(first), propagator.size + 1 + len(known.free)
+    equations = Equations(model, named(known.symmetry, model), known.free, action=True)
+    wanted = equations.size, equations.size + 1 + len(known.free)
     if (known.constant.shape, known.weights.shape) != (wanted[:1], wanted[1:]) or not np.all(known.weights > 0):
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
     if not all(0 <= k < len(model.invariants) for k, _ in known.held):
         raise InputError(f"curve.held: {list(known.held)} of {len(model.invariants)} invariants; continue again")
-    return Curve(propagator, first, last, known.constant, known.held, known.weights, known.period)
+    conditions = tuple(Condition(value, quantity=k) for k, value in known.held)
+    if known.period is not None:
+        conditions += (pinned(equations, "period", known.period),)
+    return Curve(equations, known.constant, conditions, weights=known.weights)
+
+
+def entry_of(conditions: tuple[Condition, ...]) -> dict[str, Any]:
+    """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, or the period."""
+    held = [[one.quantity, one.value] for one in conditions if one.normal is None]
+    return {"held": held, "period": next((one.value for one in conditions if one.normal is not None), None)}
 
 
 @dataclass(frozen=True)
@@ -195,39 +193,28 @@ class CurveEntry:
     period: float | None
 
 
-def _half_turns(model: Model, q: np.ndarray) -> np.ndarray:
-    """The multiple of pi nearest to each angle, 0 for other coordinates."""
-    return np.where(np.asarray(model.angles), np.pi * np.round(q / np.pi), 0.0)
-
-
-def _first_aim(curve: Curve, place: Place, problem: Problem, free: tuple[str, ...]) -> Aim:
+def _first_aim(curve: Curve, place: Unknowns, problem: Problem, free: tuple[str, ...]) -> Condition:
     """Where on the family to begin: the freed parameter's own value, the pin, else the guess's energy."""
-    size, p = curve.propagator.size, curve.propagator
-    unit = np.eye(size + 1 + len(free))
+    equations = curve.equations
     if free:
-        return Aim(float(place.free[0]), unit[-1])
-    one = problem.pin[0] if problem.pin else None
-    if one is not None and one.name == "period":
-        return Aim(one.value, unit[size])
-    if one is not None and one.name in problem.model.state_names:
-        return Aim(one.value, unit[problem.model.state_index(one.name)])
-    names = [invariant.name for invariant in problem.model.invariants]
-    k = names.index(one.name) if one is not None and one.name in names else -1
-    value = float(invariants_at(p, place.nodes[0], place.free)[0][k]) if one is None else one.value
-    return Aim(value, invariant=k)
+        return pinned(equations, free[0], float(place.free[0]))
+    if problem.pin:
+        return pinned(equations, problem.pin[0].name, problem.pin[0].value)
+    energy = float(equations.quantities_at(place.nodes[0], place.free)[0][equations.energy])
+    return pinned(equations, "energy", energy)
 
 
-def corrected(curve: Curve, place: Place, aim: Aim, reference: Place | None = None, reach: float = 10.0) -> Start:
+def corrected(
+    curve: Curve, place: Unknowns, aim: Condition, reference: Unknowns | None = None, reach: float = 10.0
+) -> Start:
     """Correct a first guess on successively better meshes."""
-    trial = Solution(place, march(curve.propagator, place.nodes, place.mesh, place.tail), np.zeros((0, 0)), 0, 0.0)
     for _ in range(2):
-        place = remeshed(curve, trial)
-        trial = replace(trial, place=place, march=march(curve.propagator, place.nodes, place.mesh, place.tail))
+        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0, 0.0))
     try:
         found = correct(curve, place, aim, reference, reach)
     except (ConvergenceError, IntegrationError) as error:
         raise ConvergenceError(f"no orbit to start the family from: {error}; find and certify one first") from error
-    direction = head_of(kernel(curve, found), found.place)
+    direction = found.place.head_of(kernel(curve, found))
     found = settled(curve, found, curve.weights * direction)
     return Start(curve, found, direction)
 
@@ -238,102 +225,63 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     A motion may be more symmetric than its system, such as one along a line beside which nothing is even: its
     variations then do not repeat after a part of the period.
     """
-    if curve.propagator.symmetry.name == "brake+reflection":
-        return "brake+reflection"
+    if len(curve.equations.symmetry.maps) > 1:
+        return curve.equations.symmetry.name
     times, states = full_samples(curve, found, 4 * SAMPLES)  # of several turns, if it branched off a resonance
-    model = curve.propagator.model
-    name = recognise(times, states, np.asarray(model.angles))
+    model = curve.equations.model
+    seen = symmetries_of(model)[recognise(times, states, model)]
+    candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
-        return "reflection" if "reflection" in name and _has(model, states[0], "reflection") else "none"
-    weaker = ("brake", "reversal", "reflection") if name == "brake+reflection" else ()
-    return next((one for one in (name, *weaker) if _has(model, states[0], one)), "none")
+        candidates = [Symmetry((seen.forward,))] if seen.forward else []
+    return next((one.name for one in candidates if one.held_by(model, states[0])), NONE.name)
 
 
-def _has(model: Model, state: np.ndarray, symmetry: str) -> bool:
-    """Whether the equations keep a symmetry."""
-    try:
-        check_symmetry(model, state, symmetry)
-    except InputError:
-        return False
-    return True
-
-
-def _odd_state(curve: Curve, times: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """The state at the instant when every angle is nearest to a multiple of pi, and every other coordinate to 0."""
-    model, n = curve.propagator.model, curve.propagator.size // 2
-    away = states[:-1, :n] - _half_turns(model, states[:-1, :n])
+def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: Symmetry) -> np.ndarray:
+    """The state at the instant nearest to the fixed set that the horizon starts in, moved into it."""
+    model, one = curve.equations.model, symmetry.maps[0]
+    n = model.degrees_of_freedom
+    tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
+    slopes = curve.equations.march.rates(states, tail)
+    clock = np.repeat([1.0, times[-1] / (2 * np.pi)], n)
+    away = off_centre(one, states[:-1] * clock, model.angles)
     k = int(np.argmin(np.abs(away).max(axis=1)))
-    v = states[k, n:]
-    moment = times[k] - float(away[k] @ v) / max(float(v @ v), 1e-300)
-    tail = np.concatenate([[times[-1]], np.zeros(curve.propagator.unfolding), _numbers(curve)])
-    slopes = rates(curve.propagator, states, tail)
-    state = CubicHermiteSpline(times, states, slopes)(moment % times[-1])
-    return np.asarray(state)
-
-
-def _numbers(curve: Curve) -> np.ndarray:
-    model = curve.propagator.model
-    return np.array([model.parameter_values[model.parameter_index(name)] for name in curve.propagator.free])
+    first, _ = symmetry.rows(n)
+    speed = (first @ (slopes[k] * clock))[:n]
+    moment = times[k] - float(away[k] @ speed) / max(float(speed @ speed), 1e-300)
+    state = np.asarray(CubicHermiteSpline(times, states, slopes)(moment % times[-1]))
+    return state - np.linalg.pinv(first[:n]) @ off_centre(one, state[None], model.angles)[0]
 
 
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
-    p, place = curve.propagator, found.place
+    p, place = curve.equations, found.place
     each, edges = -(-count // len(place.nodes)), place.edges
     mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
-    mesh, states = unfolded(curve, mesh, march(p, place.nodes, mesh, place.tail).states)
+    mesh, states = p.symmetry.whole(mesh, p.march.states(place.nodes, mesh, place.tail), curve.constant)
     times = np.linspace(0.0, place.period, count + 1)
-    return times, CubicHermiteSpline(mesh * place.period, states, rates(p, states, place.tail))(times)
+    return times, CubicHermiteSpline(mesh * place.period, states, p.march.rates(states, place.tail))(times)
 
 
-def unfolded(curve: Curve, mesh: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times (in periods) and states of the whole period from those of a formulation's horizon."""
-    n, name = curve.propagator.size // 2, curve.propagator.symmetry.name
-    signs = np.concatenate([np.ones(n), -np.ones(n)])
-    if "brake" in name or name == "reversal":
-        about = np.concatenate([2 * curve.constant[n:], np.zeros(n)])
-        mirrored = states[-2::-1] * signs if name == "brake" else about - states[-2::-1] * signs
-        mesh, states = np.concatenate([mesh, 2 * mesh[-1] - mesh[-2::-1]]), np.vstack([states, mirrored])
-    if "reflection" in name:
-        half = curve.constant if name == "reflection" else np.concatenate([2 * curve.constant[n:], np.zeros(n)])
-        mesh, states = np.concatenate([mesh, mesh[-1] + mesh[1:]]), np.vstack([states, half - states[1:]])
-    return mesh, states
-
-
-def section_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: str) -> np.ndarray:
-    """The state of an orbit that the formulation of a symmetry starts from."""
-    n = curve.propagator.size // 2
-    if symmetry == "reversal":
-        state = _odd_state(curve, times, states)
-        return np.concatenate([_half_turns(curve.propagator.model, state[:n]), state[n:]])
-    first = states[0]
-    if "brake" in symmetry:
-        first = states[np.argmin(np.abs(states[:-1, n:]).max(axis=1))].copy()
-        first[n:] = 0.0
-    return first
-
-
-def reformulated(start: Start, symmetry: str, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+def reformulated(start: Start, symmetry: Symmetry, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
     """The same orbit in the formulation of another symmetry, started at a brake instant where that needs one."""
     old, place = start.curve, start.found.place
-    if symmetry == old.propagator.symmetry.name:
+    if symmetry == old.equations.symmetry:
         return start
-    model = old.propagator.model
+    model = old.equations.model
     times, states = full_samples(old, start.found)
-    first = section_state(old, times, states, symmetry)
-    propagator = build_propagator(model, symmetry, free)
-    fresh = Place(first[None], place.period, np.zeros(propagator.unfolding), place.free, np.zeros(0))
+    first = _symmetric_state(old, times, states, symmetry) if symmetry.reverses else states[0]
+    equations = Equations(model, symmetry, free, action=True)
+    fresh = equations.unknowns(first[None], place.period, np.zeros(0), place.free)
     if len(place.nodes) > 1:  # too unstable to shoot over the horizon in one piece: nodes from the samples
         shifted = np.vstack([states[:-1], states])
         begin_at = int(np.argmin(np.abs(states[:-1] - first).max(axis=1)))
-        parts = max(1, round(len(place.nodes) * propagator.symmetry.fraction))
-        chosen = begin_at + (np.arange(parts) * propagator.symmetry.fraction * (len(states) - 1) / parts).astype(int)
+        parts = max(1, round(len(place.nodes) * equations.symmetry.fraction))
+        chosen = begin_at + (np.arange(parts) * equations.symmetry.fraction * (len(states) - 1) / parts).astype(int)
         fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))
-    curve = replace(curve_at(propagator, fresh), held=old.held, weights=old.weights, period=old.period)
-    steps = max(8, int(FIRST_STEPS * propagator.symmetry.fraction / len(fresh.nodes)))
-    fresh = replace(fresh, mesh=np.linspace(0.0, propagator.symmetry.fraction, len(fresh.nodes) * steps + 1))
-    unit = np.eye(old.weights.size)
-    aim = Aim(float(place.free[0]), unit[-1]) if free else Aim(
-        float(invariants_at(old.propagator, place.nodes[0], place.free)[0][-1]), invariant=-1
-    )  # fmt: skip
-    return corrected(curve, fresh, aim)
+    curve = replace(curve_at(equations, fresh), conditions=old.conditions, weights=old.weights)
+    steps = max(8, int(FIRST_STEPS * equations.symmetry.fraction / len(fresh.nodes)))
+    fresh = replace(fresh, mesh=uniform(equations.symmetry.fraction, len(fresh.nodes), steps))
+    if free:
+        return corrected(curve, fresh, pinned(equations, free[0], float(place.free[0])))
+    energy = float(old.equations.quantities_at(place.nodes[0], place.free)[0][old.equations.energy])
+    return corrected(curve, fresh, pinned(equations, "energy", energy))

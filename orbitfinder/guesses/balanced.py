@@ -17,6 +17,7 @@ from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.buffered import Buffered
 from orbitfinder.loops.conditions import Pin, pin_row
 from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model, energy
 
 GROWTHS = (1.7, 1.4, 1.2)
@@ -54,7 +55,7 @@ def suits(problem: Problem) -> bool:
     return (
         plain
         and model.forces is None
-        and problem.symmetry == "brake+reflection"
+        and problem.boundary == QUARTER
         and not chosen
         and problem.phase_condition is None
         and problem.guess.states is None

@@ -14,9 +14,10 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from orbitfinder._runtime.threads import PROCESSORS
 from orbitfinder.integrate.buffered import Buffered
 
-LANES = max(1, min(4, os.cpu_count() or 1))
+LANES = max(1, min(4, int(os.environ.get(PROCESSORS, os.cpu_count() or 1))))
 CHUNK = 64
 """Columns that are evaluated in one call where they do not depend on each other"""
 WORTH = 8000.0
@@ -26,60 +27,70 @@ INTERPRETED = 8.0
 STAGES = 12
 
 
-@lru_cache(maxsize=256)
-def _along(step: ca.Function, steps: int, lane: int) -> Buffered:
-    """All steps of one segment."""
-    return Buffered(step.mapaccum("march", steps) if steps > 1 else step)
+FEW = 16
+"""Up to so many columns are evaluated by a map of their own size"""
 
 
-@lru_cache(maxsize=64)
-def _across(function: ca.Function, lane: int) -> Buffered:
-    return Buffered(function.map(CHUNK))
+class Lanes:
+    """The marches and evaluations of one owner; one thread at a time, for they have one work space each."""
+
+    def __init__(self) -> None:
+        self._along = lru_cache(maxsize=256)(_along)
+        self._across = lru_cache(maxsize=64)(_across)
+        self._single = lru_cache(maxsize=64)(Buffered)
+
+    def called(self, function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
+        """A function at one place, its outputs as CasADi has them (rows x columns)."""
+        return [one.T for one in self._single(function)(*arguments)]
+
+    def marched(self, step: ca.Function, starts: np.ndarray, parameters: np.ndarray, path: bool) -> np.ndarray:
+        """Every step's result (M x ...), segment after segment; without `path` the last of each segment (N x ...).
+
+        `starts` (N x ...) of the segments, `parameters` (M x ...) of the steps.
+        """
+        count, steps = len(starts), len(parameters) // len(starts)
+        lanes = _lanes(step, count, steps * STAGES)
+        edges = np.arange(lanes + 1) * count // lanes
+        runs = [self._along(step, steps, int(edges[k + 1] - edges[k]), path, k) for k in range(lanes)]
+
+        def run(lane: int) -> list[np.ndarray]:
+            begin, end = edges[lane : lane + 2]
+            return [runs[lane](starts[begin:end], parameters[begin * steps : end * steps])[0]]
+
+        return np.concatenate(_shared(run, lanes, lanes))
+
+    def evaluated(self, function: ca.Function, stages: int, *arguments: np.ndarray) -> np.ndarray:
+        """A function of so many stages at k places (k x ...), many of them in chunks so that one map serves every k."""
+        count = len(arguments[0])
+        width = count if count <= FEW else CHUNK
+        begins = range(0, count, width)
+        lanes = _lanes(function, len(begins), width * stages)
+        maps = [self._across(function, width, lane) for lane in range(lanes)]
+
+        def filled(lane: int) -> list[np.ndarray]:
+            found = []
+            for begin in begins[lane::lanes]:
+                rows = np.minimum(np.arange(begin, begin + width), count - 1)
+                found.append(maps[lane](*(one[rows] for one in arguments))[0])
+            return found
+
+        return np.concatenate(_shared(filled, lanes, len(begins)))[:count]
 
 
-@lru_cache(maxsize=128)
-def _single(function: ca.Function) -> Buffered:
-    return Buffered(function)
+def _along(step: ca.Function, steps: int, segments: int, path: bool, lane: int) -> Buffered:
+    """All steps of some segments in one call, for one lane."""
+    if steps > 1:
+        step = step.mapaccum("march", steps) if path else step.fold(steps)
+    return Buffered(step if segments == 1 else step.map(segments))
 
 
-def called(function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
-    """A function at one place, its outputs as CasADi has them (rows x columns)."""
-    return [one.T for one in _single(function)(*arguments)]
+def _across(function: ca.Function, width: int, lane: int) -> Buffered:
+    return Buffered(function.map(width))
 
 
 @lru_cache(maxsize=1)
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max(1, LANES - 1), thread_name_prefix="orbitfinder-lane")
-
-
-def marched(step: ca.Function, starts: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-    """Every step's result (M x ...), segment after segment; `parameters` (M x ...) of each step."""
-    count, steps = len(starts), len(parameters) // len(starts)
-    lanes = _lanes(step, count, steps * STAGES)
-    walks = [_along(step, steps, lane) for lane in range(lanes)]
-
-    def walked(lane: int) -> list[np.ndarray]:
-        mine = range(lane, count, lanes)
-        return [walks[lane](starts[k], parameters[k * steps : (k + 1) * steps])[0] for k in mine]
-
-    return np.concatenate(_shared(walked, lanes, count))
-
-
-def evaluated(function: ca.Function, stages: int, *arguments: np.ndarray) -> np.ndarray:
-    """A function of so many stages at k places (k x ...), in chunks of equal size, so that one map serves every k."""
-    count = len(arguments[0])
-    begins = range(0, count, CHUNK)
-    lanes = _lanes(function, len(begins), CHUNK * stages)
-    maps = [_across(function, lane) for lane in range(lanes)]
-
-    def filled(lane: int) -> list[np.ndarray]:
-        found = []
-        for begin in begins[lane::lanes]:
-            rows = np.minimum(np.arange(begin, begin + CHUNK), count - 1)
-            found.append(maps[lane](*(one[rows] for one in arguments))[0])
-        return found
-
-    return np.concatenate(_shared(filled, lanes, len(begins)))[:count]
 
 
 def _lanes(function: ca.Function, pieces: int, evaluations: int) -> int:

@@ -1,4 +1,4 @@
-"""The linear system of multiple shooting, condensed to the first node.
+"""The linear systems of multiple shooting: condensed to the first node, or whole, dense or sparse.
 
     dx_{k+1} = Phi_k dx_k + C_k dy + d_k        k = 0 .. N-2, d_k the defect behind segment k
     F dx_0 + L (Phi_{N-1} dx_{N-1} + C_{N-1} dy) + G dy = -r
@@ -12,26 +12,47 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from scipy.linalg.lapack import dgetrf, dgetrs
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import splu
 
 LARGEST_PRODUCT = 1e8
 CUTOFF = 1e-13
 """Singular values below this, relative to the largest, are taken for 0 (brake orbits at rest have one)"""
+SMALL = 150
+"""Unknowns up to which a dense factorisation is the faster one"""
 
-Solver = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(defects (N-1 x 2n), closing rows (r)) -> (change of the nodes (N x 2n), change of the tail (m))"""
+Solver = Callable[[np.ndarray], np.ndarray]
+"""Rows (defects, closing rows) -> the step over w (nodes, tail) that would remove them"""
 
 
 @dataclass(frozen=True)
 class Linearised:
-    """Phi_k (N x 2n x 2n), C_k (N x 2n x m), and the closing rows' derivatives F, L (r x 2n), G (r x m)."""
+    """Phi_k (N x d x d), C_k (N x d x m), and the closing rows' derivatives F, L (r x d), G (r x m)."""
 
     transitions: np.ndarray
     columns: np.ndarray
     first: np.ndarray
     last: np.ndarray
     tail: np.ndarray
+
+    def matrix(self) -> np.ndarray:
+        """The derivatives of all rows by w."""
+        (count, size, _), (closing, extra) = self.transitions.shape, self.tail.shape
+        cut, total = (count - 1) * size, count * size
+        matrix = np.zeros((cut + closing, total + extra))
+        for k in range(count - 1):
+            here = slice(k * size, (k + 1) * size)
+            matrix[here, here] = self.transitions[k]
+            matrix[here, (k + 1) * size : (k + 2) * size] = -np.eye(size)
+            matrix[here, total:] = self.columns[k]
+        matrix[cut:, cut:total] = self.last @ self.transitions[-1]
+        matrix[cut:, :size] += self.first
+        matrix[cut:, total:] = self.last @ self.columns[-1] + self.tail
+        return matrix
 
 
 def eliminated(system: Linearised) -> Solver:
@@ -41,42 +62,68 @@ def eliminated(system: Linearised) -> Solver:
     for transition, own in zip(system.transitions, system.columns, strict=True):
         product, columns = transition @ product, transition @ columns + own
     if not np.abs(product).max() <= LARGEST_PRODUCT:
-        return _whole(system)
+        whole = system.matrix()
+        return lambda rows: -np.linalg.lstsq(whole, rows, rcond=CUTOFF)[0]
     matrix = np.hstack([system.first + system.last @ product, system.last @ columns + system.tail])
 
-    def solve(defects: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(rows: np.ndarray) -> np.ndarray:
+        defects, closing = rows[: (count - 1) * size].reshape(-1, size), rows[(count - 1) * size :]
         carried = np.zeros(size)
         for transition, defect in zip(system.transitions, defects, strict=False):
             carried = transition @ carried + defect
         if count > 1:
             carried = system.transitions[-1] @ carried
         # not pinv: outside `one_thread` OpenBLAS gives it threads, on a busy machine 100 ms where lstsq takes 0.2
-        change = -np.linalg.lstsq(matrix, rows + system.last @ carried, rcond=CUTOFF)[0]
+        change = -np.linalg.lstsq(matrix, closing + system.last @ carried, rcond=CUTOFF)[0]
         nodes, tail = [change[:size]], change[size:]
         for transition, own, defect in zip(system.transitions, system.columns, defects, strict=False):
             nodes.append(transition @ nodes[-1] + own @ tail + defect)
-        return np.asarray(nodes), tail
+        return np.concatenate([*nodes, tail])
 
     return solve
 
 
-def _whole(system: Linearised) -> Solver:
-    """The same without elimination."""
-    count, size, _ = system.transitions.shape
-    total, extra = count * size, system.tail.shape[1]
-    matrix = np.zeros(((count - 1) * size + len(system.tail), total + extra))
-    for k in range(count - 1):
-        here = slice(k * size, (k + 1) * size)
-        matrix[here, here] = system.transitions[k]
-        matrix[here, (k + 1) * size : (k + 2) * size] = -np.eye(size)
-        matrix[here, total:] = system.columns[k]
-    closing = slice((count - 1) * size, None)
-    matrix[closing, total - size : total] = system.last @ system.transitions[-1]
-    matrix[closing, :size] += system.first
-    matrix[closing, total:] = system.last @ system.columns[-1] + system.tail
+class Factors:
+    """The LU factors of a square matrix. Raises `LinAlgError` where it is singular, or not square."""
 
-    def solve(defects: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        change = -np.linalg.lstsq(matrix, np.concatenate([defects.ravel(), rows]), rcond=CUTOFF)[0]
-        return change[:total].reshape(count, size), change[total:]
+    def __init__(self, matrix: np.ndarray) -> None:
+        if matrix.shape[0] != matrix.shape[1] or not np.all(np.isfinite(matrix)):
+            raise np.linalg.LinAlgError("not square or not finite")
+        if len(matrix) > SMALL:
+            try:
+                self._sparse = splu(csc_matrix(matrix))
+            except RuntimeError as error:
+                raise np.linalg.LinAlgError(str(error)) from None
+            return
+        self._sparse = None
+        self._dense, self._order, fault = dgetrf(matrix)
+        if fault:
+            raise np.linalg.LinAlgError("singular matrix")
 
-    return solve
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """matrix^-1 right."""
+        if self._sparse is not None:
+            return np.asarray(self._sparse.solve(right))
+        return np.asarray(dgetrs(self._dense, self._order, right)[0])
+
+
+class Broyden:
+    """Full steps of Broyden's method from the factors of one Jacobian, its updates kept as the steps themselves.
+
+    Source: C. T. Kelley, Iterative Methods for Linear and Nonlinear Equations (1995), section 7.3, algorithm brsol.
+    """
+
+    def __init__(self, factors: Factors) -> None:
+        self._factors = factors
+        self._steps: list[np.ndarray] = []
+
+    def step(self, rows: np.ndarray) -> np.ndarray:
+        """The step from where the residual is `rows`; the steps before it must have been taken in full."""
+        found = -self._factors.solve(rows)
+        for one, following in pairwise(self._steps):
+            found = found + following * ((one @ found) / (one @ one))
+        if self._steps:
+            last = self._steps[-1]
+            found = found / (1.0 - (last @ found) / (last @ last))
+        self._steps.append(found)
+        return found

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,8 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.loops.symmetry import Symmetry
+from orbitfinder.mechanics.model import Model
 
 
 @dataclass(frozen=True)
@@ -39,59 +39,10 @@ def pin(**quantities: float) -> tuple[Pin, ...]:
     return pins
 
 
-@dataclass(frozen=True)
-class Symmetry:
-    """A boundary condition on a part of the period, and what it makes superfluous.
-
-    `fraction` of the period is integrated. An invariant needs its unfolding only where the
-    boundary rows contain it twice, and a phase condition is needed only where a shift keeps
-    the rows.
-    """
-
-    name: str
-    fraction: float
-    unfold_energy: bool
-    unfold_others: bool
-    time_phase: bool
-    other_phases: bool
-
-
-SYMMETRIES: Mapping[str, Symmetry] = {
-    one.name: one
-    for one in (
-        Symmetry("none", 1.0, True, True, True, True),
-        Symmetry("reflection", 0.5, True, False, True, False),
-        Symmetry("brake", 0.5, False, True, False, True),
-        Symmetry("reversal", 0.5, False, False, False, False),
-        Symmetry("brake+reflection", 0.25, False, False, False, False),
-    )
-}
-
-
-def unfolded_invariants(model: Model, symmetry: Symmetry) -> tuple[Invariant, ...]:
-    """The invariants whose closure equation is redundant, each to be unfolded by one parameter."""
-    return tuple(
-        one for one in model.invariants if (symmetry.unfold_energy if one.generator is None else symmetry.unfold_others)
-    )
-
-
-def boundary_rows(symmetry: Symmetry, start: Any, end: Any, shift: np.ndarray) -> Any:
-    """The rows (2n) that join the end of the horizon to its start.
-
-    none: x(T) - x(0) - shift; reflection: x(T/2) + x(0) - shift; brake: v(0), v(T/2);
-    brake+reflection: v(0), q(T/4) - shift/2, where `shift` (n) holds multiples of 2 pi; reversal:
-    q(0) - shift[:n], q(T/2) - shift[n:], where it (2n) holds multiples of pi.
-    """
-    n = start.numel() // 2
-    if symmetry.name == "none":
-        return end - start - ca.vertcat(shift, np.zeros(n))
-    if symmetry.name == "reflection":
-        return end + start - ca.vertcat(shift, np.zeros(n))
-    if symmetry.name == "brake":
-        return ca.vertcat(start[n:], end[n:])
-    if symmetry.name == "reversal":
-        return ca.vertcat(start[:n] - shift[:n], end[:n] - shift[n:])
-    return ca.vertcat(start[n:], end[:n] - shift / 2)
+def boundary_rows(symmetry: Symmetry, start: Any, end: Any, constant: Any) -> Any:
+    """The rows (2n) that join the end of the horizon to its start, as expressions (see `Symmetry.rows`)."""
+    first, last = (ca.sparsify(ca.DM(matrix)) for matrix in symmetry.rows(start.numel() // 2))
+    return first @ start + last @ end - constant
 
 
 def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, basis: np.ndarray) -> Any:

@@ -17,7 +17,8 @@ from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.suggest import closest
 from orbitfinder.errors import InputError
-from orbitfinder.loops.conditions import Symmetry, quantity
+from orbitfinder.loops.conditions import quantity
+from orbitfinder.loops.symmetry import Symmetry
 from orbitfinder.mechanics.model import Model
 
 
@@ -65,17 +66,15 @@ class Variables:
     def monodromy(self) -> ca.MX:
         """Phi(T) (2n x 2n), whose derivatives come from second-order variational equations.
 
-        Over a symmetric part of the period: a reflection repeats the half's matrix P, Phi = P P; a brake
-        orbit runs back, Phi = B P^-1 B P with B reversing the rates, or, of a reversal orbit, the places.
+        Over a symmetric part of the period it follows from that of the part.
         """
-        whole = ca.MX.eye(self.start.numel())
+        part = ca.MX.eye(self.start.numel())
         for one in self.transitions():
-            whole = one @ whole
-        if "brake" in self.symmetry.name or self.symmetry.name == "reversal":
-            n = self.model.degrees_of_freedom
-            back = ca.MX(ca.diag(ca.DM(np.concatenate([np.ones(n), -np.ones(n)]))))
-            whole = back @ ca.solve(whole, back @ whole)
-        return whole @ whole if "reflection" in self.symmetry.name else whole
+            part = one @ part
+        root, power = self.symmetry.root(
+            part, lambda other: ca.solve(part, other), part.size1(), made=lambda one: ca.MX(ca.sparsify(ca.DM(one)))
+        )
+        return root @ root if power == 2 else root
 
 
 Expression = Callable[[Variables], Any]

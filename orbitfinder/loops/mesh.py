@@ -9,8 +9,8 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.loops.continued import Aim, Curve, Place, Solution, correct
-from orbitfinder.loops.graded import rates, step_errors, variation_errors
+from orbitfinder.loops.continued import Curve, Solution, correct
+from orbitfinder.loops.loop import Condition, Unknowns
 
 STEP_ERROR = 5e-13
 """Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is some 100 times smaller."""
@@ -52,13 +52,12 @@ def _errors(curve: Curve, found: Solution, every: int = 1) -> np.ndarray:
     """Estimated errors of all steps, or of one in so many."""
     place = found.place
     asked = np.arange(0, place.mesh.size - 1, every)
-    return step_errors(curve.propagator, found.march.states, place.mesh, place.tail, asked)
+    return curve.equations.march.step_errors(found.march.states, place.mesh, place.tail, asked)
 
 
 def _growths(curve: Curve, found: Solution) -> np.ndarray:
-    size = curve.propagator.size
-    clock = np.sqrt(curve.weights[:size])
-    blocks = [block[:, :size] * clock[:, None] / clock[None, :] for block in found.march.sensitivities]
+    clock = np.sqrt(curve.weights[: curve.equations.size])
+    blocks = found.march.transitions * clock[:, None] / clock[None, :]
     if not np.all(np.isfinite(blocks)):
         raise IntegrationError("the variations of the motion overflow; give a state and a period that fit each other")
     return np.array([np.linalg.norm(block, 2) for block in blocks])
@@ -71,9 +70,9 @@ def _density(errors: np.ndarray, allowed: float = STEP_ERROR) -> np.ndarray:
 
 def wanted_steps(curve: Curve, found: Solution, errors: np.ndarray) -> np.ndarray:
     """The same (M) for the motion, whose `errors` are known, and its variations, of which every third step is asked."""
-    place, states, p = found.place, found.march.states, curve.propagator
+    place, units = found.place, 1.0 / np.sqrt(curve.weights[: curve.equations.size])
     asked = np.arange(0, errors.size, SAMPLED)
-    varied = variation_errors(p, states, place.mesh, place.tail, curve.weights, asked)
+    varied = curve.equations.march.variation_errors(found.march.states, place.mesh, place.tail, units, asked)
     return np.maximum(_density(errors), np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size])
 
 
@@ -82,7 +81,7 @@ def _spread(density: np.ndarray) -> np.ndarray:
     return np.asarray(uniform_filter1d(maximum_filter1d(density, WIDENED, mode="nearest"), WIDENED, mode="nearest"))
 
 
-def remeshed(curve: Curve, found: Solution) -> Place:
+def remeshed(curve: Curve, found: Solution) -> Unknowns:
     """The place on a mesh that spreads the error estimate evenly, with as many segments as the growth asks for.
 
     Nodes are interpolated and must be corrected again.
@@ -90,14 +89,14 @@ def remeshed(curve: Curve, found: Solution) -> Place:
     place, states = found.place, found.march.states
     density = _spread(np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
-    least = 2 if curve.propagator.symmetry.fraction == 1.0 else 1  # so that two processors share a whole period
+    least = 2 if curve.equations.symmetry.fraction == 1.0 else 1  # so that two processors share a whole period
     count = int(np.clip(np.ceil(growth / np.log(GROWTH)), least, MOST_SEGMENTS))
     if not density.sum() < MOST_STEPS:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each = _rounded(density.sum() / count)
     work = np.concatenate([[0.0], np.cumsum(density)])
     mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
-    slopes = rates(curve.propagator, states, place.tail) * place.period
+    slopes = curve.equations.march.rates(states, place.tail) * place.period
     nodes = CubicHermiteSpline(place.mesh, states, slopes)(mesh[:-1:each])
     return replace(place, nodes=np.vstack([place.nodes[:1], nodes[1:]]), mesh=mesh)
 
@@ -138,7 +137,7 @@ def refined(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
     more = 4 * int(np.ceil(1.5 * steps / 4))
     old, new = np.arange(place.mesh.size), np.linspace(0.0, place.mesh.size - 1, count * more + 1)
     finer = replace(place, mesh=np.interp(new, old, place.mesh))
-    return correct(curve, finer, Aim(float(normal @ place.head), normal), place)
+    return correct(curve, finer, Condition(float(normal @ place.head), normal), place)
 
 
 def settled(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
@@ -149,7 +148,7 @@ def settled(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
     for _ in range(4):
         if not needs_mesh(curve, found):
             break
-        aim, mesh = Aim(float(normal @ found.place.head), normal), found.place.mesh
+        aim, mesh = Condition(float(normal @ found.place.head), normal), found.place.mesh
         if _growths(curve, found).max() <= STEEPEST:
             mesh = regraded(curve, found)
         place = remeshed(curve, found) if mesh is found.place.mesh else replace(found.place, mesh=mesh)

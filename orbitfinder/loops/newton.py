@@ -1,132 +1,130 @@
-"""The last digits: Newton steps with an eighth-order residual and the Jacobian of CVODES.
-
-CVODES asked for 1e-13 closes an orbit only to about 1e-11; its state-transition matrix is more
-than good enough for a Newton step on a residual that is right to round-off.
-"""
+"""Newton's method for a Loop: damped on a coarse mesh, then chord steps whose residual comes from ever finer ones."""
 
 from __future__ import annotations
 
-import casadi as ca
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from orbitfinder._runtime.limit import alarm
-from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.cvodes import Flow, integration_error
-from orbitfinder.integrate.rk8 import MOST_DOUBLINGS, agree, march, refined_march
-from orbitfinder.loops.shooting import Shooting
-
-MOST_STEPS = 6
-STEPS_PER_PERIOD = 400
-"""Runge-Kutta steps in a period at least, doubled in segments that need more"""
-PIECE = 8
-"""Runge-Kutta steps in a piece of a graded march, checked by twice as many"""
-MOST_PIECES = 2000
+from orbitfinder.integrate.march import Varied, doubled
+from orbitfinder.loops.condensed import Solver, eliminated
+from orbitfinder.loops.loop import Loop, Unknowns
 
 
-def tail_of(flow: Flow, unfolding: np.ndarray | None = None, free: np.ndarray | None = None) -> np.ndarray:
-    """The last arguments of the flow's field: unfolding (0) and freed parameters (the model's own)."""
-    known = flow.model.parameter_values[[flow.model.parameter_index(name) for name in flow.free]]
-    return np.concatenate([np.zeros(len(flow.unfolded)) if unfolding is None else unfolding,
-                           known if free is None else free])  # fmt: skip
+@dataclass(frozen=True)
+class NewtonSettings:
+    """How fine the marches are, and when enough is enough."""
+
+    steps_per_period: int = 100
+    """of the coarse march, which starts the iteration and whose Phi serves to its end"""
+    growth_per_segment: float = 100.0
+    """segments are added until no state-transition matrix of the first guess is larger than this"""
+    most_segments: int = 40
+    largest_change: float = 0.2
+    """of the period in one step, relative: a longer step leads to a multiple of the orbit, or to another"""
+    handover: float = 1e-4
+    """residual at which the coarse march has done its work"""
+    contraction: float = 0.1
+    """a chord step that reduces the residual by less asks for a new Jacobian"""
+    rough: float = 1e-10
+    """residual to which the march that is still to be confirmed is driven"""
+    agreement: float = 4e-12
+    """two step sizes must agree to this, times the states; the finer is then some 2^8 times better than that"""
+    floor: float = 1e-15
+    """residual, times the states and the largest entry of Phi (at least 10), below which all is round-off"""
+    most_evaluations: int = 30
+    most_doublings: int = 7
+    converged: float = 1e-8
+    """a larger residual at the end is a failure"""
 
 
-def least_steps(segments: int) -> int:
-    """Half the fewest steps of a segment when a period has this many (the refined march doubles it)."""
-    return max(8, -(-STEPS_PER_PERIOD // (2 * segments)))
+class Newton:
+    """One run of the iteration on a loop; counts its marches of states and of states and derivatives."""
 
+    def __init__(self, loop: Loop, settings: NewtonSettings) -> None:
+        self.loop, self.settings = loop, settings
+        self.marches, self.jacobians, self.growth = 0, 0, 1.0
 
-def segment(
-    flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, least: int = STEPS_PER_PERIOD // 16
-) -> np.ndarray:
-    """States (k + 1 x 2n) at equal times from span[0] to span[1], as many steps as that needs."""
-    return refined_march(flow.field, state, span[1] - span[0], least, tail, span[0], flow.units)
+    def solve(self, w: Unknowns, path: Varied) -> tuple[Unknowns, float]:
+        """w on the mesh that confirms it, and its largest row; `path` is w's first integration.
 
+        Raises `ConvergenceError`.
+        """
+        w, solver = self._approach(w, path)
+        w, rows = self._finish(w, solver)
+        return w, _largest(rows)
 
-def end_of(flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, least: int) -> np.ndarray:
-    """The state at span[1]: at the end of equal steps, or of graded ones where no number of equal steps will do.
-
-    Past a body at a hundredth of the distances, 3200 equal steps in a segment are right to 1e-8 only.
-    """
-    path = segment(flow, state, span, tail, least)
-    graded = graded_end(flow.field, state, span, tail, flow.units) if len(path) - 1 == least << MOST_DOUBLINGS else None
-    return np.asarray(path[-1] if graded is None else graded)
-
-
-def graded_end(
-    field: ca.Function, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, units: tuple[float, ...] = ()
-) -> np.ndarray | None:
-    """The state at span[1] by pieces as long as 8 and 16 steps agree on; None when it takes too many of them."""
-    now, length = span[0], span[1] - span[0]
-    for _ in range(MOST_PIECES):
-        last = length >= span[1] - now
-        length = min(length, span[1] - now)
-        after = _agreed(field, state, (now, length), tail, units)
-        if after is None:
-            length /= 2
-        elif last:
-            return after
-        else:
-            state, now, length = after, now + length, 2 * length
-    return None
-
-
-def _agreed(
-    field: ca.Function, state: np.ndarray, piece: tuple[float, float], tail: np.ndarray, units: tuple[float, ...]
-) -> np.ndarray | None:
-    """The state after a piece (start, length) in s; None where 8 and 16 steps disagree or leave the numbers."""
-    now, length = piece
-    try:
-        coarse, fine = (march(field, state, length, count, tail, now)[-1] for count in (PIECE, 2 * PIECE))
-    except IntegrationError:
-        return None
-    return fine if agree(coarse, fine, units) else None
-
-
-def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """All rows of g(w) with the segments integrated to round-off."""
-    layout, problem = shooting.layout, shooting.problem
-    period, unfolding, free = layout.tail(w)
-    duration = period * problem.boundary.fraction / layout.segments
-    tail = tail_of(shooting.flow, unfolding, free)
-    least = least_steps(round(layout.segments / problem.boundary.fraction))
-    spans = [(k * duration, (k + 1) * duration) for k in range(layout.segments)]
-    ends = [end_of(shooting.flow, node, span, tail, least) for node, span in zip(layout.nodes(w), spans, strict=True)]
-    return np.asarray(shooting.rows(w, np.asarray(ends).T).full().ravel())
-
-
-def jacobian_at(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """dg/dw by the variational equations; CVODES' failure becomes an `IntegrationError`."""
-    failure: RuntimeError | None = None
-    with captured() as output, alarm():
-        try:
-            return np.asarray(shooting.jacobian(w).full())
-        except RuntimeError as error:
-            failure = error
-    nodes, period = shooting.layout.nodes(w), shooting.layout.tail(w)[0]
-    raise integration_error(f"{output.text}\n{failure}", nodes[0], 0.0, period / len(nodes))
-
-
-def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
-    """w after Newton steps with the accurate residual, until it stops shrinking.
-
-    The system is square except for brake orbits of conservative systems at rest, so the step is the
-    least-squares one. Raises `ConvergenceError` when the residual grows instead.
-    """
-    w, best = start, residual(shooting, start)
-    jacobian = jacobian_at(shooting, w)
-    for _ in range(MOST_STEPS):
-        step = np.linalg.lstsq(jacobian, -best, rcond=None)[0]
-        trial = w + step
-        rows = residual(shooting, trial)
-        if not np.abs(rows).max() < np.abs(best).max():
-            break
-        w, best = trial, rows
-        if np.abs(best).max() < 1e-15:
-            break
-    if not np.abs(best).max() < 1e-8:
+    def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
+        """Damped steps on the coarse march until the residual is small."""
+        chosen, before, step, factor, best = self.settings, w, np.zeros(0), 1.0, np.inf
+        for _ in range(chosen.most_evaluations):
+            path = path or self._varied(w)
+            rows = self.loop.rows(w, path.ends) if path else np.full(1, np.inf)
+            size = float(np.linalg.norm(rows))
+            if path is not None and size < best:
+                solver = self._solver(w, path)
+                before, best, step = w, size, solver(rows)
+                factor = 1.0 / max(1.0, abs(step[w.nodes.size]) / (chosen.largest_change * w.period))
+                if size < chosen.handover and factor == 1.0:
+                    return w.moved(step), solver
+            else:
+                factor /= 2
+            w, path = before.moved(factor * step), None
         raise ConvergenceError(
-            f"the polish stalled at a residual of {np.abs(best).max():.2g}; the orbit is too unstable for "
-            "this many segments, use more"
+            f"warm refinement does not converge from this guess (residual {best:.2g}); find_orbit reaches farther"
         )
-    return w
+
+    def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, np.ndarray]:
+        """Chord steps on ever finer marches until twice as many steps confirm the residual, then to round-off."""
+        scale = max(1.0, float(np.abs(w.nodes).max()))
+        rows = self._rows(w)
+        for _ in range(self.settings.most_doublings):
+            w, rows, solver = self._chord(w, rows, solver, self.settings.rough)
+            w = replace(w, mesh=doubled(w.mesh))
+            coarse, rows = rows, self._rows(w)
+            if np.abs(rows - coarse).max() <= self.settings.agreement * scale:
+                break
+        floor = self.settings.floor * scale * max(10.0, self.growth)
+        w, rows, _ = self._chord(w, rows, solver, floor)
+        return w, rows
+
+    def _chord(
+        self, w: Unknowns, rows: np.ndarray, solver: Solver, target: float
+    ) -> tuple[Unknowns, np.ndarray, Solver]:
+        """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off."""
+        size = _largest(rows)
+        for _ in range(self.settings.most_evaluations):
+            if size <= target:
+                break
+            trial = w.moved(solver(rows))
+            found = self._rows(trial)
+            slow = _largest(found) > self.settings.contraction * size
+            if _largest(found) < size:
+                w, rows, size = trial, found, _largest(found)
+            if slow and size < 1e3 * self.settings.agreement:
+                break  # round-off
+            if slow:
+                self.jacobians += 1
+                solver = self._solver(w, self.loop.equations.varied(w))
+        return w, rows, solver
+
+    def _rows(self, w: Unknowns) -> np.ndarray:
+        self.marches += 1
+        return self.loop.rows(w, self.loop.equations.ends(w))
+
+    def _varied(self, w: Unknowns) -> Varied | None:
+        """The integration of w, None where it fails."""
+        self.jacobians += 1
+        try:
+            return self.loop.equations.varied(w)
+        except IntegrationError:
+            return None
+
+    def _solver(self, w: Unknowns, path: Varied) -> Solver:
+        self.growth = max(1.0, float(np.abs(path.transitions).max()))
+        return eliminated(self.loop.linearised(w, path))
+
+
+def _largest(rows: np.ndarray) -> float:
+    return float(np.abs(rows).max(initial=0.0))

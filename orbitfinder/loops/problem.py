@@ -13,9 +13,9 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.suggest import closest
 from orbitfinder.errors import CountError, InputError
 from orbitfinder.integrate.idas import check_consistent
-from orbitfinder.loops.conditions import SYMMETRIES, Pin, Symmetry, check_pin, unfolded_invariants
+from orbitfinder.loops.conditions import Pin, check_pin
 from orbitfinder.loops.freedom import Constraint, Expression, check_bounds, check_constraint
-from orbitfinder.loops.symmetry import check_symmetry, time_dependent
+from orbitfinder.loops.symmetry import Symmetry, named, time_dependent
 from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.model import Model
 
@@ -77,10 +77,10 @@ class Count:
 class Problem:
     """What to find. `pin=()` takes the orbit nearest to the guess; a ConstrainedModel is taken in its reduced form.
 
-    `symmetry` is none | brake | reflection | reversal | brake+reflection; `winding` the whole turns of each
-    coordinate in one period; `segments` the shooting intervals of the horizon (None: chosen from
-    the instability of the guess); `tolerance` the closure that the certificate asks for; `free`
-    physical parameters the solver may change; `expected` {"period": (value, tolerance)} that the
+    `symmetry` is none | brake | reflection | reversal | brake+reflection, or one that the model declares;
+    `winding` the whole turns of each coordinate in one period; `segments` the shooting intervals of the
+    horizon (None: chosen from the instability of the guess); `tolerance` the closure that the certificate
+    asks for; `free` physical parameters the solver may change; `expected` {"period": (value, tolerance)} that the
     result must agree with.
 
     What the count leaves free is chosen by `objective`: "nearest" to the guess, "min_instability",
@@ -120,7 +120,7 @@ class Problem:
     @property
     def boundary(self) -> Symmetry:
         """The symmetry as a boundary condition."""
-        return SYMMETRIES[self.symmetry]
+        return named(self.symmetry, self.model)
 
     @property
     def forcing_cycles(self) -> int:
@@ -137,11 +137,12 @@ class Problem:
         """Equations and unknowns of the shooting system with this many segments."""
         intervals = segments or self.segments or 1
         size, symmetry = len(self.model.state_names), self.boundary
-        others = sum(one.generator is not None for one in self.model.invariants)
+        unfolded = symmetry.unfolded(self.model)
+        others = sum(one.generator is not None for one in unfolded)
         equations = {
             "defects": size * (intervals - 1),
             "boundary": size,
-            "phase conditions": int(symmetry.time_phase and not self.model.forced) + others * symmetry.other_phases,
+            "phase conditions": int(not symmetry.reverses and not self.model.forced) + others,
             "forcing period": int(self.model.forced),
             "pins": len(self.pin),
             "constraints": sum(one.rows for one in self.constraints if one.equation),
@@ -149,7 +150,7 @@ class Problem:
         unknowns = {
             "node states": size * intervals,
             "period": 1,
-            "unfolding": len(unfolded_invariants(self.model, symmetry)),
+            "unfolding": len(unfolded),
             "freed parameters": len(self.free),
         }
         return Count(equations, unknowns)
@@ -200,8 +201,7 @@ def _check(problem: Problem) -> None:
         )
     if not np.all(np.isfinite(state)):
         raise InputError(f"guess.state: must be finite, got {state.tolist()}; replace NaN and infinity by numbers")
-    if problem.symmetry not in SYMMETRIES:
-        raise InputError(f"symmetry: unknown {problem.symmetry!r}; use one of {', '.join(SYMMETRIES)}")
+    symmetry, n = problem.boundary, size // 2
     _check_winding(problem)
     if problem.segments is not None and problem.segments < 1:
         raise InputError(f"segments: must be at least 1, got {problem.segments}; leave it out for the default")
@@ -214,10 +214,10 @@ def _check(problem: Problem) -> None:
         model.parameter_index(name)
     for one in problem.pin:
         check_pin(model, one)
-        if problem.symmetry == "reversal" and one.name in model.state_names[: size // 2]:
+        if one.name in model.state_names[:n] and symmetry.held(n)[model.state_index(one.name)]:
             raise InputError(
-                f"pin: {one.name} is a multiple of pi, or 0, where a reversal orbit starts; pin its rate, the energy "
-                "or the period"
+                f"pin: {one.name} is a multiple of pi, or 0, where a {symmetry.name} orbit starts; pin its rate, the "
+                "energy or the period"
             )
     check_bounds(model, problem.bounds, problem.free, tuple(one.name for one in problem.pin))
     for condition in problem.constraints:
@@ -232,7 +232,7 @@ def _check(problem: Problem) -> None:
         _check_forcing(problem)
     if model.native is not None:
         check_consistent(replace(model.native, parameter_values=model.parameter_values), state)
-    check_symmetry(model, state, problem.symmetry, problem.forcing_cycles)
+    symmetry.check(model, state, problem.forcing_cycles)
 
 
 def _check_objective(problem: Problem) -> None:
@@ -249,7 +249,7 @@ def _check_objective(problem: Problem) -> None:
         if problem.coordinate not in problem.model.state_names[:n]:
             known = ", ".join(problem.model.state_names[:n])
             raise InputError(f"coordinate: unknown {problem.coordinate!r}; this system has {known}")
-    phased = symmetry.time_phase and not problem.model.forced
+    phased = not symmetry.reverses and not problem.model.forced
     if not phased and (named == "min_peak_rate" or problem.phase_condition is not None):
         raise InputError(
             f"objective: needs the freedom to choose t = 0, which symmetry = {problem.symmetry!r}"
@@ -285,7 +285,7 @@ def _check_winding(problem: Problem) -> None:
         raise InputError(f"winding: {len(problem.winding)} numbers for {n} coordinates; give one per coordinate")
     if any(k and not angle for k, angle in zip(problem.winding, problem.model.angles or (False,) * n, strict=True)):
         raise InputError(f"winding: {list(problem.winding)} turns a coordinate that is not an angle; set it to 0")
-    if any(problem.winding) and problem.symmetry not in ("none", "reversal"):
+    if np.any(np.asarray(problem.winding)[~problem.boundary.may_turn(n)]):
         raise InputError(
             f"winding: a {problem.symmetry} orbit comes back, so {list(problem.winding)} cannot hold; "
             "use symmetry = 'none' or 'reversal' for running orbits"

@@ -13,7 +13,7 @@ import numpy as np
 
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state
 from orbitfinder.integrate.second import transition_function
-from orbitfinder.loops.conditions import boundary_rows, constrained_brake_rows, pin_row, unfolded_invariants
+from orbitfinder.loops.conditions import boundary_rows, constrained_brake_rows, pin_row
 from orbitfinder.loops.freedom import Variables
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.tangent import allowed_velocities
@@ -109,7 +109,7 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     at an orbit (Muñoz-Almaraz et al., Physica D 181 (2003) 1-38).
     """
     problem.check_count()
-    unfolded = unfolded_invariants(problem.model, problem.boundary)
+    unfolded = problem.boundary.unfolded(problem.model)
     flow = flow or build_flow(problem.model, problem.free, unfolded, units=units_of(problem))
     size = len(problem.model.state_names)
     layout = Layout(size, len(nodes), len(unfolded), len(problem.free), _unit_of_each(problem, flow, len(nodes)))
@@ -122,9 +122,9 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     parts, tail = physical[: layout.segments], physical[layout.segments :]
     given = ca.MX.sym("ends", size, layout.segments)
     far = far_end(problem, nodes, flow)
-    shift = boundary_shift(problem, nodes, far)
+    constant = boundary_constants(problem, nodes, far)
     known = _variables(problem, flow, parts, tail, given)
-    equations = _rows(problem, (nodes[0], shift, far), known)
+    equations = _rows(problem, (nodes[0], constant, far), known)
     rows = ca.Function("rows", [w, given], [_measured(equations, (w, given), start, layout)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
@@ -246,15 +246,15 @@ def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -
 
 
 def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | None], known: Variables) -> ca.MX:
-    """All rows of g: continuity, boundary, phase conditions, pins, equations; the guess's state, shift and far end."""
-    state, shift, far = guess
+    """All rows of g: continuity, boundary, phase conditions, pins, equations; `guess`: state, constants, far end."""
+    state, constant, far = guess
     model, parts, ends = problem.model, known.nodes, known.ends
     rows = [end - node for end, node in zip(ends, parts[1:], strict=False)]
     if model.native is not None and far is not None:
         basis = allowed_velocities(model.native, far)
         rows.append(constrained_brake_rows(model, parts[0], ends[-1], known.parameters, basis))
     else:
-        rows.append(boundary_rows(problem.boundary, parts[0], ends[-1], shift))
+        rows.append(boundary_rows(problem.boundary, parts[0], ends[-1], constant))
     directions = phase_directions(problem, state)
     if problem.phase_condition is not None:
         rows.append(ca.MX(problem.phase_condition(known)))
@@ -268,40 +268,22 @@ def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | No
 
 
 def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
-    """The guess's state at the end of the horizon, where the boundary rows need it.
-
-    Of brake+reflection that is the centre of the swing, of reversal the other one, of a brake orbit under
-    constraints the other rest.
-    """
-    constrained = problem.model.native is not None and problem.symmetry == "brake"
-    if problem.symmetry not in ("brake+reflection", "reversal") and not constrained:
+    """The guess's state at the end of the horizon, where the boundary rows need it: the other instant of symmetry."""
+    constrained = problem.model.native is not None and problem.boundary.reverses
+    if not problem.boundary.asks_where(problem.model.degrees_of_freedom) and not constrained:
         return None
     duration = problem.guess.period * problem.boundary.fraction / len(nodes)
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 
 
-def boundary_shift(problem: Problem, guess: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:
-    """Multiples of 2 pi (n) by which the boundary rows are displaced; of pi (2n), at start and end, for reversal.
-
-    The winding for a full period; for a reflection, the multiple that the guess is nearest to
-    (the motion may be symmetric about an upright link): its mean over half a period, or its `end`
-    after a quarter, 0 where that is not given. Reversal: the half turns nearest to the start, and from
-    there the winding, or where that is not given those nearest to the `end`.
-    """
-    n = problem.model.degrees_of_freedom
-    if problem.symmetry == "none":
-        return 2 * np.pi * problem.turns
-    angles = np.asarray(problem.model.angles)
-    if problem.symmetry == "brake":
-        return np.zeros(n)
-    if problem.symmetry == "reversal":
-        first = half_turns(angles, guess[0, :n])
-        if end is None or problem.winding is not None:
-            return np.concatenate([first, first + np.pi * problem.turns])
-        return np.concatenate([first, half_turns(angles, end[:n])])
-    quarter = np.zeros(n) if end is None else end[:n]
-    centre = np.mean(guess[:, :n], axis=0) if problem.symmetry == "reflection" else quarter
-    return np.where(angles, 2 * np.pi * np.round(centre / np.pi), 0.0)
+def boundary_constants(problem: Problem, nodes: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:
+    """The constants (2n) of the boundary rows that a guess is nearest to: the motion may be symmetric about an upright
+    link. Of an orbit that repeats mirrored, about its mean over the part."""
+    angles = np.asarray(problem.model.angles or (False,) * problem.model.degrees_of_freedom)
+    start = nodes[0]
+    if problem.boundary.maps and not problem.boundary.reverses:
+        start = end = nodes.mean(axis=0)
+    return problem.boundary.constants(angles, start, end, problem.winding)
 
 
 def half_turns(angles: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -315,11 +297,10 @@ def phase_directions(problem: Problem, state: np.ndarray) -> list[np.ndarray]:
     n = model.degrees_of_freedom
     q, v, p = state[:n], state[n:], model.parameter_values
     found = []
-    if symmetry.time_phase and not model.forced:
+    if not symmetry.reverses and not model.forced:
         acceleration = model.acceleration(0.0, q, v, p).full().ravel()
         found.append(np.concatenate([v, acceleration]))
-    if symmetry.other_phases:
-        found += [one.generator(q, v, p).full().ravel() for one in model.invariants if one.generator]
+    found += [one(q, v, p).full().ravel() for one in symmetry.generators(model)]
     return [direction / max(float(np.linalg.norm(direction)), 1e-300) for direction in found]
 
 

@@ -1,166 +1,515 @@
-"""Which symmetry an orbit has, read off its samples, and whether a model has the one that is asked for."""
+"""The symmetries of orbits: what each asks of a part of the period, and how the whole follows from that part.
+
+An `Involution` maps a motion to a motion: each coordinate to itself or to minus itself (or to another one), time run
+forwards or backwards. One that runs time backwards, R, makes the orbit its own image about the instants at which it
+passes the fixed set of R, x(t0 + t) = R x(t0 - t); one that does not, S, repeats it after half a period,
+x(t + T/2) = S x(t). A `Symmetry` is at most one of each: `fraction` of the period says it all. Source:
+J. S. W. Lamb, J. A. G. Roberts, Physica D 112 (1998) 1-39.
+
+Only this file and `problemfile/schema.py` spell their names.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Invariant, Model
 from orbitfinder.mechanics.tangent import allowed_velocities
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
 MIRROR = 1e-5
 """Largest harmonic of the motion that breaks the mirror about a turning instant, relative to the largest rate."""
+BROKEN = 1e-8
+"""Relative difference of accelerations there and in the image, above which the equations lack a symmetry."""
+Affine = tuple[np.ndarray, np.ndarray]
+"""(S, d) of x -> S x + d"""
 
 
-def recognise(times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> str:
-    """none | brake | reflection | brake+reflection | reversal, from states (k+1 x 2n) at equal times over T.
+@dataclass(frozen=True)
+class Involution:
+    """q -> P q, P a sign for each coordinate (or one for all) and perhaps a permutation, v -> sense P v, t -> sense t.
 
-    Brake: at some instant all rates vanish and the motion runs back, q(t0 + t) = q(t0 - t).
-    Reflection: x(t + T/2) = -x(t), angles modulo 2 pi. Reversal (running orbits, mostly): at some
-    instant all coordinates are at 0 (angles at 0 or pi) and q(t0 + t) = -q(t0 - t). Source for all
-    as symmetries of reversible systems: J. S. W. Lamb, J. A. G. Roberts, Physica D 112 (1998) 1-39.
+    `order[i]` is the coordinate that takes the place of the i-th; () leaves all where they are.
     """
-    names = [name for name, holds in (
-        ("brake", is_brake(times, states)), ("reflection", is_reflection(states, angles))
-    ) if holds]  # fmt: skip
-    if not names and is_reversal(times, states, angles):
-        names = ["reversal"]
-    return "+".join(names) or "none"
 
+    name: str
+    sense: int
+    signs: int | tuple[int, ...]
+    order: tuple[int, ...] = ()
 
-def is_reflection(states: np.ndarray, angles: np.ndarray) -> bool:
-    """x(t + T/2) = -x(t) for every sample."""
-    half = (len(states) - 1) // 2
-    n = states.shape[1] // 2
-    total = states[half : 2 * half] + states[:half]
-    total[:, :n] = np.where(angles, _wrapped(total[:, :n]), total[:, :n])
-    extent = np.ptp(states, axis=0)
-    scale = np.concatenate([np.full(n, extent[:n].max()), np.full(n, extent[n:].max())])
-    return bool(np.all(np.abs(total) <= RECOGNITION * np.maximum(scale, 1e-300)))
+    def places(self, n: int) -> np.ndarray:
+        """P (n x n)."""
+        found = np.eye(n)[list(self.order)] if self.order else np.eye(n)
+        return np.asarray(np.broadcast_to(self.signs, n).astype(float)[:, None] * found)
 
+    def matrix(self, n: int) -> np.ndarray:
+        """S (2n x 2n) of x -> S x."""
+        return np.kron(np.diag([1.0, self.sense]), self.places(n))
 
-def is_brake(times: np.ndarray, states: np.ndarray) -> bool:
-    """Some instant at which every rate is zero and about which the motion runs back."""
-    n = states.shape[1] // 2
-    rates = states[:, n:]
+    def after(self, other: Involution) -> Involution:
+        """The product of two that commute, the other one done first."""
+        if self.order or other.order:
+            raise InputError(f"symmetries: {other.name!r} with {self.name!r} is known for plain signs only")
+        pair = np.broadcast_arrays(self.signs, other.signs)
+        signs = tuple(int(one) for one in np.ravel(pair[0] * pair[1]))
+        made: int | tuple[int, ...] = signs[0] if len(set(signs)) == 1 else signs
+        sense = self.sense * other.sense
+        alike = (one for one in (BRAKE_MAP, REFLECTION_MAP, REVERSAL_MAP) if (one.sense, one.signs) == (sense, made))
+        return next(alike, Involution(f"{other.name} with {self.name}", sense, made))
 
-    def defect(x: np.ndarray) -> np.ndarray:
-        return np.asarray(x[:, n:])
-
-    moments = _crossings(times, states, int(np.abs(rates).max(axis=0).argmax()) + n, 0.0)
-    # the spline's rates are good to about the fourth power of the sampling interval
-    allowed = 10 * RECOGNITION * float(np.abs(rates).max())
-    return _mirrored(times, states, moments, defect, allowed, 1.0)
-
-
-def is_reversal(times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
-    """Some instant at which every coordinate is 0 (angles: 0 or pi) and about which q is odd."""
-    n = states.shape[1] // 2
-    extent = np.ptp(states[:, :n], axis=0)
-
-    def defect(x: np.ndarray) -> np.ndarray:
-        return np.where(angles, _wrapped(2 * x[:, :n]) / 2, x[:, :n])
-
-    leading = int(extent.argmax())
-    levels = [0.0]
-    if angles[leading]:
-        halves = states[:, leading] / np.pi
-        levels = list(np.arange(np.floor(halves.min()), halves.max() + 1) * np.pi)
-    moments = [_crossings(times, states, leading, level) for level in levels]
-    allowed = 10 * RECOGNITION * float(extent.max())
-    return _mirrored(times, states, np.concatenate(moments), defect, allowed, -1.0)
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
-
-
-def _crossings(times: np.ndarray, states: np.ndarray, component: int, level: float) -> np.ndarray:
-    """Instants at which one component (its spline through the samples) is at a level, and the samples' own."""
-    from scipy.interpolate import CubicHermiteSpline, PPoly
-
-    n = states.shape[1] // 2
-    spline = CubicHermiteSpline(times, states[:, component % n], states[:, n + component % n])
-    chosen: PPoly = spline.derivative() if component >= n else spline
-    roots = PPoly(chosen.c, chosen.x).solve(level, extrapolate=False)
-    return np.concatenate([roots[np.isfinite(roots)], times])
-
-
-def _mirrored(
-    times: np.ndarray,
-    states: np.ndarray,
-    moments: np.ndarray,
-    defect: Callable[[np.ndarray], np.ndarray],
-    allowed: float,
-    sign: float,
-) -> bool:
-    """True when at some moment the defect is within `allowed` and rates satisfy v(t0 + t) = -sign v(t0 - t)."""
-    from scipy.interpolate import CubicHermiteSpline
-
-    n = states.shape[1] // 2
-    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
-    rates = spline.derivative()
-    there = np.hstack([spline(moments), rates(moments)])
-    defects = np.abs(defect(there)).max(axis=1)
-    if not defects.size or defects.min() > allowed:
-        return False
-    centre = moments[int(defects.argmin())]
-    # v odd (even) about the centre: Fourier coefficients there are imaginary (real); exact for periodic samples
-    harmonics = np.fft.rfft(states[:-1, n:], axis=0) * (2.0 / (len(states) - 1))
-    phases = np.exp(2j * np.pi * np.arange(len(harmonics)) * centre / times[-1])[:, None]
-    broken = (harmonics * phases).real if sign > 0 else (harmonics * phases).imag
-    return bool(np.abs(broken).max() <= MIRROR * np.abs(states[:, n:]).max())
-
-
-def time_dependent(model: Model) -> bool:
-    """True when the accelerations contain time explicitly."""
-    return bool(model.acceleration.jac_sparsity(0, 0).nnz())
-
-
-def check_symmetry(model: Model, state: np.ndarray, symmetry: str, cycles: int = 0) -> None:
-    """`InputError` when the equations lack a symmetry that is asked for, tried at states around one (2n).
-
-    Brake needs a(-t, q, -v) = a(t, q, v); reflection needs a(t + T/2, -q, -v) = -a(t, q, v), where
-    T is `cycles` periods of the forcing; reversal needs a(-t, -q, v) = -a(t, q, v).
-    """
-    if model.native is not None and symmetry not in ("none", "brake"):
-        raise InputError(
-            f"symmetry: {symmetry!r} cannot be imposed in redundant coordinates, where x -> -x moves the joints; "
-            "use symmetry = 'brake' or 'none' (symmetric orbits are recognised)"
+    def in_words(self, names: tuple[str, ...]) -> str:
+        """What it does, for messages."""
+        film = "running the film backwards"
+        known = {(-1, 1): film, (1, -1): "x -> -x", (-1, -1): f"{film} in a mirror"}
+        uniform = self.signs if isinstance(self.signs, int) and not self.order else 0
+        if (self.sense, uniform) in known:
+            return known[self.sense, uniform]
+        images = (
+            f"{name} -> {'-' if row.min() < 0 else ''}{names[int(np.abs(row).argmax())]}"
+            for name, row in zip(names, self.places(len(names)), strict=True)
         )
-    half = 0.0
-    if model.forcing_period is not None:
-        half = cycles * float(model.forcing_period(model.parameter_values)) / 2
-    film = "running the film backwards"
-    for name, places, rates, shift, meaning in (
-        ("brake", 1, -1, 0.0, film),
-        ("reflection", -1, -1, half, "x -> -x"),
-        ("reversal", -1, 1, 0.0, f"{film} in a mirror"),
-    ):
-        if name in symmetry and _broken(model, state, (places, rates, shift)):
+        moved = ", ".join(one for one in images if one.split(" -> ")[0] != one.split(" -> ")[1])
+        return moved + (f", {film}" if self.sense < 0 else "")
+
+
+@dataclass(frozen=True)
+class _Fixed:
+    """The fixed set of an involution that runs time backwards: `rows` x = constant; `lift` makes the d of S x + d."""
+
+    rows: np.ndarray
+    lift: np.ndarray
+    share: np.ndarray
+    """constants of angles are multiples of 2 pi times this (n)"""
+
+    def turning(self, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
+        """Which rows (n) hold angles."""
+        return np.asarray(np.any(self.rows[:, : self.share.size][:, np.asarray(angles, bool)] != 0, axis=1))
+
+
+@lru_cache(maxsize=64)
+def _fixed(one: Involution, n: int) -> _Fixed:
+    matrix = one.matrix(n)
+    apart = np.eye(2 * n) - matrix
+    partner = np.abs(matrix).argmax(axis=1)
+    kept = [i for i in range(2 * n) if i <= partner[i] and np.any(apart[i])]
+    share = np.array([0.5 if partner[i] == i else 1.0 for i in kept])
+    rows = apart[kept] * share[:, None]
+    return _Fixed(rows, apart @ rows.T @ np.linalg.inv(rows @ rows.T), share)
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """What an orbit has: no involution, one, or one that runs time backwards and then one that does not."""
+
+    maps: tuple[Involution, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Its name in files and messages."""
+        return "+".join(one.name for one in self.maps) or "none"
+
+    @property
+    def parts(self) -> int:
+        """How many times the integrated part fits into the period."""
+        return int(2 ** len(self.maps))
+
+    @property
+    def fraction(self) -> float:
+        """The part of the period that is integrated."""
+        return 1.0 / self.parts
+
+    @property
+    def forward(self) -> Involution | None:
+        """The involution after which the orbit repeats itself half a period later, if there is one."""
+        return next((one for one in self.maps if one.sense > 0), None)
+
+    @property
+    def reverses(self) -> bool:
+        """True when time may be run backwards: t = 0 is then fixed, and the boundary rows hold no invariant twice."""
+        return bool(self.maps) and self.maps[0].sense < 0
+
+    @property
+    def mirrors(self) -> tuple[Involution, Involution]:
+        """Of a symmetry that reverses: the involutions about the start and about the end of the part."""
+        first, forward = self.maps[0], self.forward
+        return first, first if forward is None else forward.after(first)
+
+    # ---- the boundary rows -------------------------------------------------------------------------
+
+    def rows(self, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """B0 and B1 (2n x 2n) of the boundary rows B0 x(0) + B1 x(end) = constant."""
+        return _rows(self, n)
+
+    def held(self, n: int) -> np.ndarray:
+        """Which components of a state (2n) the rows hold at the start by themselves."""
+        return np.any(self.rows(n)[0] != 0, axis=0) if self.reverses else np.zeros(2 * n, bool)
+
+    def asks_where(self, n: int) -> bool:
+        """True when the rows hold coordinates at the end of the part, so that it must be known which half turns."""
+        return self.reverses and bool(np.any(self.rows(n)[1][:, :n]))
+
+    def constants(
+        self,
+        angles: np.ndarray,
+        start: np.ndarray,
+        end: np.ndarray | None = None,
+        turns: np.ndarray | tuple[int, ...] | None = None,
+    ) -> np.ndarray:
+        """The constants (2n) of the rows that start and end of a motion (2n each) come nearest to.
+
+        `turns` are the whole turns of a period (n), where they are known. An angle counts in half turns about a centre,
+        and in whole turns over the part; without `end` it stays with the start's.
+        """
+        n = start.size // 2
+        whole = np.zeros(n) if turns is None else np.asarray(turns)
+        if not self.reverses:
+            forward = self.forward
+            if forward is None or end is None:
+                return np.concatenate([2 * np.pi * whole, np.zeros(n)])
+            gap = (end - forward.matrix(n) @ start)[:n]
+            return np.concatenate([np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0), np.zeros(n)])
+
+        def nearest(one: Involution, x: np.ndarray) -> np.ndarray:
+            fixed = _fixed(one, n)
+            counted = 2 * np.pi * fixed.share
+            return np.where(fixed.turning(angles), counted * np.round(fixed.rows @ x / counted), 0.0)
+
+        first, last = self.mirrors
+        begin = nearest(first, start)
+        if end is None or (turns is not None and first == last):
+            travelled = np.concatenate([np.pi * whole, np.zeros(n)])
+            return np.concatenate([begin, begin + _fixed(first, n).rows @ travelled if first == last else 0 * begin])
+        return np.concatenate([begin, nearest(last, end)])
+
+    def implied(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """The constants (2n) that coordinates at start and end have themselves, rates' ones 0: for drawing."""
+        n = start.size // 2
+        first, last = self.rows(n)
+        rates = np.any((np.abs(first) + np.abs(last))[:, n:] > 0, axis=1)
+        return np.where(rates, 0.0, first @ start + last @ end)
+
+    def displaced(self, constant: np.ndarray) -> Affine:
+        """(S, d) of the map that takes x(0) to the state half a period on, or a whole one without symmetry."""
+        n = constant.size // 2
+        if not self.reverses:
+            return (np.eye(2 * n) if self.forward is None else self.forward.matrix(n)), constant
+        first, last = (one.matrix(n) for one in self.mirrors)
+        about = self._displacements(constant)
+        return last @ first, last @ about[0] + about[1]
+
+    def _displacements(self, constant: np.ndarray) -> Affine:
+        """d of S x + d about the start and about the end of the part, of a symmetry that reverses."""
+        n = constant.size // 2
+        first, last = (_fixed(one, n).lift for one in self.mirrors)
+        return first @ constant[:n], last @ constant[n:]
+
+    def turns(self, constant: np.ndarray) -> np.ndarray:
+        """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
+        n = constant.size // 2
+        if len(self.maps) > self.reverses:
+            return np.zeros(n, int)
+        return np.round(self.displaced(constant)[1][:n] / (2 * np.pi)).astype(int)
+
+    def may_turn(self, n: int) -> np.ndarray:
+        """Which coordinates (n) may make whole turns in a period."""
+        if self.reverses and self.forward is None:
+            return self.held(n)[:n]
+        return np.full(n, not self.maps)
+
+    def centre(self, constant: np.ndarray) -> np.ndarray:
+        """Where the coordinates (n) must be centred, nan for those that may be anywhere."""
+        n = constant.size // 2
+        matrix, moved = self.displaced(constant)
+        flipped = (np.diag(matrix)[:n] < 0) & (self.forward is not None)
+        return np.where(flipped, 0.5 * moved[:n], np.nan)
+
+    # ---- the whole from a part ---------------------------------------------------------------------
+
+    def whole(
+        self, times: np.ndarray, states: np.ndarray, constant: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Times and states (k x 2n) over a whole period from those over the part, both of its ends among them.
+
+        Without the rows' constants the states' own are taken.
+        """
+        constant = self.implied(states[0], states[-1]) if constant is None else constant
+        n = states.shape[1] // 2
+        if self.reverses:
+            last, (_, moved) = self.mirrors[1].matrix(n), self._displacements(constant)
+            times = np.concatenate([times, 2 * times[-1] - times[-2::-1]])
+            states = np.vstack([states, states[-2::-1] @ last.T + moved])
+        if self.forward is not None:
+            matrix, moved = self.displaced(constant)
+            times = np.concatenate([times, times[-1] + times[1:]])
+            states = np.vstack([states, states[1:] @ matrix.T + moved])
+        return times, states
+
+    def closes(self, states: np.ndarray, angles: np.ndarray) -> float:
+        """How far the end of a part (k x 2n) is from where the next one begins, relative to the motion's extent.
+
+        Coordinates count where the symmetry says where they must be, modulo half turns of angles.
+        """
+        n = states.shape[1] // 2
+        first, last = self.rows(n)
+        gap = last @ states[-1] + (0.0 if self.reverses else first @ states[0])
+        kept = np.any(last != 0, axis=1)
+        where = np.any(last[:, :n] != 0, axis=1)
+        kept &= ~where | self.reverses
+        constant = self.constants(angles, states[0], states[-1]) * where
+        extents = np.repeat([max(float(np.ptp(half, axis=0).max()), 1e-12) for half in np.hsplit(states, 2)], n)
+        units = (np.abs(last) * extents).max(axis=1)
+        return float((np.abs(gap - constant) / np.where(kept, units, 1.0))[kept].max())
+
+    def root(
+        self,
+        part: Any,
+        inverse_of: Callable[[Any], Any],
+        size: int,
+        *,
+        made: Callable[[np.ndarray], Any] = np.asarray,
+        times: Callable[[Any, Any], Any] = operator.matmul,
+    ) -> tuple[Any, int]:
+        """(root, power) of the monodromy matrix root^power from the part's state-transition matrix A (2n square).
+
+        S A after S, R0 A^-1 R1 A after R0 about the start and R1 about the end; of the symmetry's two, each at most.
+        `inverse_of(B)` is A^-1 B; `made` and `times` are those of the algebra that A belongs to.
+        """
+        n = size // 2
+        if not self.reverses:
+            return (part, 1) if self.forward is None else (times(made(self.forward.matrix(n)), part), 2)
+        first, last = (made(one.matrix(n)) for one in self.mirrors)
+        return times(first, inverse_of(times(last, part))), len(self.maps)
+
+    # ---- what it removes, who has it ---------------------------------------------------------------
+
+    def unfolded(self, model: Model) -> tuple[Invariant, ...]:
+        """The invariants that the boundary rows hold twice: I(S x) = I(x), or -I(x) where time runs backwards.
+
+        Each needs an unfolding parameter, and, where a shift along its symmetry keeps the rows, a phase condition: by
+        Noether's theorem these are the same ones.
+        """
+        return tuple(
+            one for one in model.invariants if all(_parity(model, one, each) == each.sense for each in self.both)
+        )
+
+    def generators(self, model: Model) -> tuple[Any, ...]:
+        """The model's continuous symmetries besides time that keep the boundary rows."""
+        return tuple(one.generator for one in self.unfolded(model) if one.generator is not None)
+
+    @property
+    def both(self) -> tuple[Involution, ...]:
+        """Every involution that the boundary rows are made of."""
+        return tuple(dict.fromkeys(self.mirrors)) if self.reverses else self.maps
+
+    def narrower(self) -> Iterator[tuple[Symmetry, float]]:
+        """Symmetries that a branch of such orbits may keep, the largest first, with where in the period it starts."""
+        if self.maps:
+            yield self, 0.0
+        if self.reverses and self.forward is not None:
+            first, last = self.mirrors
+            yield from ((Symmetry((first,)), 0.0), (Symmetry((last,)), 0.25), (Symmetry((self.forward,)), 0.0))
+        elif self.reverses:
+            yield self, 0.5
+
+    def check(self, model: Model, state: np.ndarray, cycles: int = 0) -> None:
+        """`InputError` when the equations lack it, tried at states around one (2n).
+
+        a(sense t, P q, sense P v) = P a(t, q, v) is needed, of one that runs forwards at t + T/2, where T is `cycles`
+        periods of the forcing.
+        """
+        if model.native is not None and any(one.signs != 1 or one.order for one in self.maps):
             raise InputError(
-                f"symmetry: this system's equations change under {meaning}, so {symmetry!r} cannot be imposed; "
-                "use symmetry = 'none' (symmetric orbits are recognised)"
+                f"symmetry: {self.name!r} cannot be imposed in redundant coordinates, where x -> -x moves the joints; "
+                f"use symmetry = {BRAKE.name!r} or 'none' (symmetric orbits are recognised)"
             )
+        half = 0.0
+        if model.forcing_period is not None:
+            half = cycles * float(model.forcing_period(model.parameter_values)) / 2
+        for one in self.maps:
+            if _broken(model, state, one, half if one.sense > 0 else 0.0):
+                meaning = one.in_words(model.state_names[: model.degrees_of_freedom])
+                raise InputError(
+                    f"symmetry: this system's equations change under {meaning}, so {self.name!r} cannot be imposed; "
+                    "use symmetry = 'none' (symmetric orbits are recognised)"
+                )
+
+    def held_by(self, model: Model, state: np.ndarray, cycles: int = 0) -> bool:
+        """Whether a model's equations have it (see `check`)."""
+        try:
+            self.check(model, state, cycles)
+        except InputError:
+            return False
+        return True
 
 
-def _broken(model: Model, state: np.ndarray, signs: tuple[int, int, float]) -> bool:
-    places, rates, shift = signs
+@lru_cache(maxsize=64)
+def _rows(symmetry: Symmetry, n: int) -> tuple[np.ndarray, np.ndarray]:
+    if not symmetry.reverses:
+        forward = symmetry.forward
+        return -(np.eye(2 * n) if forward is None else forward.matrix(n)), np.eye(2 * n)
+    first, last = (_fixed(one, n).rows for one in symmetry.mirrors)
+    return np.vstack([first, 0 * first]), np.vstack([0 * last, last])
+
+
+BRAKE_MAP = Involution("brake", -1, 1)
+REFLECTION_MAP = Involution("reflection", 1, -1)
+REVERSAL_MAP = Involution("reversal", -1, -1)
+NONE = Symmetry()
+REFLECTION = Symmetry((REFLECTION_MAP,))
+"""x(t + T/2) = -x(t)"""
+BRAKE = Symmetry((BRAKE_MAP,))
+"""All rates vanish at some instant, and the motion runs back from there."""
+REVERSAL = Symmetry((REVERSAL_MAP,))
+"""All coordinates are at 0 (angles at 0 or pi) at some instant, q(-t) = -q(t): running orbits, mostly."""
+QUARTER = Symmetry((BRAKE_MAP, REFLECTION_MAP))
+"""From rest through q = 0: both the first ones."""
+SYMMETRIES: Mapping[str, Symmetry] = {one.name: one for one in (NONE, REFLECTION, BRAKE, REVERSAL, QUARTER)}
+"""The symmetries that need no declaration, by name."""
+
+
+def declared(model: Model) -> tuple[Involution, ...]:
+    """The involutions that a model declares."""
+    return tuple(Involution(name, sense, signs) for name, sense, signs in model.symmetries)
+
+
+def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
+    """The symmetries that a Problem of this model may ask for, by name: the usual ones and those it declares."""
+    own = declared(model)
+    backward = [BRAKE_MAP, *(one for one in own if one.sense < 0)]
+    pairs = [(first, last) for first in backward for last in own if last.sense > 0]
+    found = (*SYMMETRIES.values(), *(Symmetry((one,)) for one in own), *map(Symmetry, pairs))
+    return {one.name: one for one in found} if own else SYMMETRIES
+
+
+def named(name: str, model: Model, where: str = "symmetry", remedy: str = "") -> Symmetry:
+    """The symmetry with a name; `InputError` names the known ones."""
+    known = SYMMETRIES if name in SYMMETRIES else symmetries_of(model)
+    if name not in known:
+        raise InputError(f"{where}: unknown {name!r}; {remedy or 'use one of ' + ', '.join(known)}")
+    return known[name]
+
+
+def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
+    """1 or -1 as an invariant keeps or changes its sign under an involution, 0 for neither; an energy keeps it."""
+    if invariant.generator is None:
+        return 1
+    n, random = model.degrees_of_freedom, np.random.default_rng(0)
+    matrix = one.matrix(n)
+    for _ in range(4):
+        x = random.normal(0, 1.0, 2 * n)
+        here, there = (float(invariant.value(s[:n], s[n:], model.parameter_values)) for s in (x, matrix @ x))
+        if np.isfinite(here - there) and here:
+            return int(np.round(there / here)) if abs(abs(there / here) - 1.0) < BROKEN else 0
+    return 0
+
+
+def _broken(model: Model, state: np.ndarray, one: Involution, shift: float) -> bool:
     random = np.random.default_rng(0)
     q, v = np.split(np.asarray(state, float), 2)
-    direction = -1.0 if places != rates else 1.0
+    places = one.places(q.size)
     for _ in range(4):
         place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(), v.size)
         if model.native is not None:  # off the constraints the stabilisation is damped
             basis = allowed_velocities(model.native, q)
             place, rate = q, basis @ (basis.T @ rate)
         t = float(random.uniform(0, 1 + 2 * shift))
-        here = places * model.acceleration(t, place, rate, model.parameter_values).full()
-        there = model.acceleration(direction * t + shift, places * place, rates * rate, model.parameter_values).full()
-        if np.all(np.isfinite(here - there)) and np.abs(there - here).max() > 1e-8 * max(1.0, np.abs(here).max()):
+        here = places @ model.acceleration(t, place, rate, model.parameter_values).full().ravel()
+        image = (one.sense * t + shift, places @ place, one.sense * (places @ rate))
+        there = model.acceleration(*image, model.parameter_values).full().ravel()
+        if np.all(np.isfinite(here - there)) and np.abs(there - here).max() > BROKEN * max(1.0, np.abs(here).max()):
             return True
     return False
+
+
+# ---- recognition -------------------------------------------------------------------------------------------
+
+
+def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool = True) -> str:
+    """The name of the symmetry that states (k+1 x 2n) at equal times over T have.
+
+    Looked for are rest and x -> -x, else a centre, and then, with `own`, what the model declares.
+    """
+    angles = np.asarray(model.angles or (False,) * model.degrees_of_freedom)
+    found = [one for one in QUARTER.maps if has(one, times, states, angles)]
+    for one in (REVERSAL_MAP, *(declared(model) if own else ())):
+        taken = {each.sense for each in found}
+        if one.sense not in taken and (one is not REVERSAL_MAP or not found) and has(one, times, states, angles):
+            found.append(one)
+    return Symmetry(tuple(sorted(found, key=lambda one: one.sense))).name
+
+
+def has(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
+    """Whether samples over a period have a symmetry, wherever in it they begin."""
+    if one.sense < 0:
+        return _mirrored(one, times, states, angles)
+    extent, n = np.ptp(states, axis=0), angles.size
+    scale = np.concatenate([np.full(n, extent[:n].max()), np.full(n, extent[n:].max())])
+    return bool(np.all(half_period_gaps(one, states, angles) <= RECOGNITION * np.maximum(scale, 1e-300)))
+
+
+def half_period_gaps(one: Involution, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """|x(t + T/2) - S x(t)| of samples over a period, angles modulo 2 pi."""
+    half, n = (len(states) - 1) // 2, angles.size
+    total = states[half : 2 * half] - states[:half] @ one.matrix(n).T
+    total[:, :n] = np.where(angles, _wrapped(total[:, :n]), total[:, :n])
+    return np.abs(total)
+
+
+def off_centre(one: Involution, states: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
+    """rows x - constant (k x n) at states (k x 2n): how far they are from the fixed set, the nearest for angles."""
+    fixed = _fixed(one, len(angles))
+    gaps = states @ fixed.rows.T
+    return np.where(fixed.turning(angles), _wrapped(gaps / fixed.share) * fixed.share, gaps)
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
+    """True when the motion passes the fixed set, and its rates about that instant are even or odd as they must be."""
+    from scipy.interpolate import CubicHermiteSpline, PPoly
+
+    n = angles.size
+    rows = _fixed(one, n).rows
+    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
+    rates = spline.derivative()
+    sizes = np.repeat([np.ptp(states[:, :n], axis=0).max(), np.abs(states[:, n:]).max()], n)
+    units = np.maximum((np.abs(rows) * sizes).max(axis=1), 1e-300)  # of coordinates and of rates
+    coordinate = np.any(rows[:, :n] != 0, axis=1)
+    moved = states @ rows.T
+    leading = int((np.where(coordinate, np.ptp(moved, axis=0), np.abs(moved).max(axis=0)) / units).argmax())
+    parts = np.hstack([states[:, :n] @ rows[leading, :n, None], states[:, n:] @ rows[leading, :n, None]])
+    chosen: PPoly = CubicHermiteSpline(times, *parts.T)
+    levels = [0.0]
+    if coordinate[leading] and angles[np.flatnonzero(rows[leading])].all():
+        turn = 2 * np.pi * _fixed(one, n).share[leading]
+        levels = list(np.arange(np.floor(parts[:, 0].min() / turn), parts[:, 0].max() / turn + 1) * turn)
+    elif not coordinate[leading]:
+        chosen = CubicHermiteSpline(times, states[:, :n] @ rows[leading, n:], moved[:, leading]).derivative()
+    roots = [PPoly(chosen.c, chosen.x).solve(level, extrapolate=False) for level in levels]
+    moments = np.concatenate([*(np.append(found[np.isfinite(found)], times) for found in roots)])
+    there = np.hstack([spline(moments), rates(moments)])
+    defects = np.abs(off_centre(one, there, angles) / units).max(axis=1)
+    # the spline's rates are good to about the fourth power of the sampling interval
+    if not defects.size or not defects.min() <= 10 * RECOGNITION:
+        return False
+    centre = moments[int(defects.argmin())]
+    # v odd (even) about the centre: Fourier coefficients there are imaginary (real); exact for periodic samples
+    harmonics = np.fft.rfft(states[:-1, n:], axis=0) * (2.0 / (len(states) - 1))
+    turned = harmonics * np.exp(2j * np.pi * np.arange(len(harmonics)) * centre / times[-1])[:, None]
+    image = turned.conj() @ one.places(n).T * one.sense
+    return bool(np.abs(turned - image).max() / 2 <= MIRROR * np.abs(states[:, n:]).max())
+
+
+def time_dependent(model: Model) -> bool:
+    """True when the accelerations contain time explicitly."""
+    return bool(model.acceleration.jac_sparsity(0, 0).nnz())

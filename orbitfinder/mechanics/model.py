@@ -69,6 +69,8 @@ class Model:
     centres: ca.Function | None = None
     gyroscopic: ca.Function | None = None
     forcing_period: ca.Function | None = None
+    symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
+    """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
     native: ConstrainedModel | None = None
     """the DAE that this is the reduced form of, in redundant coordinates under constraints"""
 

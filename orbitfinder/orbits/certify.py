@@ -10,8 +10,7 @@ import numpy as np
 from orbitfinder._runtime.threads import one_thread
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, vector_field
-from orbitfinder.loops.conditions import SYMMETRIES
-from orbitfinder.loops.symmetry import recognise
+from orbitfinder.loops.symmetry import recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.chain_evidence import chain_motion
@@ -303,7 +302,7 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
         _at_most("recorded_closure", closure, held * scale, RECORDED),
         _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
         _same("stability", orbit.stability, evidence.floquet.stability),
-        _same_symmetry(orbit, recognise(evidence.times, evidence.states, np.asarray(model.angles))),
+        _same_symmetry(orbit, evidence, model),
     ]
     # mu and 1/mu of a matrix of norm about mu, known to the integration's relative error: mu^2 of that
     pairs = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if model.conservative else 0.0
@@ -320,11 +319,20 @@ def _same(name: str, recorded: str, found: str) -> Check:
     return Check(name, 0.0 if recorded == found else 1.0, 0.0, recorded == found, note)
 
 
-def _same_symmetry(orbit: Orbit, found: str) -> Check:
-    """The recorded symmetry; a family's point claims that of its formulation, and may have more."""
-    had = SYMMETRIES if "+" in found else ("none", found)  # who has two of the three has all
-    more = isinstance(orbit, FamilyPoint) and orbit.symmetry in had
-    return _same("symmetry", orbit.symmetry, orbit.symmetry if more else found)
+def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
+    """The recorded symmetry is the one found; of what a model declares, a record from before may say nothing.
+
+    A family's point claims the symmetry of its formulation only, and may have more.
+    """
+    names = [
+        recognise(evidence.times, evidence.states, model, own=own)
+        for own in (True, False)[: 1 + bool(model.symmetries)]
+    ]
+    known = symmetries_of(model)
+    if isinstance(orbit, FamilyPoint) and orbit.symmetry in known:
+        had = {one for name in names for one in (*known[name].maps, *known[name].both)}
+        names += [orbit.symmetry] * (set(known[orbit.symmetry].maps) <= had)
+    return _same("symmetry", orbit.symmetry, orbit.symmetry if orbit.symmetry in names else names[0])
 
 
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:

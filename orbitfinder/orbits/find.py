@@ -16,12 +16,12 @@ from orbitfinder._runtime.threads import one_thread
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.guesses.balanced import balanced_guess
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
-from orbitfinder.loops.conditions import Pin, unfolded_invariants
+from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.dae_segments import build_dae_flow
 from orbitfinder.loops.ipopt import Callback as Callback
 from orbitfinder.loops.ipopt import Progress as Progress
 from orbitfinder.loops.ipopt import SolveSettings as SolveSettings
-from orbitfinder.loops.newton import polish
+from orbitfinder.loops.polish import polish
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe, units_of
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -70,7 +70,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
         return find_long_chain(problem, settings, progress)
     check_invariants(problem)
     problem = at_forcing_period(problem)
-    unfolded = unfolded_invariants(problem.model, problem.boundary)
+    unfolded = problem.boundary.unfolded(problem.model)
     if problem.model.native is None:
         flow = build_flow(problem.model, problem.free, unfolded, settings.integrator, units_of(problem))
     else:

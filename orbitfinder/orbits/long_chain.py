@@ -25,7 +25,7 @@ from orbitfinder.integrate.chain import CHUNK, Quarter
 from orbitfinder.loops.conditions import Pin, pin_row
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.symmetry import recognise
+from orbitfinder.loops.symmetry import QUARTER, recognise
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
@@ -90,7 +90,7 @@ def suits(problem: Problem) -> bool:
         is_long(model)
         and model.acceleration.is_a("SXFunction")
         and float(model.system["gravity"]) > 0
-        and problem.symmetry == "brake+reflection"
+        and problem.boundary == QUARTER
         and len(problem.pin) == 1
         and not (problem.free or problem.bounds or problem.constraints or problem.objective != "nearest")
         and problem.phase_condition is None
@@ -291,9 +291,7 @@ def multipliers(chain: Chain, start: np.ndarray, period: float) -> Floquet:
     before, after = closed.momentum_frame(first), closed.momentum_frame(chain.end(start, period))
     matrix = np.linalg.solve((before @ modes).T, (after @ columns).T).T
     unit = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
-    signs = np.concatenate([-np.ones(n), np.ones(n)])
-    back = -unit @ matrix.T @ unit
-    half = -(signs[:, None] * back * signs[None, :]) @ matrix
+    half, _ = chain.problem.boundary.root(matrix, lambda other: -unit @ matrix.T @ unit @ other, 2 * n)
     flow = before @ chain.quarter.field(0.0, first, [], []).full().ravel()
     gradient = np.concatenate([-flow[n:], flow[:n]])
     reduced = reduce_monodromy(half, gradient[None, :], flow[None, :])
@@ -317,7 +315,7 @@ def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
     return Orbit(
         name=problem.name, title=problem.title, source=problem.source, system=model.system,
         state=state, period=period, energy=total_energy(model, state), action=action(model, times, states),
-        closure=gap(state, states[-1], turns), symmetry=recognise(times, states, np.asarray(model.angles)),
+        closure=gap(state, states[-1], turns), symmetry=recognise(times, states, model),
         winding=tuple(int(k) for k in turns), floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect, stability=floquet.stability, unfolding=(),
         nodes=states[: -1 : SAMPLES // NODES], times=times, samples=states,

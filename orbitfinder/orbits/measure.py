@@ -8,9 +8,9 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from orbitfinder.integrate.cvodes import Flow, transition
-from orbitfinder.loops.newton import end_of, graded_end, least_steps, segment, tail_of
+from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
 from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.shooting import boundary_shift
+from orbitfinder.loops.shooting import boundary_constants
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.model import energy as total_energy
@@ -40,7 +40,7 @@ def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfo
         energy=total_energy(model, whole[0]),
         action=loop_action(model, flow, whole, times, states),
         closure=gap(whole[0], end, problem.turns),
-        symmetry=recognise(times, states, np.asarray(model.angles)),
+        symmetry=recognise(times, states, model),
         winding=tuple(int(k) for k in problem.turns),
         floquet_multipliers=floquet.multipliers,
         pair_defect=floquet.pair_defect,
@@ -55,30 +55,18 @@ def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfo
 
 
 def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) -> np.ndarray:
-    """Nodes at equal times over the whole period from those over the symmetric part of it.
-
-    Brake: x(-t) = B x(t), B reversing the rates, about both rest points. Reflection:
-    x(t + T/2) = shift - x(t). Reversal: q(T/2 + t) = 2 q(T/2) - q(T/2 - t).
-    """
-    symmetry, n = problem.boundary, problem.model.degrees_of_freedom
-    if symmetry.name == "none":
+    """Nodes at equal times over the whole period from those over the symmetric part of it."""
+    symmetry, end = problem.boundary, None
+    if not symmetry.maps:
         return nodes
-    end = None
-    if "brake" in symmetry.name or symmetry.name == "reversal":
-        reverse = np.concatenate([np.ones(n), -np.ones(n)])
+    if symmetry.reverses:
         horizon = symmetry.fraction * period
-        step = horizon / len(nodes)
-        end = segment(flow, nodes[-1], (horizon - step, horizon), tail_of(flow))[-1:]
-        mirrored = nodes[:0:-1] * reverse
-        if symmetry.name == "brake":
-            return np.vstack([nodes, end, mirrored])
-        if symmetry.name == "reversal":
-            centre = boundary_shift(problem, nodes, end[0])[n:]
-            return np.vstack([nodes, end, np.concatenate([2 * centre, np.zeros(n)]) - mirrored])
-    shift = np.concatenate([boundary_shift(problem, nodes, None if end is None else end[0]), np.zeros(n)])
-    if end is not None:
-        nodes = np.vstack([nodes, end, shift - mirrored])
-    return np.vstack([nodes, shift - nodes])
+        end = segment(flow, nodes[-1], (horizon - horizon / len(nodes), horizon), tail_of(flow))[-1]
+    constant = boundary_constants(problem, nodes, end)
+    if end is None:
+        matrix, moved = symmetry.displaced(constant)
+        end = matrix @ nodes[0] + moved
+    return symmetry.whole(np.arange(len(nodes) + 1.0), np.vstack([nodes, end]), constant)[1][:-1]
 
 
 def dense(flow: Flow, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:

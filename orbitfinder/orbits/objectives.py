@@ -191,7 +191,7 @@ def _peak(
         if heights[-1] <= (1 + PEAK_TOLERANCE) * abs(states[0, place]):
             return shooting, w
     name = problem.model.state_names[place]
-    if not problem.boundary.time_phase:
+    if problem.boundary.reverses:
         raise ConvergenceError(
             f"no orbit found: {name} is largest away from rest ({heights[-1]:.6g} against {abs(states[0, place]):.6g} "
             "there), and t = 0 of a brake orbit is at rest; use symmetry none"
@@ -215,7 +215,7 @@ def _at_peak(problem: Problem, place: int, times: np.ndarray, states: np.ndarray
     """The Problem with t = 0 of its guess at the peak of a state component, and the objective about that."""
     n = problem.model.degrees_of_freedom
     top = int(np.abs(states[:-1, place]).argmax())
-    resting = not problem.boundary.time_phase
+    resting = problem.boundary.reverses
     if resting:  # t = 0 stays at rest, at the end of the swing where the coordinate is larger
         top = 0 if abs(states[0, place]) >= abs(states[len(states) // 2, place]) else len(states) // 2
     moved = np.vstack([states[top:], states[1 : top + 1] + states[-1] - states[0]])

@@ -11,9 +11,10 @@ from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, end_state
 from orbitfinder.integrate.cvodes import vector_field as equations_of_motion
 from orbitfinder.integrate.dop853 import SECOND, vector_field
-from orbitfinder.loops.newton import segment, tail_of
+from orbitfinder.loops.polish import segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.shooting import boundary_shift, far_end, half_turns, units_of
+from orbitfinder.loops.shooting import boundary_constants, far_end, units_of
+from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.orbits.evidence import integrate_in
 
 DRIFT = 1e-7
@@ -69,12 +70,12 @@ def at_forcing_period(problem: Problem) -> Problem:
 
 
 def at_section(problem: Problem, flow: Flow) -> Problem:
-    """The Problem with its guess moved along its motion to where an odd motion starts; others are left alone.
+    """The Problem with its guess moved along its motion to where its symmetry holds coordinates at the start.
 
-    That is the instant at which every angle is nearest to a multiple of pi and every other coordinate to 0.
+    That is the instant at which every such angle is nearest to a multiple of pi and every other coordinate to 0.
     """
-    guess, n = problem.guess, problem.model.degrees_of_freedom
-    if problem.symmetry != "reversal" or problem.model.forced:
+    guess, model, n = problem.guess, problem.model, problem.model.degrees_of_freedom
+    if not np.any(problem.boundary.held(n)[:n]) or model.forced:
         return problem
     try:
         states = guess.states if guess.states is not None else segment(
@@ -82,8 +83,8 @@ def at_section(problem: Problem, flow: Flow) -> Problem:
         )  # fmt: skip
     except IntegrationError:
         return problem  # the search itself will say where
-    q = np.asarray(states, float)[:, :n]
-    away = np.abs(q - half_turns(np.asarray(problem.model.angles), q)).max(axis=1)
+    clock = np.repeat([1.0, guess.period / (2 * np.pi)], n)
+    away = np.abs(off_centre(problem.boundary.maps[0], np.asarray(states, float) * clock, model.angles)).max(axis=1)
     best = int(away.argmin())
     if away[0] <= max(2 * away[best], SECTION) and guess.states is None:
         return problem
@@ -94,11 +95,11 @@ def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ..
     """Whole turns of each angle over the guess's motion, or None when it does not come near a whole number."""
     model, guess = problem.model, problem.guess
     n = model.degrees_of_freedom
-    if problem.symmetry not in ("none", "reversal") or not any(model.angles):
+    if not np.any(problem.boundary.may_turn(n)) or not any(model.angles):
         return None
-    if problem.symmetry == "reversal":
-        shift = boundary_shift(problem, nodes, far_end(problem, nodes, flow))
-        return tuple(int(k) for k in np.round((shift[n:] - shift[:n]) / np.pi))
+    if problem.boundary.maps:
+        constant = boundary_constants(problem, nodes, far_end(problem, nodes, flow))
+        return tuple(int(k) for k in problem.boundary.turns(constant))
     if guess.states is not None:
         end = np.asarray(guess.states[-1], float)
     else:

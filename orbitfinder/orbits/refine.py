@@ -1,11 +1,7 @@
 """Warm refinement: everything that depends on the equations alone is built once, guesses are then cheap.
 
-    refiner = Refiner(problem)                # equations, variations, compiled where possible
-    refined = refiner.refine(guess)           # milliseconds
-
-Multiple shooting by Newton's method on a fixed-step eighth-order integrator. The first iterations take end states and
-their derivatives from one coarse march of x and Phi; the last ones are chord steps whose residual comes from finer
-marches of x alone, doubled until twice as many steps say the same.
+refiner = Refiner(problem)                # equations, variations, compiled where possible
+refined = refiner.refine(guess)           # milliseconds
 """
 
 from __future__ import annotations
@@ -18,51 +14,21 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError
 from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.loops.closing import check_square, closing, pin_values
-from orbitfinder.loops.condensed import Linearised, Solver, eliminated
-from orbitfinder.loops.conditions import Pin, unfolded_invariants
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.newton import Newton, NewtonSettings
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.segments import Marches, Path, segments_needed
-from orbitfinder.loops.shooting import boundary_shift, phase_directions
+from orbitfinder.loops.square import loop_of, segments_needed
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.measure import measure
-from orbitfinder.orbits.prepare import WINDING_MARGIN, at_forcing_period
+from orbitfinder.orbits.prepare import at_forcing_period
 from orbitfinder.records.orbit import Orbit
-
-Rows = tuple[np.ndarray, np.ndarray]
-"""Defects (N-1 x 2n) and closing rows."""
 
 STANDSTILL = 1e-6
 """Largest rate at the start times the period, below which the motion is none."""
-
-
-@dataclass(frozen=True)
-class WarmSettings:
-    """How fine the marches are, and when enough is enough."""
-
-    steps_per_period: int = 100
-    """of the coarse march, which starts the iteration and whose Phi serves to its end"""
-    growth_per_segment: float = 100.0
-    """segments are added until no state-transition matrix of the first guess is larger than this"""
-    most_segments: int = 40
-    largest_change: float = 0.2
-    """of the period in one step, relative: a longer step leads to a multiple of the orbit, or to another"""
-    handover: float = 1e-4
-    """residual at which the coarse march has done its work"""
-    contraction: float = 0.1
-    """a chord step that reduces the residual by less asks for a new Jacobian"""
-    rough: float = 1e-10
-    """residual to which the march that is still to be confirmed is driven"""
-    agreement: float = 4e-12
-    """two step sizes must agree to this, times the states; the finer is then some 2^8 times better than that"""
-    floor: float = 1e-15
-    """residual, times the states and the largest entry of Phi (at least 10), below which all is round-off"""
-    most_evaluations: int = 30
-    most_doublings: int = 7
-    converged: float = 1e-8
-    """a larger residual at the end is a failure"""
 
 
 @dataclass(frozen=True)
@@ -87,16 +53,6 @@ class Refined:
     jacobians: int
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """What one guess fixes: phase reference and directions (2n x k), displacement (n, or 2n), pins."""
-
-    reference: np.ndarray
-    directions: np.ndarray
-    shift: np.ndarray
-    pins: np.ndarray
-
-
 class Refiner:
     """Refines guesses of one Problem, as many as you like, at its pins or at other values of them.
 
@@ -107,18 +63,18 @@ class Refiner:
     __repr__ = brief("problem", "segments")
 
     @checked
-    def __init__(self, problem: Problem, settings: WarmSettings | None = None) -> None:
-        check_square(problem)
+    def __init__(self, problem: Problem, settings: NewtonSettings | None = None) -> None:
+        _check_square(problem)
         self._alone = threading.Lock()  # the marches have one work space
-        self.settings = chosen = settings or WarmSettings()
+        self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        self.flow = build_flow(problem.model, problem.free, unfolded_invariants(problem.model, problem.boundary))
-        whole = max(4, int(np.ceil(chosen.steps_per_period * problem.boundary.fraction)))
-        self.segments = problem.segments or segments_needed(
-            problem, self.flow, whole, chosen.growth_per_segment, chosen.most_segments
-        )
-        self.marches = Marches(problem, self.flow, self.segments, max(4, -(-whole // self.segments)))
-        self._closing, self._slopes = closing(problem)
+        self.flow = build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
+        self.equations = Equations(problem.model, problem.boundary, problem.free)
+        self.equations.march.build()
+        fraction = problem.boundary.fraction
+        whole = max(4, int(np.ceil(chosen.steps_per_period * fraction)))
+        self.segments = problem.segments or self._segments(whole)
+        self._steps = max(4, -(-whole // self.segments))
 
     def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None) -> Refined:
         """The orbit near a guess (default: the problem's) at the pins (default: the problem's).
@@ -130,23 +86,22 @@ class Refiner:
             return self._refined(guess, pin)
 
     def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None) -> Refined:
-        self.marches.states = self.marches.derivatives = 0
-        path = self.marches.start(_checked(guess or self.problem.guess, len(self.problem.model.state_names)))
-        conditions, path, solver = self._approach(path, pin_values(self.problem, pin))
-        path, rows, blocks = self._finish(path, conditions, solver)
-        if not _largest(rows) < self.settings.converged:
+        w = self._start(_checked(guess or self.problem.guess, self.equations.size))
+        path = self.equations.varied(w)
+        loop = loop_of(self.problem, self.equations, w, path.ends[-1], _pins(self.problem, pin))
+        newton = Newton(loop, self.settings)
+        w, residual = newton.solve(w, path)
+        if not residual < self.settings.converged:
             raise ConvergenceError(
-                f"warm refinement stalled at a residual of {_largest(rows):.2g}; the orbit is too unstable for "
+                f"warm refinement stalled at a residual of {residual:.2g}; the orbit is too unstable for "
                 f"{self.segments} segments, give the problem more"
             )
-        if self.marches.standstill(path) < STANDSTILL:
+        if self._rates(w) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
-        extra = len(self.flow.unfolded)
-        turns = _turns(self.problem, conditions.shift)
+        turns = self.problem.boundary.turns(loop.constant)
         return Refined(
-            path.nodes[0], float(path.tail[0]), path.nodes, path.tail[1 : 1 + extra], path.tail[1 + extra :],
-            turns, _largest(rows), self.marches.steps * blocks, self.marches.states,
-            self.marches.derivatives,
+            w.nodes[0], w.period, w.nodes, w.unfolding, w.free, turns, residual, w.steps, newton.marches,
+            newton.jacobians + 1,
         )  # fmt: skip
 
     def orbit(self, refined: Refined, with_certificate: bool = True) -> Orbit:
@@ -160,111 +115,61 @@ class Refiner:
             return orbit
         return certified(orbit, problem.model)
 
-    # ---- the iteration -----------------------------------------------------------------------------
+    def _segments(self, steps: int) -> int:
+        """As many segments as the guess's motion needs."""
+        guess, most = self.problem.guess, self.settings.most_segments
+        mesh = uniform(self.problem.boundary.fraction, 1, steps)
+        w = self.equations.unknowns(np.asarray(guess.state, float)[None], guess.period, mesh)
+        try:
+            return segments_needed(
+                self.equations, w, guess.period / (2 * np.pi), self.settings.growth_per_segment, (1, most)
+            )
+        except IntegrationError:
+            return most
 
-    def _approach(self, path: Path, pins: np.ndarray) -> tuple[Conditions, Path, Solver]:
-        """Newton with damping on the coarse march until the residual is small."""
-        conditions: Conditions | None = None
-        before, step, factor, best = path, (path.nodes, path.tail), 1.0, np.inf
-        for _ in range(self.settings.most_evaluations):
-            try:
-                ends, system = self.marches.linearised(path)
-                conditions = conditions or self._conditions(path, ends, pins)
-                rows = self._rows(path, ends, conditions)
-                size = float(np.sqrt(sum(np.sum(part**2) for part in rows)))
-            except IntegrationError:
-                if conditions is None:
-                    raise
-                size = np.inf
-            if conditions is not None and size < best:
-                solver = eliminated(self._completed(system, path, ends, conditions))
-                before, best, step = path, size, solver(*rows)
-                factor = 1.0 / max(1.0, abs(step[1][0]) / (self.settings.largest_change * path.tail[0]))
-                if size < self.settings.handover and factor == 1.0:
-                    return conditions, path.moved(step), solver
-            else:
-                factor /= 2
-            path = before.moved(step, factor)
-        raise ConvergenceError(
-            f"warm refinement does not converge from this guess (residual {best:.2g}); find_orbit reaches farther"
+    def _start(self, guess: Guess) -> Unknowns:
+        """The unknowns of a guess: sampled from its trajectory, else simulated from its state."""
+        state, fraction = np.asarray(guess.state, float), self.problem.boundary.fraction
+        mesh = uniform(fraction, self.segments, self._steps)
+        if guess.times is not None and guess.states is not None:
+            moments = guess.period * mesh[: -1 : self._steps]
+            nodes = np.stack([np.interp(moments, guess.times, row) for row in guess.states.T], axis=1)
+            return self.equations.unknowns(nodes, guess.period, mesh)
+        w = self.equations.unknowns(state[None], guess.period, mesh)
+        if self.segments == 1:
+            return w
+        return replace(w, nodes=self.equations.march.states(w.nodes, w.mesh, w.tail)[: -1 : self._steps])
+
+    def _rates(self, w: Unknowns) -> float:
+        """Largest component of T f at the nodes: 0 at an equilibrium."""
+        times = w.period * w.edges[:-1]
+        return float(np.abs(self.equations.march.rates(w.nodes, w.tail, times)).max() * w.period)
+
+
+def _pins(problem: Problem, pin: Sequence[Pin] | None) -> tuple[Pin, ...]:
+    """The pins in the problem's order, at other values where they are given."""
+    given = {one.name: one for one in (problem.pin if pin is None else pin)}
+    known = [one.name for one in problem.pin]
+    if set(known) != given.keys():
+        raise InputError(
+            f"pin: this refiner was built for pins of {', '.join(known) or 'nothing'}, got "
+            f"{', '.join(given) or 'nothing'}; build another one"
         )
-
-    def _finish(self, path: Path, conditions: Conditions, solver: Solver) -> tuple[Path, Rows, int]:
-        """Chord steps on ever finer marches until twice as many steps confirm the residual, then to round-off."""
-        blocks, scale = 1, max(1.0, float(np.abs(path.nodes).max()))
-        rows = self._rows(path, self.marches.ends(path, blocks), conditions)
-        for _ in range(self.settings.most_doublings):
-            path, rows, solver = self._chord(path, rows, conditions, solver, blocks, self.settings.rough)
-            finer = self._rows(path, self.marches.ends(path, 2 * blocks), conditions)
-            change = max(float(np.abs(a - b).max(initial=0.0)) for a, b in zip(rows, finer, strict=True))
-            blocks, rows = 2 * blocks, finer
-            if change <= self.settings.agreement * scale:
-                break
-        floor = self.settings.floor * scale * max(10.0, self.marches.growth)
-        path, rows, _ = self._chord(path, rows, conditions, solver, blocks, floor)
-        return path, rows, blocks
-
-    def _chord(
-        self, path: Path, rows: Rows, conditions: Conditions, solver: Solver, blocks: int, target: float
-    ) -> tuple[Path, Rows, Solver]:
-        """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off."""
-        size = _largest(rows)
-        for _ in range(self.settings.most_evaluations):
-            if size <= target:
-                break
-            trial = path.moved(solver(*rows))
-            found = self._rows(trial, self.marches.ends(trial, blocks), conditions)
-            slow = _largest(found) > self.settings.contraction * size
-            if _largest(found) < size:
-                path, rows, size = trial, found, _largest(found)
-            if slow and size < 1e3 * self.settings.agreement:
-                break  # round-off
-            if slow:
-                ends, system = self.marches.linearised(path, blocks)
-                solver = eliminated(self._completed(system, path, ends, conditions))
-        return path, rows, solver
-
-    # ---- conditions --------------------------------------------------------------------------------
-
-    def _conditions(self, path: Path, ends: np.ndarray, pins: np.ndarray) -> Conditions:
-        """Phase conditions and displacement as the guess and its end have them."""
-        problem, state, n = self.problem, path.nodes[0], self.problem.model.degrees_of_freedom
-        if problem.symmetry == "none" and problem.winding is None:
-            turned = np.where(problem.model.angles, (ends[-1] - state)[:n] / (2 * np.pi), 0.0)
-            whole = np.round(turned)
-            shift = 2 * np.pi * whole * bool(np.all(np.abs(turned - whole) <= WINDING_MARGIN))
-        else:
-            shift = boundary_shift(problem, path.nodes, ends[-1])
-        directions = np.asarray(phase_directions(problem, state)).reshape(-1, 2 * n).T
-        return Conditions(state, directions, shift, pins)
-
-    def _rows(self, path: Path, ends: np.ndarray, conditions: Conditions) -> Rows:
-        """Defects between the segments and closing rows."""
-        found = self._closing(*self._arguments(path, ends, conditions)).full().ravel()
-        return ends[:-1] - path.nodes[1:], found
-
-    def _completed(self, system: Linearised, path: Path, ends: np.ndarray, conditions: Conditions) -> Linearised:
-        """The linearisation with the derivatives of its closing rows, none of which contains the unfolding."""
-        first, last, tail = (one.full() for one in self._slopes(*self._arguments(path, ends, conditions)))
-        whole = np.insert(tail, [1] * len(self.flow.unfolded), 0.0, axis=1)
-        return replace(system, first=first, last=last, tail=whole)
-
-    def _arguments(self, path: Path, ends: np.ndarray, conditions: Conditions) -> tuple[np.ndarray, ...]:
-        tail = np.concatenate([path.tail[:1], path.tail[1 + len(self.flow.unfolded) :]])
-        fixed = (conditions.shift, conditions.directions, conditions.reference, conditions.pins)
-        return path.nodes[0], ends[-1], tail, *fixed
+    return tuple(given[name] for name in known)
 
 
-def _largest(rows: Rows) -> float:
-    return max(float(np.abs(part).max(initial=0.0)) for part in rows)
-
-
-def _turns(problem: Problem, shift: np.ndarray) -> np.ndarray:
-    """Whole turns of each coordinate in one period (n) that a displacement stands for."""
-    n = problem.model.degrees_of_freedom
-    if problem.symmetry == "reversal":
-        shift = 2 * (shift[n:] - shift[:n])
-    return np.round(shift / (2 * np.pi) * (problem.symmetry in ("none", "reversal"))).astype(int)
+def _check_square(problem: Problem) -> None:
+    """Only square systems of pins can be refined by Newton's method alone."""
+    problem.check_count()
+    others = {"constraints": problem.constraints, "phase_condition": problem.phase_condition, "bounds": problem.bounds}
+    for name, value in others.items():
+        if value:
+            raise InputError(f"{name}: warm refinement knows pins only; use find_orbit")
+    if problem.model.native is not None and problem.boundary.maps:
+        raise InputError("symmetry: brake orbits under constraints are not refined warm; use find_orbit")
+    count = problem.count()
+    if count.freedom:
+        raise CountError(f"pin: {count} leave {count.freedom} to choose; warm refinement needs as many pins")
 
 
 def _checked(guess: Guess, size: int) -> Guess:

@@ -250,17 +250,18 @@ def situated(point: FamilyPoint, index: int, name: str, system: Mapping[str, Any
     """A point with what its family knows: its number, its name, its system at the freed parameters, its turns."""
     return replace(
         point, index=index, name=f"{name}-{index}", system=system_at(system, point.free),
-        winding=turns(str(curve.get("symmetry", "none")), curve.get("constant", ()), point.state.size // 2),
-        samples=np.zeros((0, point.state.size)), curve=curve,
+        winding=_turns(curve, point.state.size // 2), samples=np.zeros((0, point.state.size)), curve=curve,
     )  # fmt: skip
 
 
-def turns(symmetry: str, constant: Sequence[float] | np.ndarray, n: int) -> tuple[int, ...]:
-    """Whole turns of each of n coordinates in one period by a formulation's boundary; 0 for orbits that swing back."""
-    shift = np.asarray(constant, float)
-    if shift.size < 2 * n or symmetry not in ("none", "reversal"):
+def _turns(curve: Mapping[str, Any], n: int) -> tuple[int, ...]:
+    """Whole turns of each of n coordinates in one period; older files say them by the boundary's constants only."""
+    if "winding" in curve:
+        return tuple(typed(tuple[(int,) * n], curve["winding"], "curve.winding"))  # type: ignore[misc]
+    symmetry, constant = curve.get("symmetry"), np.asarray(curve.get("constant", ()), float)
+    if constant.shape != (2 * n,) or symmetry not in ("none", "reversal"):
         return (0,) * n
-    turned = shift[:n] / (2 * np.pi) if symmetry == "none" else (shift[n : 2 * n] - shift[:n]) / np.pi
+    turned = constant[:n] / (2 * np.pi) if symmetry == "none" else (constant[n:] - constant[:n]) / np.pi
     return tuple(int(k) for k in np.round(turned))
 
 
@@ -419,7 +420,8 @@ def _journal(path: Path, entries: Sequence[Mapping[str, Any]], sealed: bool) -> 
     for number, entry in enumerate(entries, start=1):
         try:
             if number == 1:
-                restored(FamilyPoint, typed(_Header, header, "").origin, "origin")
+                about = typed(_Header, header, "")
+                situated(restored(FamilyPoint, about.origin, "origin"), 0, about.name, about.system, about.curve)
             else:
                 batches.append(_batch(entry))
         except ValueError as error:

@@ -232,8 +232,10 @@ def check_document(document: Any, where: str) -> dict[str, Any]:
     return document
 
 
-def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples: np.ndarray) -> Orbit:
-    """An Orbit out of a checked document."""
+def orbit_from_document(
+    document: Mapping[str, Any], times: np.ndarray | None = None, samples: np.ndarray | None = None
+) -> Orbit:
+    """An Orbit out of a checked document, with its dense samples where they are given."""
     try:
         state = np.asarray(document["state"], float)
         multipliers = np.asarray([complex(re, im) for re, im in document["floquet_multipliers"]], complex)
@@ -254,7 +256,8 @@ def orbit_from_document(document: Mapping[str, Any], times: np.ndarray, samples:
             floquet_multipliers=multipliers, pair_defect=float(document.get("pair_defect", 0.0)),
             stability=document["stability"], unfolding=tuple(float(s) for s in document.get("unfolding", ())),
             nodes=np.asarray(document.get("nodes") or [document["state"]], float),
-            times=times, samples=samples, tolerance=tolerance,
+            times=np.zeros(0) if times is None else times,
+            samples=np.zeros((0, state.size)) if samples is None else samples, tolerance=tolerance,
             expected=expected, certificate=certificate,
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),

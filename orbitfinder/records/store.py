@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from orbitfinder.errors import InputError
 from orbitfinder.records.family import load_family
 from orbitfinder.records.orbit import AGAIN, Orbit, check_document, orbit_from_document, read_orbit
@@ -58,7 +56,7 @@ def load_orbit(path: str | Path) -> Orbit:
         return point
     if kind == "export":
         document = check_document(_chosen(json_file(file, "atlas export", AGAIN), number, path), str(path))
-        return orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+        return orbit_from_document(document)
     if kind == "atlas":
         raise InputError(f"{path}: an atlas database; open it: Atlas({str(file)!r}).orbit({number})")
     raise InputError(f"{path}: #{number}: not a family or an atlas, of which orbits have numbers; leave #{number} out")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orbitfinder.families.motions import Motion, motions
+from orbitfinder.families.members import Motion, motions
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.show.style import COLOURS, dress, new_figure, save_png
 

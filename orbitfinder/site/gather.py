@@ -12,7 +12,7 @@ import numpy as np
 
 from orbitfinder.atlas.store import Atlas, orbit_of
 from orbitfinder.errors import InputError
-from orbitfinder.families.motions import whole
+from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.records.family import FORMAT as FAMILY
 from orbitfinder.records.family import Family, load_family
@@ -134,7 +134,7 @@ def _orbit(document: Any, where: str) -> OrbitFile:
     """One orbit document, checked by building an Orbit from it."""
     checked = check_document(document, where)
     try:
-        orbit = orbit_from_document(checked, np.zeros(0), np.zeros((0, len(checked["state"]))))
+        orbit = orbit_from_document(checked)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     if orbit.state.ndim != 1 or orbit.state.size < 2 or orbit.state.size % 2:

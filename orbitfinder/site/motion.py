@@ -17,6 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.rk8 import march
+from orbitfinder.loops.symmetry import NONE, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, FamilyPoint
@@ -27,8 +28,6 @@ FIRST = 48
 """Samples from whose error the number needed is estimated."""
 INTERPOLATION = 0.005
 """Largest error of the page's interpolation, relative to the extent of the picture."""
-SHARES = {"none": 1.0, "brake": 0.5, "reflection": 0.5, "reversal": 0.5, "brake+reflection": 0.25}
-"""The part of a period that each symmetry of a family leaves free."""
 STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
 ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
@@ -100,17 +99,21 @@ class Films:
 
     def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Motion | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry."""
-        found, period, symmetry = self.model(system), one.period, one.symmetry
-        if found is None or len(one.state) != len(found[0].state_names) or symmetry not in SHARES:
+        found, period = self.model(system), one.period
+        if found is None or len(one.state) != len(found[0].state_names):
             return None
         model, field = found
-        nodes, edges = one.state[None], np.array([0.0, SHARES[symmetry]])
+        symmetry = symmetries_of(model).get(one.symmetry)
+        if symmetry is None:
+            return None
+        nodes, edges = one.state[None], np.array([0.0, symmetry.fraction])
         if one.shooting_nodes.size:
             nodes, edges = one.shooting_nodes, one.mesh[:: (one.mesh.size - 1) // len(one.shooting_nodes)]
         path = _pieces(field, nodes, edges * period)
-        if path is None or not _joins(path[1], symmetry, np.array(model.angles or (True,) * model.degrees_of_freedom)):
+        angles = np.array(model.angles or (True,) * model.degrees_of_freedom)
+        if path is None or not symmetry.closes(path[1], angles) <= GAP:
             return None
-        return _motion(model, *path_completed(*path, symmetry), period)
+        return _motion(model, *symmetry.whole(*path), period)
 
 
 def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray | None:
@@ -149,58 +152,9 @@ def _pieces(field: Any, nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarra
     return np.concatenate(times), np.vstack(states)
 
 
-def path_completed(times: np.ndarray, states: np.ndarray, symmetry: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states over a whole period from those over the part that a symmetry leaves free."""
-    end = times[-1]
-    if symmetry == "reflection":
-        times = np.concatenate([times, end + times[1:]])
-    elif symmetry in ("brake", "reversal", "brake+reflection"):
-        times = np.concatenate([times, 2 * end - times[-2::-1]])
-    if symmetry == "brake+reflection":
-        times = np.concatenate([times, 4 * end - times[-2::-1]])
-    return times, completed(states, symmetry)
-
-
-def completed(states: np.ndarray, symmetry: str) -> np.ndarray:
-    """States over a whole period from those over the part that a symmetry leaves free (see `families`).
-
-    brake: q(T-t) = q(t); reflection: q(t+T/2) = q(0) + q(T/2) - q(t); reversal: q(T-t) = 2 q(T/2) - q(t);
-    brake+reflection: q(T/2-t) = 2 q(T/4) - q(t), then brake. Velocities are their derivatives.
-    """
-    n = states.shape[1] // 2
-    q, v = states[:, :n], states[:, n:]
-    if symmetry == "brake":
-        return np.vstack([states, np.hstack([q, -v])[-2::-1]])
-    if symmetry == "reflection":
-        return np.vstack([states, np.hstack([q[0] + q[-1] - q, -v])[1:]])
-    if symmetry == "reversal":
-        return np.vstack([states, np.hstack([2 * q[-1] - q, v])[-2::-1]])
-    if symmetry == "brake+reflection":
-        half = np.vstack([states, np.hstack([2 * q[-1] - q, v])[-2::-1]])
-        return completed(half, "brake")
-    return states
-
-
 def _closes(states: np.ndarray) -> bool:
     """True when the velocities return; the coordinates may have turned by whole turns."""
-    return _joins(states, "none", np.ones(states.shape[1] // 2, bool))
-
-
-def _joins(states: np.ndarray, symmetry: str, angles: np.ndarray) -> bool:
-    """Whether the end of the part that a symmetry leaves free meets the part that follows, to GAP of the extent.
-
-    Velocities return (none), vanish (brake) or are reversed (reflection); coordinates are at 0, angles at 0 or pi
-    (reversal, brake+reflection).
-    """
-    n = states.shape[1] // 2
-    first, last = states[0], states[-1]
-    if symmetry in ("reversal", "brake+reflection"):
-        q = last[:n]
-        gap, extent = np.where(angles, (2 * q + np.pi) % (2 * np.pi) - np.pi, 2 * q) / 2, states[:, :n]
-    else:
-        sign = {"none": -1.0, "brake": 0.0, "reflection": 1.0}[symmetry]
-        gap, extent = last[n:] + sign * first[n:], states[:, n:]
-    return bool(np.abs(gap).max() <= GAP * max(float(np.ptp(extent, axis=0).max()), 1e-12))
+    return NONE.closes(states, np.ones(states.shape[1] // 2, bool)) <= GAP
 
 
 def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from orbitfinder._runtime.version import __version__
 from orbitfinder.errors import OrbitfinderError
 from orbitfinder.mechanics.catalogue import build_model
@@ -63,7 +61,7 @@ class Judge:
 
 
 def _judged(document: Mapping[str, Any]) -> Verdict:
-    orbit = orbit_from_document(document, np.zeros(0), np.zeros((0, len(document["state"]))))
+    orbit = orbit_from_document(document)
     try:
         model = build_model(orbit.system)
     except OrbitfinderError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from orbitfinder.mechanics.lagrange import lagrange
@@ -110,13 +112,14 @@ def restricted_three_body(ratio: float = 0.012277471) -> Model:
 
     T = ((x' - y)^2 + (y' + x)^2) / 2, V = -(1 - ratio) / r1 - ratio / r2, heavy bodies at (-ratio, 0)
     and (1 - ratio, 0): the kinetic energy has terms linear in the rates, and what is conserved is the
-    Jacobi integral. Source: V. Szebehely, Theory of Orbits (1967), section 1.5; units there.
+    Jacobi integral. Orbits may have the symmetry "mirror": x(-t) = x(t), y(-t) = -y(t).
+    Source: V. Szebehely, Theory of Orbits (1967), section 1.5; units there.
     """
     made = ingredients(2, {"ratio": ratio})
     (x, y), (u, w), small = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["ratio"]
     kinetic = ((u - y) ** 2 + (w + x) ** 2) / 2
     potential = -(1 - small) / ca.sqrt((x + small) ** 2 + y**2) - small / ca.sqrt((x - 1 + small) ** 2 + y**2)
-    return lagrange(
+    model = lagrange(
         kinetic,
         potential,
         made.symbols(),
@@ -124,6 +127,7 @@ def restricted_three_body(ratio: float = 0.012277471) -> Model:
         points=ca.vertcat(-y, x),
         system=made.described("restricted_three_body"),
     )
+    return replace(model, symmetries=(("mirror", -1, (1, -1)),))
 
 
 def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quartic: float = 1.0) -> Model:

@@ -1,0 +1,106 @@
+"""Single members of a family as orbits of their own: with samples, with a certificate, as motions for pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.point import FamilySettings, unknowns_of, winding
+from orbitfinder.families.stability import spectrum
+from orbitfinder.families.start import curve_of, full_samples
+from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops.continued import Curve, at_place
+from orbitfinder.loops.symmetry import recognise
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.model import Model, energy, positions
+from orbitfinder.orbits.certify import certified as with_certificate
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.measure import dense
+from orbitfinder.records.family import CLOSURE, Batch, Event, Family, FamilyPoint
+from orbitfinder.records.orbit import Orbit
+
+SAMPLES, MOTION = 960, 240
+"""Intervals of a period by which an orbit is known, and that a picture shows"""
+Member = TypeVar("Member", FamilyPoint, Event)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One orbit of a family: its point, states (k x 2n) at equal times over a period, joints (k x 2 x m) or None."""
+
+    point: FamilyPoint
+    states: np.ndarray
+    joints: np.ndarray | None
+
+
+def at_values(model: Model, free: Mapping[str, float]) -> Model:
+    """The same equations at other values of some parameters."""
+    numbers = model.parameter_values.copy()
+    for name, value in free.items():
+        numbers[model.parameter_index(name)] = value
+    return replace(model, parameter_values=numbers)
+
+
+def whole(orbit: Orbit, model: Model) -> Orbit:
+    """The orbit with samples over its period; a point of a family as an Orbit of its own, certified, with the symmetry
+    that it has and not only its formulation's.
+    """
+    if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
+        times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
+    else:
+        curve = curve_of(orbit.curve, model, FamilySettings(parameter=next(iter(orbit.free), "energy")))
+        times, samples = full_samples(curve, at_place(curve, unknowns_of(curve, orbit)), SAMPLES)
+    kept = {one.name: getattr(orbit, one.name) for one in fields(Orbit)} | {"times": times, "samples": samples}
+    if not isinstance(orbit, FamilyPoint):
+        return Orbit(**kept)
+    symmetry = recognise(times, samples, model)
+    return with_certificate(Orbit(**kept | {"symmetry": symmetry, "closure": 0.0}), model)
+
+
+def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
+    """The orbit of an event, without certificate; the model has its freed parameters."""
+    found = at_place(curve, unknowns_of(curve, event))
+    floquet = spectrum(curve, found).floquet
+    times, states = full_samples(curve, found, SAMPLES)
+    return Orbit(
+        name="event", system=model.system, state=event.state, period=event.period, energy=energy(model, event.state),
+        action=found.march.integral / curve.equations.symmetry.fraction, closure=0.0,
+        symmetry=recognise(times, states, model), winding=winding(curve),
+        floquet_multipliers=floquet.multipliers, pair_defect=floquet.pair_defect, stability=floquet.stability,
+        unfolding=(), nodes=event.state[None], times=np.zeros(0), samples=np.zeros((0, event.state.size)),
+        tolerance=CLOSURE,
+    )  # fmt: skip
+
+
+def certified(curve: Curve, member: Member) -> Member:
+    """The same, `certified` where its orbit passes every check."""
+    model = with_parameters(curve.equations.model, member.free)
+    orbit = member if isinstance(member, FamilyPoint) else orbit_at(curve, member, model)
+    return replace(member, certified=certify(orbit, model).passed)
+
+
+def batch_certified(curve: Curve, batch: Batch) -> Batch:
+    """A step with its events and the points that were asked for certified."""
+    points = tuple(certified(curve, one) if one.role != "step" else one for one in batch.points)
+    return replace(batch, points=points, events=tuple(certified(curve, one) for one in batch.events))
+
+
+def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
+    """`count` orbits at equal arclengths from one end of a family to the other. Raises `InputError`."""
+    points = [point for point in family.points if point.mesh.size]
+    if not family.curve or not points:
+        raise InputError(f"{family.name}: no nodes beside the family; continue it again")
+    curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+    places = np.array([point.arclength for point in points])
+    wanted = np.linspace(places[0], places[-1], count)
+    chosen = sorted({int(np.argmin(np.abs(places - place))) for place in wanted})
+    found = []
+    for k in chosen:
+        states = full_samples(curve, at_place(curve, unknowns_of(curve, points[k])), MOTION)[1]
+        there = at_values(model, points[k].free)
+        found.append(Motion(points[k], states, positions(there, states) if model.points is not None else None))
+    return found

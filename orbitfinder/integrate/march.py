@@ -1,0 +1,210 @@
+"""The flow on a mesh: eighth-order Runge-Kutta over all shooting segments, of states or of states and variations.
+
+    x' = f(t, x, s, p),    Y' = df/dx Y + [0 | df/ds | df/dp],    S' = the rate of an integral
+
+A mesh is given in periods, from 0 to the fraction of the period that is integrated, M steps for N segments of M/N steps
+each: uniform or graded, so that neighbouring orbits are integrated alike and a segment is one call without Python.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.compiled import compiled
+from orbitfinder.integrate.lanes import STAGES, Lanes
+from orbitfinder.integrate.rk8 import step_of, variational_field
+
+EFFORT = 3.0
+"""Seconds of interpreted marching in a family of moderate length, for `compiled`."""
+QUANTUM = 4
+"""Numbers of steps are rounded up to a multiple of this, so that few different marches are made."""
+AGREEMENT = 1e-12
+"""Two step sizes must agree to this; the finer result is then some 2^8 times better than that."""
+MOST_DOUBLINGS = 7
+
+
+@dataclass(frozen=True)
+class Varied:
+    """One integration of all segments with its derivatives.
+
+    `ends` (N x d), `transitions` (N x d x d), `columns` (N x d x m) by (T, s, free); where they were asked for `states`
+    (M + 1 x d) at the mesh; the `integral` over the horizon.
+    """
+
+    ends: np.ndarray
+    transitions: np.ndarray
+    columns: np.ndarray
+    states: np.ndarray
+    integral: float
+
+
+class March:
+    """Integrates the segments of a loop; each kind of step is compiled when it is first needed.
+
+    `field(t, x, s, free)` is dx/dt (d), `forced` says whether t matters; `integrand`, of the same arguments, is carried
+    along. `tail` is (T, s, free) everywhere. Not to be shared by threads: its functions have one work space each.
+    """
+
+    def __init__(self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None) -> None:
+        self.field, self.forced, self.integrand = field, forced, integrand
+        self.size, self.unfolding, self.free = field.size1_in(1), field.size1_in(2), field.size1_in(3)
+        self._lanes = Lanes()
+
+    @property
+    def columns(self) -> int:
+        """Columns of Y: the state's, the unfolding's, the freed parameters'."""
+        return self.size + self.unfolding + self.free
+
+    @cached_property
+    def _varied(self) -> ca.Function:
+        """The field of (x, vec Y, S); in another form where it is interpreted."""
+        whole = variational_field(self.field, self.integrand)
+        if compiled(step_of(whole), effort=EFFORT).is_a("External"):
+            return whole
+        return variational_field(self.field, self.integrand, products=True)
+
+    @cached_property
+    def _step(self) -> ca.Function:
+        return compiled(step_of(self.field), effort=EFFORT)
+
+    @cached_property
+    def _varied_step(self) -> ca.Function:
+        return compiled(step_of(self._varied), effort=EFFORT)
+
+    @cached_property
+    def _error(self) -> ca.Function:
+        return compiled(step_of(self.field, True), effort=EFFORT)
+
+    @cached_property
+    def _varied_error(self) -> ca.Function:
+        return compiled(step_of(self._varied, True), effort=EFFORT)
+
+    def build(self) -> None:
+        """Derive and compile now what integrates states and derivatives, not at first use."""
+        assert self._step and self._varied_step
+
+    def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
+        start = np.column_stack([self._clock(nodes, mesh, tail), nodes])
+        return _finite(self._lanes.marched(self._step, start, _parameters(mesh, tail), False), nodes)[:, 1:]
+
+    def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """States (M + 1 x d) at the mesh."""
+        start = np.column_stack([self._clock(nodes, mesh, tail), nodes])
+        path = self._lanes.marched(self._step, start, _parameters(mesh, tail), True)
+        return np.vstack([nodes[:1], _finite(path, nodes)[:, 1:]])
+
+    def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
+        """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
+        (count, size), own = nodes.shape, self.columns
+        start = np.zeros((count, self._varied_step.size1_in(0)))
+        start[:, 0], start[:, 1 : 1 + size] = self._clock(nodes, mesh, tail), nodes
+        start[:, 1 + size : 1 + size * (1 + own)] = np.eye(size, own).ravel("F")
+        path = _finite(self._lanes.marched(self._varied_step, start, _parameters(mesh, tail), states), nodes)
+        last = path[(mesh.size - 1) // count - 1 :: (mesh.size - 1) // count] if states else path
+        ends = last[:, 1 : 1 + size]
+        matrices = last[:, 1 + size : 1 + size * (1 + own)].reshape(count, own, size).transpose(0, 2, 1)
+        transitions = matrices[:, :, :size]
+        columns = np.empty((count, size, 1 + own - size))
+        columns[:, :, 0] = self._by_period(nodes, ends, transitions, mesh, tail)
+        columns[:, :, 1:] = matrices[:, :, size:]
+        along = np.vstack([nodes[:1], path[:, 1 : 1 + size]]) if states else nodes
+        return Varied(ends, transitions, columns, along, float(last[:, 1 + size * (1 + own) :].sum()))
+
+    def _by_period(
+        self, nodes: np.ndarray, ends: np.ndarray, transitions: np.ndarray, mesh: np.ndarray, tail: np.ndarray
+    ) -> np.ndarray:
+        """d(ends)/dT (N x d): a segment gets longer and, which a forced system sees, begins later."""
+        edges = mesh[:: (mesh.size - 1) // len(nodes)]
+        late = self.rates(ends, tail, tail[0] * edges[1:])
+        slopes = late * np.diff(edges)[:, None]
+        if self.forced:
+            early = self.rates(nodes, tail, tail[0] * edges[:-1])
+            slopes += (late - np.einsum("kij,kj->ki", transitions, early)) * edges[:-1, None]
+        return slopes
+
+    def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
+        """dx/dt (k x d) at states (k x d)."""
+        moments = np.broadcast_to(times, len(states))[:, None]
+        s, free = np.split(np.broadcast_to(tail[1:], (len(states), tail.size - 1)), [self.unfolding], axis=1)
+        return self._lanes.evaluated(self.field, 1, moments, states, s, free)
+
+    def at(self, function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
+        """Any function of one place, its outputs as CasADi has them (rows x columns)."""
+        return self._lanes.called(function, *arguments)
+
+    def step_errors(self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, asked: np.ndarray) -> np.ndarray:
+        """Estimated error of each step `asked` for, relative to the size of the motion."""
+        start = np.column_stack([tail[0] * mesh[asked] * self.forced, states[asked]])
+        errors = np.abs(self._lanes.evaluated(self._error, STAGES, start, _parameters(mesh, tail)[asked]))
+        extent = np.abs(states).max(axis=0)
+        return np.asarray((errors / np.maximum(extent, extent.max() * 1e-2)).max(axis=1))
+
+    def variation_errors(
+        self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
+    ) -> np.ndarray:
+        """Estimated error of the state-transition matrix of each step `asked` for, the state measured in `units` (d).
+
+        A slow motion may carry fast variations, which its own error says nothing of.
+        """
+        size = self.size
+        start = np.zeros((len(asked), self._varied_step.size1_in(0)))
+        start[:, 0], start[:, 1 : 1 + size] = tail[0] * mesh[asked] * self.forced, states[asked]
+        start[:, 1 + size : 1 + size + size * size] = np.eye(size).ravel()
+        errors = self._lanes.evaluated(self._varied_error, STAGES, start, _parameters(mesh, tail)[asked])
+        scale = (units[:, None] / units[None, :]).ravel()  # columns first: entry (i, j) stands at j size + i
+        return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
+
+    def refined_ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh."""
+        coarse = self.ends(nodes, mesh, tail)
+        for _ in range(MOST_DOUBLINGS):
+            mesh = doubled(mesh)
+            fine = self.ends(nodes, mesh, tail)
+            if np.abs(fine - coarse).max() <= AGREEMENT * max(1.0, float(np.abs(fine).max())):
+                break
+            coarse = fine
+        return fine, mesh
+
+    def _clock(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """The times (N) at which the segments begin, 0 where they do not matter."""
+        if not self.forced:
+            return np.zeros(len(nodes))
+        return np.asarray(tail[0] * mesh[: -1 : (mesh.size - 1) // len(nodes)])
+
+
+def uniform(fraction: float, segments: int, steps: int) -> np.ndarray:
+    """The mesh of so many segments of so many equal steps over a fraction of the period."""
+    return np.linspace(0.0, fraction, segments * steps + 1)
+
+
+def rounded(steps: float) -> int:
+    """A number of steps of at least this many, a multiple of `QUANTUM`."""
+    return max(1, int(np.ceil(steps / QUANTUM))) * QUANTUM
+
+
+def doubled(mesh: np.ndarray) -> np.ndarray:
+    """The mesh with every step halved."""
+    return np.interp(np.arange(2 * mesh.size - 1) / 2, np.arange(mesh.size), mesh)
+
+
+def _parameters(mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+    """(h, s, free) of every step (M x 1 + ...), h in seconds."""
+    packed = np.empty((mesh.size - 1, tail.size))
+    packed[:] = tail
+    packed[:, 0] *= np.diff(mesh)
+    return packed
+
+
+def _finite(numbers: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """The numbers of all segments. Raises `IntegrationError` naming the first that is not finite."""
+    if np.all(np.isfinite(numbers)):
+        return numbers
+    each = len(numbers) // len(nodes)
+    segment = int(np.argmin(np.all(np.isfinite(numbers), axis=1))) // each
+    raise IntegrationError("the state is not finite", segment=segment, state=nodes[segment])

@@ -1,0 +1,307 @@
+"""A loop of arcs that must close: its unknowns, its rows and their Jacobian.
+
+The unknowns are w = (nodes, T, s, freed parameters), and only this file knows that order. The rows are
+
+    x_{k+1} - x(end of segment k)         continuity
+    B0 x_0 + B1 x(end) - c                the link that closes the loop: the period, or a symmetry of a part of it
+    normals (x_0 - reference)             phases: time, and what else shifts an orbit into another
+    conditions                            pins, what is held, the aim that picks one orbit of a family
+
+Nothing here integrates (see `integrate.march`) or solves (see `loops.newton`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.integrate.cvodes import vector_field
+from orbitfinder.integrate.march import March, Varied
+from orbitfinder.loops.condensed import Linearised
+from orbitfinder.loops.symmetry import Symmetry
+from orbitfinder.mechanics.model import Model
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """w: nodes (N x d) at every M/N-th place of the `mesh` (M + 1, in periods), period, unfolding, freed parameters."""
+
+    nodes: np.ndarray
+    period: float
+    unfolding: np.ndarray
+    free: np.ndarray
+    mesh: np.ndarray
+
+    @property
+    def head(self) -> np.ndarray:
+        """(x(0), T, free): what identifies the orbit, whatever the number of segments."""
+        return np.concatenate([self.nodes[0], [self.period], self.free])
+
+    @property
+    def tail(self) -> np.ndarray:
+        """(T, s, free), the parameters of the flow."""
+        return np.concatenate([[self.period], self.unfolding, self.free])
+
+    @property
+    def steps(self) -> int:
+        """Steps of the mesh in a segment."""
+        return (self.mesh.size - 1) // len(self.nodes)
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Where the segments begin and end (N + 1), in periods."""
+        return self.mesh[:: self.steps]
+
+    def moved(self, step: np.ndarray) -> Unknowns:
+        """w + step."""
+        count, size = self.nodes.shape
+        cut, last = count * size, step.size - self.free.size
+        return replace(
+            self,
+            nodes=self.nodes + step[:cut].reshape(count, size),
+            period=self.period + float(step[cut]),
+            unfolding=self.unfolding + step[cut + 1 : last],
+            free=self.free + step[last:],
+        )
+
+    def joined(self, node: np.ndarray, period: float, unfolding: float, free: np.ndarray) -> np.ndarray:
+        """A vector over w: `node` (d) for each node, one number for all of the unfolding."""
+        damping = np.full(self.unfolding.size, unfolding)
+        return np.concatenate([np.tile(node, len(self.nodes)), [period], damping, free])
+
+    def spread(self, head: np.ndarray) -> np.ndarray:
+        """A row over w out of a row over the head (x(0), T, free)."""
+        count, size = self.nodes.shape
+        row = np.zeros(count * size + 1 + self.unfolding.size + self.free.size)
+        row[:size] = head[:size]
+        row[count * size] = head[size]
+        row[row.size - self.free.size :] = head[size + 1 :]
+        return row
+
+    def head_of(self, whole: np.ndarray) -> np.ndarray:
+        """The entries of a vector over w that belong to the head."""
+        count, size = self.nodes.shape
+        return np.concatenate([whole[:size], [whole[count * size]], whole[whole.size - self.free.size :]])
+
+    def displacement(self, other: Unknowns) -> np.ndarray | None:
+        """`other` minus this over w, or None where their segments differ."""
+        if self.nodes.shape != other.nodes.shape or not np.array_equal(self.edges, other.edges):
+            return None
+        parts = [(other.nodes - self.nodes).ravel(), [other.period - self.period]]
+        return np.concatenate([*parts, other.unfolding - self.unfolding, other.free - self.free])
+
+    def blended(self, other: Unknowns, share: float) -> Unknowns:
+        """The unknowns a share of the way to others, or the nearer of them where their segments differ."""
+        moved = self.displacement(other)
+        if moved is None:
+            return self if share < 0.5 else other
+        return self.moved(share * moved)
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Everything about a loop that depends on the equations alone: built once, used for any number of guesses.
+
+    `quantities(x, free)` gives what conditions may name, by the invariants' order, then the energy, then where there is
+    one the forcing period: values, d/dx, d/dfree. `action` says whether the action is integrated with the motion.
+    """
+
+    model: Model
+    symmetry: Symmetry
+    free: tuple[str, ...] = ()
+    action: bool = False
+    march: March = field(init=False)
+
+    def __post_init__(self) -> None:
+        flow = vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
+        rate = _action_rate(self.model, flow, self.free) if self.action else None
+        object.__setattr__(self, "march", March(flow, self.model.forced, rate))
+
+    @property
+    def size(self) -> int:
+        """d, the length of a state."""
+        return self.march.size
+
+    @property
+    def energy(self) -> int:
+        """The number of the energy among the quantities."""
+        return len(self.model.invariants)
+
+    @cached_property
+    def boundary(self) -> tuple[np.ndarray, np.ndarray]:
+        """B0 and B1 (d x d)."""
+        return self.symmetry.rows(self.size // 2)
+
+    @cached_property
+    def quantities(self) -> ca.Function:
+        """What conditions may name, with its derivatives."""
+        return _quantities(self.model, self.free)
+
+    @cached_property
+    def momenta(self) -> ca.Function:
+        """The Jacobian of (q, momentum) in (q, v) as a function of (x, free)."""
+        return _momenta(self.model, self.free)
+
+    @cached_property
+    def _generators(self) -> tuple[ca.Function, ...]:
+        return self.symmetry.generators(self.model)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """The model's own values of the freed parameters."""
+        return self.model.parameter_values[[self.model.parameter_index(name) for name in self.free]]
+
+    def unknowns(self, nodes: np.ndarray, period: float, mesh: np.ndarray, free: np.ndarray | None = None) -> Unknowns:
+        """w without unfolding, the freed parameters at their own values."""
+        numbers = self.numbers if free is None else free
+        return Unknowns(nodes, float(period), np.zeros(self.march.unfolding), numbers, mesh)
+
+    def quantities_at(self, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Their values (k) at one state, their derivatives by the state and by freed parameters."""
+        values, slopes, by_free = self.march.at(self.quantities, x, free)
+        return values.ravel(), slopes, by_free
+
+    def momentum_slopes(self, x: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """The Jacobian (d x d) of (q, momentum) in (q, v) at one state."""
+        return self.march.at(self.momenta, x, free)[0]
+
+    def varied(self, w: Unknowns, states: bool = False) -> Varied:
+        """All segments of w integrated with their derivatives."""
+        return self.march.varied(w.nodes, w.mesh, w.tail, states)
+
+    def ends(self, w: Unknowns) -> np.ndarray:
+        """The ends (N x d) of all segments of w."""
+        return self.march.ends(w.nodes, w.mesh, w.tail)
+
+    def phases(self, w: Unknowns) -> np.ndarray:
+        """Unit normals (k x d) of the hyperplanes through w that fix time and other shifts."""
+        x, found = w.nodes[0], []
+        if not (self.symmetry.reverses or self.model.forced):
+            found.append(self.march.rates(x[None], w.tail)[0])
+        q, v, values = x[: self.size // 2], x[self.size // 2 :], self.model.parameter_values
+        found += [one(q, v, values).full().ravel() for one in self._generators]
+        rows = np.asarray(found).reshape(len(found), self.size)
+        return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One row: `normal`.(x(0), T, free) + `weight` times the quantity of a number (-1: the last) = `value`."""
+
+    value: float
+    normal: np.ndarray | None = None
+    quantity: int | None = None
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One loop: equations, what its link is displaced by (`constant`), phases, conditions."""
+
+    equations: Equations
+    constant: np.ndarray
+    conditions: tuple[Condition, ...] = ()
+    normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    reference: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def through(self, w: Unknowns) -> Self:
+        """The same loop with its phases fixed by hyperplanes through w."""
+        return replace(self, normals=self.equations.phases(w), reference=w.nodes[0])
+
+    def rows(self, w: Unknowns, ends: np.ndarray) -> np.ndarray:
+        """The residual, segments ending at `ends` (N x d)."""
+        first, last = self.equations.boundary
+        closing = first @ w.nodes[0] + last @ ends[-1] - self.constant
+        rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self.normals @ (w.nodes[0] - self.reference)]
+        return np.concatenate([*rows, self.values(w, self.conditions)])
+
+    def linearised(self, w: Unknowns, path: Varied) -> Linearised:
+        """The derivatives of the rows."""
+        first, last = self.equations.boundary
+        slopes, size = self.slopes(w, self.conditions), self.equations.size
+        more = len(self.normals) + len(slopes)
+        tail = np.zeros((size + more, 1 + w.unfolding.size + w.free.size))
+        if len(slopes):
+            tail[size + len(self.normals) :, 0] = slopes[:, size]
+            tail[size + len(self.normals) :, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
+        return Linearised(
+            path.transitions,
+            path.columns,
+            np.vstack([first, self.normals.reshape(-1, size), slopes[:, :size]]),
+            np.vstack([last, np.zeros((more, size))]),
+            tail,
+        )
+
+    def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
+        """The residuals of conditions."""
+        head, found = w.head, np.empty(len(conditions))
+        named = self._named(w, conditions)
+        for k, one in enumerate(conditions):
+            found[k] = -one.value
+            if one.normal is not None:
+                found[k] += one.normal @ head
+            if one.quantity is not None:
+                found[k] += one.weight * named[0][one.quantity]
+        return found
+
+    def slopes(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
+        """Their derivatives by the head (x(0), T, free)."""
+        size = self.equations.size
+        found = np.zeros((len(conditions), size + 1 + w.free.size))
+        named = self._named(w, conditions)
+        for k, one in enumerate(conditions):
+            if one.normal is not None:
+                found[k] += one.normal
+            if one.quantity is not None:
+                found[k, :size] += one.weight * named[1][one.quantity]
+                found[k, size + 1 :] += one.weight * named[2][one.quantity]
+        return found
+
+    def _named(self, w: Unknowns, conditions: Sequence[Condition]) -> tuple[np.ndarray, ...]:
+        if all(one.quantity is None for one in conditions):
+            return ()
+        return self.equations.quantities_at(w.nodes[0], w.free)
+
+
+def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.Function:
+    """dS/dt = 2 kinetic + gyroscopic as a function of (t, x, s, free)."""
+    inputs = flow.sx_in() if flow.is_a("SXFunction") else flow.mx_in()
+    n, x, parameters = model.degrees_of_freedom, inputs[1], model.parameters(free, inputs[3])
+    action = 2.0 * model.kinetic(x[:n], x[n:], parameters)
+    if model.gyroscopic is not None:
+        action += model.gyroscopic(x[:n], x[n:], parameters)
+    return ca.Function("action_rate", inputs, [action])
+
+
+def _quantities(model: Model, free: tuple[str, ...]) -> ca.Function:
+    n = model.degrees_of_freedom
+    q, v, chosen = ca.MX.sym("q", n), ca.MX.sym("v", n), ca.MX.sym("free", len(free))
+    parameters = model.parameters(free, chosen)
+    values = [one.value(q, v, parameters) for one in model.invariants]
+    values.append(model.kinetic(q, v, parameters) + model.potential(q, parameters))
+    if model.forcing_period is not None:
+        values.append(model.forcing_period(parameters))
+    stacked, parts = ca.vertcat(*values), [q, v, chosen]
+    slopes = ca.Function("slopes", parts, [stacked, ca.horzcat(ca.jacobian(stacked, q), ca.jacobian(stacked, v)),
+                                           ca.jacobian(stacked, chosen)])  # fmt: skip
+    x = ca.MX.sym("x", 2 * n)
+    return ca.Function("quantities", [x, chosen], slopes.call([x[:n], x[n:], chosen]))
+
+
+def _momenta(model: Model, free: tuple[str, ...]) -> ca.Function:
+    n = model.degrees_of_freedom
+    q, v, chosen = ca.MX.sym("q", n), ca.MX.sym("v", n), ca.MX.sym("free", len(free))
+    parameters = model.parameters(free, chosen)
+    momentum = ca.gradient(model.kinetic(q, v, parameters), v)
+    if model.gyroscopic is not None:
+        momentum += ca.gradient(model.gyroscopic(q, v, parameters), v)
+    lower = ca.horzcat(ca.jacobian(momentum, q), ca.jacobian(momentum, v))
+    upper = ca.horzcat(ca.MX.eye(n), ca.MX(n, n))
+    momenta = ca.Function("momenta_parts", [q, v, chosen], [ca.densify(ca.vertcat(upper, lower))])
+    x = ca.MX.sym("x", 2 * n)
+    return ca.Function("momenta", [x, chosen], momenta.call([x[:n], x[n:], chosen]))

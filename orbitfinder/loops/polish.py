@@ -1,0 +1,132 @@
+"""The last digits: Newton steps with an eighth-order residual and the Jacobian of CVODES.
+
+CVODES asked for 1e-13 closes an orbit only to about 1e-11; its state-transition matrix is more
+than good enough for a Newton step on a residual that is right to round-off.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime.limit import alarm
+from orbitfinder._runtime.quiet import captured
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.integrate.cvodes import Flow, integration_error
+from orbitfinder.integrate.rk8 import MOST_DOUBLINGS, agree, march, refined_march
+from orbitfinder.loops.shooting import Shooting
+
+MOST_STEPS = 6
+STEPS_PER_PERIOD = 400
+"""Runge-Kutta steps in a period at least, doubled in segments that need more"""
+PIECE = 8
+"""Runge-Kutta steps in a piece of a graded march, checked by twice as many"""
+MOST_PIECES = 2000
+
+
+def tail_of(flow: Flow, unfolding: np.ndarray | None = None, free: np.ndarray | None = None) -> np.ndarray:
+    """The last arguments of the flow's field: unfolding (0) and freed parameters (the model's own)."""
+    known = flow.model.parameter_values[[flow.model.parameter_index(name) for name in flow.free]]
+    return np.concatenate([np.zeros(len(flow.unfolded)) if unfolding is None else unfolding,
+                           known if free is None else free])  # fmt: skip
+
+
+def least_steps(segments: int) -> int:
+    """Half the fewest steps of a segment when a period has this many (the refined march doubles it)."""
+    return max(8, -(-STEPS_PER_PERIOD // (2 * segments)))
+
+
+def segment(
+    flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, least: int = STEPS_PER_PERIOD // 16
+) -> np.ndarray:
+    """States (k + 1 x 2n) at equal times from span[0] to span[1], as many steps as that needs."""
+    return refined_march(flow.field, state, span[1] - span[0], least, tail, span[0], flow.units)
+
+
+def end_of(flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, least: int) -> np.ndarray:
+    """The state at span[1]: at the end of equal steps, or of graded ones where no number of equal steps will do.
+
+    Past a body at a hundredth of the distances, 3200 equal steps in a segment are right to 1e-8 only.
+    """
+    path = segment(flow, state, span, tail, least)
+    graded = graded_end(flow.field, state, span, tail, flow.units) if len(path) - 1 == least << MOST_DOUBLINGS else None
+    return np.asarray(path[-1] if graded is None else graded)
+
+
+def graded_end(
+    field: ca.Function, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, units: tuple[float, ...] = ()
+) -> np.ndarray | None:
+    """The state at span[1] by pieces as long as 8 and 16 steps agree on; None when it takes too many of them."""
+    now, length = span[0], span[1] - span[0]
+    for _ in range(MOST_PIECES):
+        last = length >= span[1] - now
+        length = min(length, span[1] - now)
+        after = _agreed(field, state, (now, length), tail, units)
+        if after is None:
+            length /= 2
+        elif last:
+            return after
+        else:
+            state, now, length = after, now + length, 2 * length
+    return None
+
+
+def _agreed(
+    field: ca.Function, state: np.ndarray, piece: tuple[float, float], tail: np.ndarray, units: tuple[float, ...]
+) -> np.ndarray | None:
+    """The state after a piece (start, length) in s; None where 8 and 16 steps disagree or leave the numbers."""
+    now, length = piece
+    try:
+        coarse, fine = (march(field, state, length, count, tail, now)[-1] for count in (PIECE, 2 * PIECE))
+    except IntegrationError:
+        return None
+    return fine if agree(coarse, fine, units) else None
+
+
+def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """All rows of g(w) with the segments integrated to round-off."""
+    layout, problem = shooting.layout, shooting.problem
+    period, unfolding, free = layout.tail(w)
+    duration = period * problem.boundary.fraction / layout.segments
+    tail = tail_of(shooting.flow, unfolding, free)
+    least = least_steps(round(layout.segments / problem.boundary.fraction))
+    spans = [(k * duration, (k + 1) * duration) for k in range(layout.segments)]
+    ends = [end_of(shooting.flow, node, span, tail, least) for node, span in zip(layout.nodes(w), spans, strict=True)]
+    return np.asarray(shooting.rows(w, np.asarray(ends).T).full().ravel())
+
+
+def jacobian_at(shooting: Shooting, w: np.ndarray) -> np.ndarray:
+    """dg/dw by the variational equations; CVODES' failure becomes an `IntegrationError`."""
+    failure: RuntimeError | None = None
+    with captured() as output, alarm():
+        try:
+            return np.asarray(shooting.jacobian(w).full())
+        except RuntimeError as error:
+            failure = error
+    nodes, period = shooting.layout.nodes(w), shooting.layout.tail(w)[0]
+    raise integration_error(f"{output.text}\n{failure}", nodes[0], 0.0, period / len(nodes))
+
+
+def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
+    """w after Newton steps with the accurate residual, until it stops shrinking.
+
+    The system is square except for brake orbits of conservative systems at rest, so the step is the
+    least-squares one. Raises `ConvergenceError` when the residual grows instead.
+    """
+    w, best = start, residual(shooting, start)
+    jacobian = jacobian_at(shooting, w)
+    for _ in range(MOST_STEPS):
+        step = np.linalg.lstsq(jacobian, -best, rcond=None)[0]
+        trial = w + step
+        rows = residual(shooting, trial)
+        if not np.abs(rows).max() < np.abs(best).max():
+            break
+        w, best = trial, rows
+        if np.abs(best).max() < 1e-15:
+            break
+    if not np.abs(best).max() < 1e-8:
+        raise ConvergenceError(
+            f"the polish stalled at a residual of {np.abs(best).max():.2g}; the orbit is too unstable for "
+            "this many segments, use more"
+        )
+    return w
