@@ -54,7 +54,6 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
     """What happened and what to try, the most telling sign first."""
     layout, problem = shooting.layout, shooting.problem
     period, unfolding, free = layout.tail(w)
-    place = layout.size * layout.segments
     if at_rest(shooting, w):
         return f"the search fell on an equilibrium; {_away_from_rest(shooting)}"
     if turning := _turning(shooting, w):
@@ -62,13 +61,12 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
             f"the motion only turns along the symmetry of {turning} (a relative equilibrium), where energy and "
             "momentum say the same and a pin is one condition too many; leave the pin out"
         )
-    low, high = layout.physical(shooting.lower), layout.physical(shooting.upper)
-    if period < 1.05 * low[place]:
+    (shortest, _, low), (longest, _, high) = layout.tail(shooting.lower), layout.tail(shooting.upper)
+    if period < 1.05 * shortest:
         return "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
-    if period > 0.95 * high[place]:
+    if period > 0.95 * longest:
         return "the period ran away upwards, as near a separatrix; lower guess.period or pin another energy"
-    after = place + 1 + layout.unfolding
-    bounds = zip(problem.free, free, low[after:], high[after:], strict=True)
+    bounds = zip(problem.free, free, low, high, strict=True)
     for name, value, lowest, highest in bounds:
         if min(value - lowest, highest - value) < 1e-3 * (highest - lowest):
             return f"{name} ran to the end of its range ({value:.4g}); give a guess nearer to an orbit or free another"

@@ -28,6 +28,49 @@ from orbitfinder.mechanics.model import Model
 
 
 @dataclass(frozen=True)
+class Layout:
+    """Where everything sits in the decision vector w."""
+
+    size: int
+    segments: int
+    unfolding: int
+    free: int
+    units: tuple[float, ...] = ()
+    """what w is measured in; () is 1 everywhere"""
+
+    @property
+    def clock(self) -> float:
+        """What the period is measured in."""
+        return self.units[self.size * self.segments] if self.units else 1.0
+
+    @property
+    def total(self) -> int:
+        """Length of w."""
+        return self.size * self.segments + 1 + self.unfolding + self.free
+
+    def physical(self, w: np.ndarray) -> np.ndarray:
+        """w in the model's own units."""
+        return np.asarray(w) * self.units if self.units else np.asarray(w)
+
+    def nodes(self, w: np.ndarray) -> np.ndarray:
+        """Node states (segments x 2n) of a numeric w."""
+        return self.physical(w)[: self.size * self.segments].reshape(self.segments, self.size)
+
+    def tail(self, w: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Period, unfolding parameters and freed parameters of a numeric w."""
+        rest = self.physical(w)[self.size * self.segments :]
+        return float(rest[0]), rest[1 : 1 + self.unfolding], rest[1 + self.unfolding :]
+
+    def join(
+        self, nodes: np.ndarray, period: float, free: np.ndarray, unfolding: np.ndarray | None = None
+    ) -> np.ndarray:
+        """w from its parts; the unfolding is 0 where none is given."""
+        s = np.zeros(self.unfolding) if unfolding is None else unfolding
+        w = np.concatenate([np.ravel(nodes), [period], s, free])
+        return w / self.units if self.units else w
+
+
+@dataclass(frozen=True)
 class Unknowns:
     """w: nodes (N x d) at every M/N-th place of the `mesh` (M + 1, in periods), period, unfolding, freed parameters."""
 

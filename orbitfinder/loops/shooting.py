@@ -1,12 +1,8 @@
-"""Multiple shooting: a Problem as a nonlinear program over node states, period and unfolding.
-
-The decision vector is w = (node 0, ..., node N-1, T, s, freed parameters), and only this file
-knows that order.
-"""
+"""Multiple shooting: a Problem as a nonlinear program over the unknowns of its loop, in graphs of CasADi."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -15,6 +11,7 @@ from orbitfinder.integrate.cvodes import Flow, build_flow, end_state
 from orbitfinder.integrate.second import transition_function
 from orbitfinder.loops.conditions import boundary_rows, constrained_brake_rows, pin_row
 from orbitfinder.loops.freedom import Variables
+from orbitfinder.loops.loop import Layout
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.tangent import allowed_velocities
 
@@ -28,44 +25,6 @@ ANGLE_RANGE = 30.0
 """Bound on how far a coordinate may move from the guess, in units of max(1, its largest value)."""
 FAR = 30.0
 """Units of the guess that take the place of the 1 there, where they are not 1"""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where everything sits in the decision vector w."""
-
-    size: int
-    segments: int
-    unfolding: int
-    free: int
-    units: tuple[float, ...] = ()
-    """what w is measured in; () is 1 everywhere"""
-
-    @property
-    def total(self) -> int:
-        """Length of w."""
-        return self.size * self.segments + 1 + self.unfolding + self.free
-
-    def physical(self, w: np.ndarray) -> np.ndarray:
-        """w in the model's own units."""
-        return np.asarray(w) * self.units if self.units else np.asarray(w)
-
-    def nodes(self, w: np.ndarray) -> np.ndarray:
-        """Node states (segments x 2n) of a numeric w."""
-        return self.physical(w)[: self.size * self.segments].reshape(self.segments, self.size)
-
-    def tail(self, w: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Period, unfolding parameters and freed parameters of a numeric w."""
-        rest = self.physical(w)[self.size * self.segments :]
-        return float(rest[0]), rest[1 : 1 + self.unfolding], rest[1 + self.unfolding :]
-
-    def join(
-        self, nodes: np.ndarray, period: float, free: np.ndarray, unfolding: np.ndarray | None = None
-    ) -> np.ndarray:
-        """w from its parts; the unfolding is 0 where none is given."""
-        s = np.zeros(self.unfolding) if unfolding is None else unfolding
-        w = np.concatenate([np.ravel(nodes), [period], s, free])
-        return w / self.units if self.units else w
 
 
 @dataclass(frozen=True)
@@ -130,7 +89,7 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
     ends = _ends(problem, flow, parts, tail)
     constraints = rows(w, ends)
-    lower, upper = (bound / layout.units if layout.units else bound for bound in _bounds(problem, layout, start))
+    lower, upper = _bounds(problem, layout, start)
     weights = _weights(problem, layout, start)
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
@@ -314,28 +273,26 @@ def _scales(problem: Problem, start: np.ndarray, layout: Layout) -> tuple[np.nda
 
 
 def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest w, in the model's units."""
+    """Lowest and highest w."""
     coordinates, rate = _scales(problem, start, layout)
-    n, own = layout.size // 2, layout.physical(start)
-    reach = np.tile(np.concatenate([ANGLE_RANGE * coordinates, np.full(n, RATE_RANGE * rate)]), layout.segments)
-    centre = own[: reach.size]
-    clock = layout.units[reach.size] if layout.units else 1.0
-    unfolding, free = np.full(layout.unfolding, UNFOLDING_RANGE / clock), own[layout.total - layout.free :]
+    centre, (_, _, free) = layout.nodes(start), layout.tail(start)
+    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(layout.size // 2, RATE_RANGE * rate)])
+    unfolding = np.full(layout.unfolding, UNFOLDING_RANGE / layout.clock)
     spread = 0.95 * np.abs(free) + (free == 0)
     period = problem.guess.period
     times = problem.bounds.get("period", (period / PERIOD_RANGE, period * PERIOD_RANGE))
     ends = zip(problem.free, free - spread, free + 10 * spread, strict=True)
-    tail = [times, *((-s, s) for s in unfolding), *(problem.bounds.get(f, (low, high)) for f, low, high in ends)]
-    smallest, largest = np.asarray(tail, float).T
-    return np.concatenate([centre - reach, smallest]), np.concatenate([centre + reach, largest])
+    ranges = np.array([problem.bounds.get(name, (low, high)) for name, low, high in ends]).reshape(-1, 2).T
+    return (
+        layout.join(centre - reach, times[0], ranges[0], -unfolding),
+        layout.join(centre + reach, times[1], ranges[1], unfolding),
+    )
 
 
 def _weights(problem: Problem, layout: Layout, start: np.ndarray) -> np.ndarray:
     """Weights of the distance to the guess: 1 for angles in rad, or for each unit; rates and periods comparable."""
-    n, place = layout.size // 2, layout.size * layout.segments
-    period, free = layout.units[place] if layout.units else 1.0, start[layout.total - layout.free :]
-    clock = problem.guess.period / (2 * np.pi) / period
+    n, plain = layout.size // 2, replace(layout, units=())
+    clock = problem.guess.period / (2 * np.pi) / layout.clock
     node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / layout.segments
-    relative = 1.0 / np.maximum(np.abs(free), 1e-6) ** 2
-    tail = [[(period / problem.guess.period) ** 2], np.zeros(layout.unfolding), relative]
-    return np.concatenate([np.tile(node, layout.segments), *tail])
+    relative = 1.0 / np.maximum(np.abs(plain.tail(start)[2]), 1e-6) ** 2
+    return plain.join(np.tile(node, layout.segments), (layout.clock / problem.guess.period) ** 2, relative)

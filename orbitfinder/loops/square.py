@@ -10,6 +10,7 @@ from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.shooting import boundary_constants
+from orbitfinder.mechanics.model import Model
 
 WINDING_MARGIN = 0.25
 """A motion whose angles end farther than this from whole turns (in turns) runs round in none of them."""
@@ -44,9 +45,15 @@ def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.nd
     model, n = problem.model, problem.model.degrees_of_freedom
     if problem.boundary.maps or problem.winding is not None or end is None:
         return boundary_constants(problem, w.nodes, end)
-    turned = np.where(model.angles, (end - w.nodes[0])[:n] / (2 * np.pi), 0.0)
-    whole = np.round(turned) * bool(np.all(np.abs(turned - np.round(turned)) <= WINDING_MARGIN))
-    return np.concatenate([2 * np.pi * whole, np.zeros(n)])
+    turns = whole_turns(model, w.nodes[0], end)
+    return np.concatenate([np.zeros(n) if turns is None else 2 * np.pi * turns, np.zeros(n)])
+
+
+def whole_turns(model: Model, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
+    """Whole turns of each angle (n) between two states, None when they do not come near whole numbers."""
+    turned = np.where(model.angles, (end - start)[: model.degrees_of_freedom] / (2 * np.pi), 0.0)
+    whole = np.round(turned)
+    return whole if np.all(np.abs(turned - whole) <= WINDING_MARGIN) else None
 
 
 def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: float, between: tuple[int, int]) -> int:
@@ -54,7 +61,12 @@ def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: flo
 
     Rates are measured by `clock` (s). Raises `IntegrationError`.
     """
-    n, matrix = equations.size // 2, equations.varied(w).transitions[0]
+    return segments_for(equations.varied(w).transitions[0], clock, growth, between)
+
+
+def segments_for(matrix: np.ndarray, clock: float, growth: float, between: tuple[int, int]) -> int:
+    """Segments that share the growth of a state-transition matrix so that none has more than `growth`."""
+    n = len(matrix) // 2
     units = np.concatenate([np.ones(n), np.full(n, clock)])
     found = max(float(np.linalg.norm(matrix * units[:, None] / units[None, :], 2)), 2.0)
     return min(max(int(np.ceil(np.log(found) / np.log(growth))), between[0]), between[1])

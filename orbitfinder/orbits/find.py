@@ -24,6 +24,7 @@ from orbitfinder.loops.ipopt import SolveSettings as SolveSettings
 from orbitfinder.loops.polish import polish
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe, units_of
+from orbitfinder.loops.square import segments_for
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits import hints
@@ -185,13 +186,10 @@ def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.n
 
 def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: SolveSettings) -> int:
     """As many segments as keep each state-transition matrix below `growth_per_segment`."""
-    state = np.asarray(problem.guess.state, float)
-    clock = np.concatenate([np.ones(state.size // 2), np.full(state.size // 2, problem.guess.period / (2 * np.pi))])
-    matrix = transition(flow, state, horizon)[1]
-    growth = float(np.linalg.norm(matrix * clock[:, None] / clock[None, :], 2))
-    needed = int(np.ceil(np.log(max(growth, 2.0)) / np.log(settings.growth_per_segment)))
+    matrix = transition(flow, np.asarray(problem.guess.state, float), horizon)[1]
     fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
-    return min(max(needed, fewest), settings.most_segments)
+    between = (fewest, settings.most_segments)
+    return segments_for(matrix, problem.guess.period / (2 * np.pi), settings.growth_per_segment, between)
 
 
 def _reporter(progress: Callback | None, began: float) -> Callback | None:

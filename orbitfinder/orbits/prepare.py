@@ -14,13 +14,12 @@ from orbitfinder.integrate.dop853 import SECOND, vector_field
 from orbitfinder.loops.polish import segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import boundary_constants, far_end, units_of
+from orbitfinder.loops.square import whole_turns
 from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.orbits.evidence import integrate_in
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
-WINDING_MARGIN = 0.25
-"""The guess's angles have turned a whole number of times when they are within this many turns of it."""
 SECTION = 1e-3
 """Coordinates this near to where an odd motion starts are left to the solver."""
 DERIVED = ("chain", "linkage")
@@ -108,8 +107,5 @@ def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ..
             end = end_state(flow, nodes[-1], duration, guess.period - duration)
         except IntegrationError:
             return None
-    turned = np.where(model.angles, (end - nodes[0])[:n] / (2 * np.pi), 0.0)
-    whole = np.round(turned)
-    if np.any(np.abs(turned - whole) > WINDING_MARGIN):
-        return None
-    return tuple(int(k) for k in whole)
+    turns = whole_turns(model, nodes[0], end)
+    return None if turns is None else tuple(int(k) for k in turns)
