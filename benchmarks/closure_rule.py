@@ -112,7 +112,7 @@ def upright() -> Iterator[Case]:
 def tori(cases: list[Case]) -> Iterator[Case]:
     """Motions 1e-5 of the extents away from elliptic orbits, after the turns (up to 30) that nearly close them."""
     for case in cases:
-        if case.model.native is not None or case.model.forced:
+        if case.model.constraint is not None or case.model.forced:
             continue
         evidence = gather(case.model, case.state, case.period, case.turns)
         found = evidence.floquet.multipliers
@@ -132,7 +132,7 @@ def false(case: Case, random: np.random.Generator) -> Iterator[Case]:
         if not case.model.forced:
             yield Case(f"{case.name}: period {off:+.0e}", case.model, case.state, case.period * (1 + off), case.turns)
         nudge = evidence.extents * random.choice([-1.0, 1.0], case.state.size) * off
-        if case.model.native is None:
+        if case.model.constraint is None:
             yield Case(f"{case.name}: state {off:+.0e}", case.model, case.state + nudge, case.period, case.turns)
 
 

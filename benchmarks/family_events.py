@@ -101,7 +101,7 @@ def compared(problem: Problem, points: int, step: float, folder: Path) -> str:
     fine = follow_family(problem, points=points, out=folder / "fine", settings=dense)
     until = max(point.arclength for point in fine.points)
     told = follow_family(problem, points=points, out=folder / "told", settings=settings)
-    model = problem.model if problem.model.native is None else None
+    model = problem.model if problem.model.constraint is None else None
     if model is None:
         from orbitfinder.mechanics.catalogue import build_model
 

@@ -134,7 +134,7 @@ def true(orbit: of.Orbit, model: Model, found: Evidence) -> Iterator[Plant]:
     yield Plant("as it is", orbit, model)
     turned = replace(orbit, floquet_multipliers=orbit.floquet_multipliers[::-1])
     yield Plant("multipliers in another order", turned, model)
-    if not model.forced and found.growth < 1e3 and model.native is None:
+    if not model.forced and found.growth < 1e3 and model.constraint is None:
         later = replace(orbit, state=found.states[170])
         yield Plant("from a third of the period on", refreshed(later, model), model)
 

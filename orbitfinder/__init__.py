@@ -22,7 +22,13 @@ _ROOMS = {
     "flows": ("build_flow", "end_state", "sample", "transition", "IntegratorSettings"),
 }  # fmt: skip
 _MOVED = {name: f"orbitfinder.{name} is now orbitfinder.{room}.{name}" for room in _ROOMS for name in _ROOMS[room]}
-_MOVED["nearest"] = "orbitfinder.nearest has gone: without a pin the orbit nearest to the guess is found"
+_MOVED |= {
+    "nearest": "orbitfinder.nearest has gone: without a pin the orbit nearest to the guess is found",
+    "ConstrainedModel": "orbitfinder.ConstrainedModel has gone: it is a Model with a constraint",
+    "find_dae_orbit": "orbitfinder.find_dae_orbit has gone: find_orbit takes Models with a constraint too",
+    "dae_problem": "orbitfinder.dae_problem has gone: Problem takes Models with a constraint too",
+    "certify_dae": "orbitfinder.certify_dae has gone: certify takes orbits of Models with a constraint too",
+}
 """Names of 0.1 that are elsewhere now; for one version"""
 
 _notebook.drawn_by("orbitfinder.show.html")

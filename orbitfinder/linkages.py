@@ -3,10 +3,8 @@
 from orbitfinder._runtime.front import fronted
 from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, linkage_mode, linkage_modes
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
-from orbitfinder.mechanics.assembly import assemble, linkage_rates
-from orbitfinder.mechanics.linkage import joint_forces, linkage_state
+from orbitfinder.mechanics.linkage import assemble, joint_forces, linkage_rates, linkage_state, minimal_linkage
 from orbitfinder.mechanics.maximal import maximal_states, minimal_states
-from orbitfinder.mechanics.partition import minimal_linkage
 
 __all__ = [
     "DaeSettings", "assemble", "first_return", "joint_forces", "linkage_equilibrium", "linkage_mode", "linkage_modes",

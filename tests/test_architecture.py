@@ -47,8 +47,6 @@ OWED_LIBRARIES = {
     "matplotlib": {"_runtime.streams"},
 }  # fmt: skip
 OWED_CYCLES = {
-    ("mechanics.constrained", "mechanics.factorise", "mechanics.lagrange", "mechanics.model"),
-    ("mechanics.chain", "mechanics.maximal", "mechanics.newton_euler"),
     ("orbits.find", "orbits.long_chain"),
 }
 OWED_SPELLINGS = 31

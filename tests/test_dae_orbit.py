@@ -16,11 +16,9 @@ from orbitfinder.errors import InputError
 from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, linkage_mode, linkage_modes
 from orbitfinder.integrate.cvodes import transition
 from orbitfinder.integrate.dop853 import integrate
-from orbitfinder.loops.dae_segments import build_dae_flow, forward_sensitivities
-from orbitfinder.mechanics.constrained import reduced
+from orbitfinder.integrate.idas import build_dae_flow
+from orbitfinder.mechanics.linkage import minimal_linkage
 from orbitfinder.mechanics.model import energy
-from orbitfinder.mechanics.partition import minimal_linkage
-from orbitfinder.orbits.dae_orbit import certify_dae, dae_problem, find_dae_orbit
 
 FILES = Path(__file__).parents[1] / "problems" / "linkages"
 FOUR_BAR = {"length": [0.5, 1.2, 1.0], "ground": [0.2, 1.0]}  # a crank-rocker
@@ -78,7 +76,7 @@ def test_cartesian_pendulum_has_the_period_of_the_elliptic_integral():
     exact = 4 * np.sqrt(0.7 / 9.81) * ellipk(np.sin(angle / 2) ** 2)
     level = -1.3 * 9.81 * 0.7 * np.cos(angle)
     start = [0.7 * np.cos(angle), 0.7 * np.sin(angle), 0, 0]
-    orbit = find_dae_orbit(model, start, 1.05 * exact, pin=of.pin(energy=level))
+    orbit = of.find_orbit(of.Problem(model, of.Guess(start, 1.05 * exact), of.pin(energy=level)))
     assert orbit.certificate.passed, orbit.certificate.failures
     assert orbit.period == pytest.approx(exact, rel=1e-12)
     assert orbit.symmetry == "brake" and not orbit.floquet_multipliers.size
@@ -94,7 +92,7 @@ def test_whirling_cartesian_pendulum_closes_without_winding():
     model, rate = cartesian_pendulum(), 12.0
     k = 2 * np.sqrt(9.81 / 0.7) / rate
     exact = 2 * k * ellipk(k**2) / np.sqrt(9.81 / 0.7)
-    orbit = find_dae_orbit(model, [0.7, 0, 0, 0.7 * rate], 0.97 * exact, pin=of.pin(ydot=0.7 * rate))
+    orbit = of.find_orbit(of.Problem(model, of.Guess([0.7, 0, 0, 0.7 * rate], 0.97 * exact), of.pin(ydot=0.7 * rate)))
     assert orbit.certificate.passed and orbit.period == pytest.approx(exact, abs=1e-10)
 
 
@@ -102,9 +100,12 @@ def test_forward_sensitivities_agree_with_the_reduced_variational_equations():
     """IDAS on the DAE against CVODES on the reduced form: 1e-8, with and without unfolding in the model."""
     model = of.linkage(**FOUR_BAR)
     theta = of.linkages.assemble(model, {"theta1": 0.6})
-    problem = dae_problem(model, np.concatenate([theta, np.zeros(3)]), 1.0)
+    problem = of.Problem(model, of.Guess(np.concatenate([theta, np.zeros(3)]), 1.0))
     flow = build_dae_flow(problem.model, (), problem.boundary.unfolded(problem.model))
-    end, matrix = forward_sensitivities(flow, problem.guess.state, 0.3)
+    x0 = ca.MX.sym("x0", 18)
+    found = flow.plain_end(0.0, x0, 0.3, np.zeros(len(flow.unfolded)), [])
+    forward = ca.Function("forward", [x0], [found, ca.jtimes(found, x0, ca.DM.eye(18))])
+    end, matrix = (part.full().squeeze() for part in forward(problem.guess.state))
     other, expected = transition(flow, problem.guess.state, 0.3)
     assert np.abs(end - other).max() < 1e-9
     assert np.abs(matrix - expected).max() < 1e-8 * np.abs(expected).max()
@@ -114,8 +115,8 @@ def test_rocking_four_bar_has_the_period_of_the_quadrature():
     """Every regular motion of one degree of freedom is an orbit; maximal and minimal agree to 1e-9."""
     model = of.linkage(**FOUR_BAR)
     start = of.linkages.linkage_state(model, of.linkages.assemble(model, {"theta1": 0.6}))
-    level = energy(reduced(model), start)
-    orbit = find_dae_orbit(model, start, first_return(model, start), pin=of.pin(energy=level))
+    level = energy(model, start)
+    orbit = of.find_orbit(of.Problem(model, of.Guess(start, first_return(model, start)), of.pin(energy=level)))
     assert orbit.certificate.passed, orbit.certificate.failures
     assert orbit.symmetry == "brake" and not orbit.floquet_multipliers.size
     assert orbit.period == pytest.approx(rocking_period(model, level, 0.5), abs=1e-9)
@@ -129,8 +130,8 @@ def test_rotating_four_bar_has_the_period_of_the_quadrature():
     model = of.linkage(**FOUR_BAR)
     theta = of.linkages.assemble(model, {"theta1": 0.6})
     start = of.linkages.linkage_state(model, theta, of.linkages.linkage_rates(model, theta, {"theta1dot": 16.0}))
-    level = energy(reduced(model), start)
-    problem = dae_problem(model, start, first_return(model, start), pin=of.pin(energy=level))
+    level = energy(model, start)
+    problem = of.Problem(model, of.Guess(start, first_return(model, start)), of.pin(energy=level))
     orbit = of.find_orbit(replace(problem, tolerance=5e-12))  # the shear amplifies round-off
     assert orbit.certificate.passed, orbit.certificate.failures
     assert orbit.winding == (0, 0, 1, 0, 0, 0, 0, 0, 0)
@@ -142,8 +143,8 @@ def test_five_bar_modes_agree_in_minimal_coordinates(mode):
     """Period and multipliers of maximal (24 states) and minimal (4) formulations agree to 1e-9; brake orbits."""
     model = of.linkage(**FIVE_BAR)
     guess = linkage_mode(model, mode, 0.3)
-    level = energy(reduced(model), guess.state)
-    orbit = find_dae_orbit(model, guess.state, guess.period, pin=of.pin(energy=level))
+    level = energy(model, guess.state)
+    orbit = of.find_orbit(of.Problem(model, guess, of.pin(energy=level)))
     assert orbit.certificate.passed, orbit.certificate.failures
     assert orbit.symmetry == "brake" and orbit.stability == "elliptic" and orbit.floquet_multipliers.size == 2
     theta = of.linkages.minimal_states(model, orbit.state)
@@ -164,7 +165,7 @@ def test_five_bar_about_a_saddle_is_unstable():
     squared, _ = linkage_modes(model, saddle)
     assert squared[0] < 0 < squared[1]
     guess = linkage_mode(model, 2, 0.1, saddle)
-    orbit = find_dae_orbit(model, guess.state, guess.period, pin=of.pin(energy=energy(reduced(model), guess.state)))
+    orbit = of.find_orbit(of.Problem(model, guess, of.pin(energy=energy(model, guess.state))))
     assert orbit.certificate.passed, orbit.certificate.failures
     growth = np.exp(np.sqrt(-squared[0]) * orbit.period)
     assert orbit.stability == "unstable" and orbit.floquet_multipliers[0].real == pytest.approx(growth, rel=0.2)
@@ -177,8 +178,8 @@ def test_six_bar_modes(mode, amplitude, stability):
     """Three degrees of freedom: modes of the hanging equilibrium at growing energy, four multipliers in two pairs."""
     model = of.linkage(**SIX_BAR)
     guess = linkage_mode(model, mode, amplitude)
-    level = energy(reduced(model), guess.state)
-    orbit = find_dae_orbit(model, guess.state, guess.period, pin=of.pin(energy=level))
+    level = energy(model, guess.state)
+    orbit = of.find_orbit(of.Problem(model, guess, of.pin(energy=level)))
     assert orbit.certificate.passed, orbit.certificate.failures
     assert orbit.symmetry == "brake" and orbit.floquet_multipliers.size == 4 and orbit.stability == stability
 
@@ -189,8 +190,8 @@ def test_linear_modes_are_the_small_orbits():
     periods = []
     for amplitude in (0.02, 0.01):
         guess = linkage_mode(model, 1, amplitude)
-        level = energy(reduced(model), guess.state)
-        periods.append(find_dae_orbit(model, guess.state, guess.period, pin=of.pin(energy=level)).period)
+        level = energy(model, guess.state)
+        periods.append(of.find_orbit(of.Problem(model, guess, of.pin(energy=level))).period)
     first, second = (abs(period - guess.period) for period in periods)
     assert first / second == pytest.approx(4.0, rel=0.05)
 
@@ -202,17 +203,19 @@ def test_baumgarte_multipliers_never_appear():
     found = []
     for stabilisation in ((10.0, 10.0), (4.0, 7.0)):
         other = of.linkage(**FIVE_BAR, baumgarte=stabilisation)
-        found.append(find_dae_orbit(other, guess.state, guess.period, pin=of.pin(energy=-24.0)).floquet_multipliers)
+        found.append(of.find_orbit(of.Problem(other, guess, of.pin(energy=-24.0))).floquet_multipliers)
     assert np.abs(found[0] - found[1]).max() < 1e-9
 
 
 def test_a_tampered_orbit_is_not_certified():
     """A state off the orbit fails closure, one off the constraints fails there too."""
     model = cartesian_pendulum()
-    orbit = find_dae_orbit(model, [0.2, np.sqrt(0.45), 0, 0], 1.9, pin=of.pin(energy=-1.3 * 9.81 * 0.2))
-    assert certify_dae(orbit, model).passed
-    assert "closure" in certify_dae(replace(orbit, period=orbit.period * (1 + 1e-6)), model).failures
-    assert "constraint" in certify_dae(replace(orbit, state=orbit.state * (1 + 1e-8)), model).failures
+    orbit = of.find_orbit(
+        of.Problem(model, of.Guess([0.2, np.sqrt(0.45), 0, 0], 1.9), of.pin(energy=-1.3 * 9.81 * 0.2))
+    )
+    assert of.certify(orbit, model).passed
+    assert "closure" in of.certify(replace(orbit, period=orbit.period * (1 + 1e-6)), model).failures
+    assert "constraint" in of.certify(replace(orbit, state=orbit.state * (1 + 1e-8)), model).failures
 
 
 @pytest.mark.parametrize(
@@ -226,7 +229,7 @@ def test_bad_input_is_refused(change, words):
     """No stabilisation, and a start off the constraints: one sentence each."""
     model = cartesian_pendulum(baumgarte=change.get("baumgarte", (10, 10)))
     with pytest.raises(InputError, match=words):
-        find_dae_orbit(model, change.get("state", [0.7, 0, 0, 1]), 1.7)
+        of.find_orbit(of.Problem(model, of.Guess(change.get("state", [0.7, 0, 0, 1]), 1.7)))
 
 
 @pytest.mark.parametrize("path", sorted(FILES.glob("*.toml")), ids=lambda path: path.stem)
@@ -281,16 +284,17 @@ def test_a_brake_orbit_of_the_cartesian_pendulum():
     """Its period against the elliptic integral, from a state that is 2 % off and not at rest."""
     model = of.chain_dae(1, baumgarte=of.Baumgarte(10.0, 10.0))
     state = of.linkages.maximal_states(model, np.array([1.2, 0.1]))
-    problem = of.dae_problem(model, state, 1.8, of.pin(energy=-4.9 * np.cos(1.2)))
+    problem = of.Problem(model, of.Guess(state, 1.8), of.pin(energy=-4.9 * np.cos(1.2)))
     orbit = of.find_orbit(replace(problem, symmetry="brake"))
     exact = 4 * np.sqrt(1 / 3 / 4.9) * ellipk(np.sin(0.6) ** 2)
     assert orbit.certificate.passed and orbit.period == pytest.approx(exact, rel=1e-11)
+    assert of.certify(orbit).passed, "from its record alone"
 
 
 def test_a_reflection_is_refused_in_redundant_coordinates():
     """x -> -x is no symmetry of joint positions; the message says what is possible."""
     model = of.chain_dae(1, baumgarte=of.Baumgarte(10.0, 10.0))
-    problem = of.dae_problem(model, of.linkages.maximal_states(model, np.array([1.0, 0.0])), 1.7)
+    problem = of.Problem(model, of.Guess([1.0, 0.0], 1.7))
     with pytest.raises(InputError, match="redundant coordinates.*use symmetry = 'brake' or 'none'"):
         replace(problem, symmetry="reflection")
 
@@ -319,8 +323,8 @@ def test_a_small_linkage_moves_from_wherever_it_is_released():
 @pytest.mark.parametrize("angle", [0.3, 0.9, 1.0, 1.2])
 def test_periods_of_a_small_linkage_are_those_of_the_quadrature(angle):
     state = released(angle)
-    level = energy(reduced(SMALL), state)
-    orbit = find_dae_orbit(SMALL, state, first_return(SMALL, state), pin=of.pin(energy=level))
+    level = energy(SMALL, state)
+    orbit = of.find_orbit(of.Problem(SMALL, of.Guess(state, first_return(SMALL, state)), of.pin(energy=level)))
     assert orbit.certificate.passed
     assert orbit.period == pytest.approx(rocking_period(SMALL, level, -0.06), rel=1e-10)
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import pendulum_period
+from orbitfinder.problemfile.trajectory import read_trajectory
 
 import orbitfinder as of
 from benchmarks.validation.literature import EIGHT_PERIOD, three_bodies
@@ -27,9 +28,8 @@ from orbitfinder.exports.julia import julia_file
 from orbitfinder.exports.source import dense_states, source_of
 from orbitfinder.exports.straightline import FORTRAN, PYTHON, C, fortran_number, straight_line
 from orbitfinder.exports.write import export_orbit
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.problemfile.guess import read_trajectory
+from orbitfinder.mechanics.model import vector_field
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "orbits"

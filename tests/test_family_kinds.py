@@ -22,11 +22,9 @@ from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.constrained import reduced
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.linkage import linkage
 from orbitfinder.mechanics.model import energy
-from orbitfinder.orbits.dae_orbit import find_dae_orbit
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.systems import henon_heiles, pendulum_on_cart
@@ -94,14 +92,14 @@ def test_five_bar_family_agrees_with_the_native_dae(tmp_path):
     problem = load_problem(FAMILIES / "five-bar-slow.toml")
     model = linkage(**FIVE_BAR)
     guess = linkage_mode(model, 1, 0.3)
-    level = energy(reduced(model), guess.state)
+    level = energy(model, guess.state)
     family = follow_family(problem, at=(level,), out=tmp_path, settings=QUIET)
     point = family.points[-1]
     assert family.system["independent"] == [1, 4] and point.symmetry == "brake"
     state = native_state(family.system, point.state)
-    assert abs(energy(reduced(model), state) - point.energy) < 1e-11
-    assert np.abs(end_state(build_flow(reduced(model)), state, point.period) - state).max() < 1e-8
-    orbit = find_dae_orbit(model, guess.state, guess.period, pin=pin(energy=level))
+    assert abs(energy(model, state) - point.energy) < 1e-11
+    assert np.abs(end_state(build_flow(model), state, point.period) - state).max() < 1e-8
+    orbit = find_orbit(Problem(model, guess, pin(energy=level)))
     assert orbit.certificate.passed and abs(orbit.period - point.period) < 1e-9
     assert np.abs(np.sum(orbit.floquet_multipliers) - np.sum(point.floquet_multipliers)) < 1e-8
     assert abs(begin(orbit).found.place.period - point.period) < 1e-9  # from the linkage's own orbit.json
@@ -113,7 +111,7 @@ def longer_third_bar(family, length, point):
     """The orbit of the five-bar with another third bar, by shooting over IDAS from a point of the family."""
     model = linkage([0.6, 0.9, length, 0.5], ground=FIVE_BAR["ground"])
     state = native_state(family.system, point.state, {"length3": length})
-    return find_dae_orbit(model, state, point.period, pin=pin(energy=-23.0))
+    return find_orbit(Problem(model, Guess(state, point.period), pin(energy=-23.0)))
 
 
 @pytest.mark.slow
@@ -178,7 +176,7 @@ def test_bar_states_close_the_linkage():
     tip = lengths @ np.stack([np.cos(theta), np.sin(theta)], axis=1)
     assert np.allclose(tip, FIVE_BAR["ground"], atol=1e-12)
     assert np.allclose((lengths * rates) @ np.stack([-np.sin(theta), np.cos(theta)], axis=1), 0.0, atol=1e-12)
-    assert model.coordinates == 12 and theta[0] == pytest.approx(0.3)
+    assert model.degrees_of_freedom == 12 and theta[0] == pytest.approx(0.3)
     with pytest.raises(InputError, match="not a linkage in minimal coordinates"):
         native_state(model.system, np.zeros(4))
 
@@ -189,7 +187,7 @@ def test_motion_through_a_dead_point_is_refused():
     start = np.array([0.3, np.pi / 2, 0.3 + np.pi, 9.0, 0.0, 9.0])
     from orbitfinder.mechanics.maximal import maximal_states
 
-    problem = Problem(reduced(model), Guess(maximal_states(model, start), 1.0))
+    problem = Problem(model, Guess(maximal_states(model, start), 1.0))
     with pytest.raises(InputError, match="dead point"):
         minimal_problem(problem)
 

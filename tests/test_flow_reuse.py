@@ -12,10 +12,9 @@ import orbitfinder as of
 from orbitfinder.integrate import cvodes as flow
 from orbitfinder.integrate.compiled import compiling
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, end_state
-from orbitfinder.loops.dae_segments import DaeFlow, build_dae_flow
+from orbitfinder.integrate.idas import DaeFlow, build_dae_flow
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.mechanics.constrained import reduced
 
 BARE = SolveSettings(with_certificate=False)
 
@@ -86,11 +85,10 @@ def test_few_are_remembered_and_larger_ones_fewer():
 
 
 def test_kinds_of_flow_are_told_apart():
-    """The native flow of a system under constraints and that of its reduced form, which has the same Model."""
+    """The native flow of a system under constraints and that of its eliminated form, of the same Model."""
     q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
-    swing = of.constrained(ca.sumsqr(v) / 2, -9.8 * q[0], ca.sumsqr(q) - 1, of.Symbols(q, v), names=["x", "y"],
+    model = of.constrained(ca.sumsqr(v) / 2, -9.8 * q[0], ca.sumsqr(q) - 1, of.Symbols(q, v), names=["x", "y"],
                            baumgarte=of.Baumgarte(10, 10))  # fmt: skip
-    model = reduced(swing)
     native = build_dae_flow(model, (), model.invariants)
     assert isinstance(native, DaeFlow) and build_dae_flow(model, (), model.invariants) is native
     assert not isinstance(build_flow(model, (), model.invariants), DaeFlow)

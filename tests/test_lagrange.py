@@ -6,12 +6,11 @@ import pytest
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.factorise import acceleration_function, solve_positive_definite
 from orbitfinder.mechanics.lagrange import (
     Symbols,
-    acceleration_function,
     lagrange,
     mass_matrix_and_bias,
-    solve_positive_definite,
 )
 from orbitfinder.mechanics.model import energies, energy, positions
 

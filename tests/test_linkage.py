@@ -7,9 +7,15 @@ import pytest
 
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.idas import simulate_dae
-from orbitfinder.mechanics.assembly import assemble, linkage_rates
-from orbitfinder.mechanics.catalogue import build_constrained, build_model, with_parameters
-from orbitfinder.mechanics.linkage import closure_jacobian, grashof, joint_forces, linkage, linkage_state
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.linkage import (
+    assemble,
+    closure_jacobian,
+    joint_forces,
+    linkage,
+    linkage_rates,
+    linkage_state,
+)
 
 CRANK_ROCKER = ([0.5, 1.5, 1.2], (0.0, 1.4))
 
@@ -65,22 +71,21 @@ def test_forces_at_rest_balance_the_weight():
 
 
 @pytest.mark.parametrize(
-    "lengths, ground, angle, rate",
+    "lengths, ground, angle, rate, least",
     [
-        pytest.param([1, 1, 1], (0.0, 1.5), 0.9, 0.0, id="the report's, rocking"),
-        pytest.param(*CRANK_ROCKER, 0.3, 6.0, id="crank-rocker"),
-        pytest.param([1, 1.5, 1], (0.0, 1.5), 0.5, 0.0, id="parallelogram, rocking"),
-        pytest.param([1.2, 1.0, 1.3], (0.0, 0.6), 0.3, 9.0, id="drag-link, fully rotating"),
+        pytest.param([1, 1, 1], (0.0, 1.5), 0.9, 0.0, 0.1, id="the report's, rocking"),
+        pytest.param(*CRANK_ROCKER, 0.3, 6.0, 0.1, id="crank-rocker"),
+        pytest.param([1, 1.5, 1], (0.0, 1.5), 0.5, 0.0, 0.1, id="parallelogram, rocking"),
+        pytest.param([1.2, 1.0, 1.3], (0.0, 0.6), 0.3, 9.0, 10 * np.pi, id="drag-link, fully rotating"),
     ],
 )
-def test_ten_seconds_of_motion_stay_on_the_constraints(lengths, ground, angle, rate):
+def test_ten_seconds_of_motion_stay_on_the_constraints(lengths, ground, angle, rate, least):
     model, state = moving(lengths, ground, angle, rate)
     result = simulate_dae(model, state, 10.0)
     assert result.constraint_drift.max() <= 1e-11
     assert result.rate_drift.max() <= 1e-10
     assert np.abs(result.energy - result.energy[0]).max() <= 1e-8
-    turned = np.ptp(result.states[:, 2])
-    assert turned > 10 * np.pi if grashof(lengths, ground) == "drag-link" else turned > 0.1
+    assert np.ptp(result.states[:, 2]) > least
 
 
 def test_parallelogram_stays_parallel():
@@ -94,24 +99,10 @@ def test_description_rebuilds():
     model = linkage(*CRANK_ROCKER[:1], mass=[1, 2, 3], ground=CRANK_ROCKER[1])
     system = json.loads(json.dumps(model.system))
     assert set(system) == {"kind", "length", "mass", "com", "gravity", "ground", "baumgarte"}
-    assert np.array_equal(build_constrained(system).parameter_values, model.parameter_values)
-    reduced = build_model(system)
-    assert reduced.state_names == model.state_names
-    assert with_parameters(reduced, {"ground2": 1.3, "length1": 0.6}).system["ground"] == [0.0, 1.3]
-
-
-@pytest.mark.parametrize(
-    "lengths, ground, expected",
-    [
-        ([0.5, 1.5, 1.2], (0, 1.4), "crank-rocker"),
-        ([1.2, 1.0, 1.3], (0, 0.6), "drag-link"),
-        ([1.2, 0.5, 1.3], (0, 1.4), "double-rocker"),
-        ([1, 1, 1], (0, 1.5), "triple-rocker"),
-        ([1, 1.5, 1], (0, 1.5), "change-point"),
-    ],
-)
-def test_grashof_classes(lengths, ground, expected):
-    assert grashof(lengths, ground) == expected
+    assert np.array_equal(build_model(system).parameter_values, model.parameter_values)
+    rebuilt = build_model(system)
+    assert rebuilt.state_names == model.state_names
+    assert with_parameters(rebuilt, {"ground2": 1.3, "length1": 0.6}).system["ground"] == [0.0, 1.3]
 
 
 def test_unassemblable_linkage_names_the_side_and_the_excess():

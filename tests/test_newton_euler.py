@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from orbitfinder.integrate.cvodes import build_flow, sample
-from orbitfinder.mechanics.chain import chain, chain_symbols, chain_system, formulations, recursive_acceleration
+from orbitfinder.mechanics.chain import FORMULATIONS, chain, inertial_forces, outboard_balances, recursive_acceleration
+from orbitfinder.mechanics.chain_symbols import chain_symbols, chain_system
 from orbitfinder.mechanics.maximal import chain_dae, maximal_states
 from orbitfinder.mechanics.model import energies
-from orbitfinder.mechanics.newton_euler import joint_forces_newton_euler, outboard_balances
 
 STATES = 200
 METHODS = ("lagrange", "newton-euler", "dae", "recursive")
@@ -39,7 +39,7 @@ def at_states(function, angles, rates, parameters):
 
 
 def test_all_formulations_are_registered():
-    assert set(formulations()) == set(METHODS)
+    assert set(FORMULATIONS) == set(METHODS)
 
 
 @pytest.mark.parametrize("links", range(1, 7))
@@ -61,15 +61,16 @@ def test_three_derivations_give_the_same_joint_forces(links):
     angles, rates = random_states(links)
     symbols = chain_symbols(chain_system(links, **unequal(links)))
     alpha, recursive = recursive_acceleration(symbols)
-    arguments = [symbols.angles, symbols.rates, symbols.parameters]
-    recovered = joint_forces_newton_euler(symbols, alpha)
+    arguments = symbols.arguments[1:]
+    outboard = ca.cumsum(ca.horzcat(*reversed(inertial_forces(symbols, alpha))), 1)  # R_j = sum_{i>=j} m_i (a_Gi - g)
+    recovered = ca.horzcat(*reversed(ca.horzsplit(outboard)))
     both = ca.Function("forces", arguments, [ca.vertcat(ca.vec(recovered), ca.vec(recursive))])
-    newton_euler, recursion = np.split(at_states(both, angles, rates, symbols.values), 2)
+    newton_euler, recursion = np.split(at_states(both, angles, rates, np.array(symbols.parameter_values)), 2)
     dae = chain_dae(links, **unequal(links))
     x = maximal_states(dae, np.hstack([angles, rates])).T
-    n = dae.coordinates
+    n = dae.degrees_of_freedom
     p = np.tile(dae.parameter_values[:, None], (1, STATES))
-    native = dae.algebraic.map(STATES)(0.0, x[:n], x[n:], p).full()[n:]
+    native = dae.constraint.algebraic.map(STATES)(0.0, x[:n], x[n:], p).full()[n:]
     assert relative(native, newton_euler) < 1e-10
     assert relative(recursion, newton_euler) < 1e-10
 
@@ -79,13 +80,13 @@ def test_balances_vanish_at_lagranges_accelerations():
     system = chain_system(4, **unequal(4))
     symbols = chain_symbols(system)
     alpha = ca.SX.sym("alpha", 4)
-    function = ca.Function("b", [symbols.angles, symbols.rates, alpha, symbols.parameters],
+    function = ca.Function("b", [symbols.coordinates, symbols.velocities, alpha, symbols.parameters],
                            [outboard_balances(symbols, alpha)])  # fmt: skip
     angles, rates = random_states(4)
     model = chain(4, **unequal(4), formulation="lagrange")
     for q, v in zip(angles[:20], rates[:20], strict=True):
         a = model.acceleration(0, q, v, model.parameter_values)
-        assert np.abs(function(q, v, a, symbols.values).full()).max() < 1e-10
+        assert np.abs(function(q, v, a, np.array(symbols.parameter_values)).full()).max() < 1e-10
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -21,12 +21,11 @@ from orbitfinder.errors import InputError
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.model import positions
+from orbitfinder.mechanics.model import positions, vector_field
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import orbit_to_document

@@ -9,7 +9,7 @@ import orbitfinder as of
 from orbitfinder.errors import InputError
 from orbitfinder.families.normal_modes import mode_problem
 from orbitfinder.families.start import begin
-from orbitfinder.integrate.cvodes import build_flow, transition, vector_field
+from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
@@ -36,6 +36,7 @@ from orbitfinder.mechanics.library import (
     planar_oscillator,
     restricted_three_body,
 )
+from orbitfinder.mechanics.model import vector_field
 from orbitfinder.orbits.find import find_orbit
 
 FORWARD = Involution("swap", 1, 1, order=(1, 0))

@@ -22,10 +22,10 @@ import numpy as np
 
 from orbitfinder.families.closure import closure_check
 from orbitfinder.families.start import Start, full_samples
-from orbitfinder.integrate.cvodes import build_flow, vector_field
+from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.rk8 import block, variational_field
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.model import energy, vector_field
 
 AUTO = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))
 EVERY = 4

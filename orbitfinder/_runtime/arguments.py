@@ -72,7 +72,6 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 MADE_BY = {
     "ca.SX": "write it in ca.SX.sym symbols, several rows as ca.vertcat(...)",
     "Model": "chain(...), lagrange(...) and the functions of orbitfinder.systems make one",
-    "ConstrainedModel": "linkage(...), chain_dae(...) and constrained(...) make one",
     "Problem": "Problem(model, guess) states one, load_problem(path) reads one",
     "Orbit": "find_orbit(problem) finds one, load_orbit(path) reads one",
     "Guess": "Guess(state, period) makes one, normal_mode(...) too",
@@ -152,7 +151,7 @@ def check_fields(instance: Any) -> None:
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """A function that checks its arguments; a ConstrainedModel in a Model's place comes in its reduced form."""
+    """A function that checks its arguments."""
     signature = inspect.signature(function)
 
     @functools.wraps(function)
@@ -165,7 +164,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
             usage = f"{function.__name__}({', '.join(map(str, _plain(signature)))})"
             raise InputError(f"{function.__name__}: {error}{hint}; call it as {usage}") from error
         for name, value in given.arguments.items():
-            _check_argument(given.arguments, signature.parameters[name], value)
+            _check_argument(signature.parameters[name], value)
         return function(*given.args, **given.kwargs)
 
     return front
@@ -175,12 +174,10 @@ def _plain(signature: inspect.Signature) -> list[inspect.Parameter]:
     return [one.replace(annotation=inspect.Parameter.empty) for one in signature.parameters.values()]
 
 
-def _check_argument(arguments: dict[str, Any], parameter: inspect.Parameter, value: Any) -> None:
+def _check_argument(parameter: inspect.Parameter, value: Any) -> None:
     annotation = str(parameter.annotation)
     if parameter.kind is inspect.Parameter.VAR_KEYWORD:
         for name, one in value.items():
             check(name, annotation, one)
-    elif "Model" in _alternatives(annotation) and _is_a("ConstrainedModel")(value):
-        arguments[parameter.name] = value.as_model()
     else:
         check(parameter.name, annotation, value)

@@ -137,7 +137,7 @@ def calibrated(one: Bench) -> float:
 
 def check(model: Model, target: Target) -> None:
     """`InputError` when a model has no energy shells, or when the target makes no sense."""
-    if model.native is not None:
+    if model.constraint is not None:
         raise InputError(
             "search: works in minimal coordinates, not on systems under constraints; give minimal_linkage(...) from "
             "Python, or use find with a guess"

@@ -163,7 +163,7 @@ def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
     if isinstance(origin, Branch):
         return origin.start.curve.equations.model
     known = model or getattr(origin, "model", None)
-    return known if known is not None and known.native is None else build_model(family.system)
+    return known if known is not None and known.constraint is None else build_model(family.system)
 
 
 def _reporter(say: Callable[[str], None], parameter: str) -> Callable[[Batch], None]:

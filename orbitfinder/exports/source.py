@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.version import __version__
-from orbitfinder.integrate.cvodes import build_flow, sample, vector_field
+from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.orbit import Orbit
 
 SAMPLES = 513

@@ -15,15 +15,13 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.integrate.cvodes import vector_field as equations
 from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_field
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_constrained
-from orbitfinder.mechanics.constrained import ConstrainedModel
-from orbitfinder.mechanics.linkage import linkage_state
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.linkage import bar_angles, linkage_state, minimal_linkage
 from orbitfinder.mechanics.model import Model, energy
-from orbitfinder.mechanics.partition import bar_angles, minimal_linkage
+from orbitfinder.mechanics.model import vector_field as equations
 
 LEAST_SINE = 0.05
 """|sin| of the angle between the two dependent bars below which they count as being in line."""
@@ -38,8 +36,8 @@ def minimal_problem(problem: Problem) -> Problem:
     Of all choices of bars the one whose dependent pair stays furthest from being in line over the guess's
     motion is taken. Raises `InputError` when every choice passes a dead point, or where there is none.
     """
-    native = problem.model.native
-    if native is None:
+    native = problem.model
+    if native.constraint is None:
         return problem
     if native.system.get("kind") != "linkage":
         raise InputError(
@@ -68,9 +66,7 @@ def _bars(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return q[2::3], v[2::3]
 
 
-def _best(
-    native: ConstrainedModel, theta: np.ndarray, rates: np.ndarray, period: float
-) -> tuple[Model, list[int]] | None:
+def _best(native: Model, theta: np.ndarray, rates: np.ndarray, period: float) -> tuple[Model, list[int]] | None:
     """The minimal model (with its independent bars) that stays furthest from a dead point over a period."""
     found: list[tuple[float, Model, list[int]]] = []
     for i, j in combinations(range(theta.size), 2):
@@ -134,10 +130,10 @@ def native_state(system: Mapping[str, Any], state: np.ndarray, free: Mapping[str
     return linkage_state(_native(system, free), angles, rates)
 
 
-def _native(system: Mapping[str, Any], free: Mapping[str, float] | None = None) -> ConstrainedModel:
+def _native(system: Mapping[str, Any], free: Mapping[str, float] | None = None) -> Model:
     if "independent" not in system:
         raise InputError("system: not a linkage in minimal coordinates; give the system of a linkage's family")
-    found = build_constrained({key: value for key, value in system.items() if key not in ("independent", "branch")})
+    found = build_model({key: value for key, value in system.items() if key not in ("independent", "branch")})
     names, values = found.parameter_names, dict(free or {})
     numbers = [values.get(name, value) for name, value in zip(names, found.parameter_values, strict=True)]
     return replace(found, parameter_values=np.array(numbers, float))

@@ -50,7 +50,7 @@ def balanced_guess(problem: Problem) -> Guess | None:
 def suits(problem: Problem) -> bool:
     """True for brake and reflection symmetric motions of a conservative model from a guess at rest, with one pin."""
     model, n = problem.model, problem.model.degrees_of_freedom
-    plain = model.conservative and not model.forced and model.native is None and model.gyroscopic is None
+    plain = model.conservative and not model.forced and model.constraint is None and model.gyroscopic is None
     chosen = problem.free or problem.bounds or problem.constraints or problem.objective != "nearest"
     return (
         plain

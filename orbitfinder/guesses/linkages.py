@@ -15,11 +15,10 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.idas import simulate_dae
 from orbitfinder.loops.problem import Guess
-from orbitfinder.mechanics.assembly import assemble
-from orbitfinder.mechanics.constrained import ConstrainedModel
+from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.holonomic import holonomic
-from orbitfinder.mechanics.linkage import check_regular, dimensions, linkage_state
-from orbitfinder.mechanics.tangent import tangent_basis
+from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
+from orbitfinder.mechanics.model import Model
 
 STARTS = 24
 """Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
@@ -28,7 +27,7 @@ NEAR_RETURN = 0.1
 """A motion has come back when it is this near its start, relative to its extent."""
 
 
-def linkage_equilibrium(model: ConstrainedModel, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
+def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
     """Link angles (n, rad) of an equilibrium: the stationary point near `guess`, or the lowest one found.
 
     Without a guess the potential is minimised on the constraint from some two dozen assemblies. Raises
@@ -54,7 +53,7 @@ def linkage_equilibrium(model: ConstrainedModel, guess: Sequence[float] | np.nda
 
 
 def linkage_modes(
-    model: ConstrainedModel, equilibrium: Sequence[float] | np.ndarray | None = None
+    model: Model, equilibrium: Sequence[float] | np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies (n - 2, rad^2/s^2, slowest first) and shapes (n x n-2) in the link angles."""
     from scipy.linalg import eigh
@@ -67,7 +66,7 @@ def linkage_modes(
 
 
 def linkage_mode(
-    model: ConstrainedModel, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray | None = None
+    model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray | None = None
 ) -> Guess:
     """Guess on a linear normal mode, at rest at its turning point: `mode` from 1, largest angle `amplitude` (rad)."""
     theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
@@ -86,7 +85,7 @@ def linkage_mode(
     return Guess(state, 2 * np.pi / float(np.sqrt(squared[mode - 1])))
 
 
-def first_return(model: ConstrainedModel, state: np.ndarray, longest: float = 20.0) -> float:
+def first_return(model: Model, state: np.ndarray, longest: float = 20.0) -> float:
     """Time (s) at which the motion from a state (2n) is first back near its start, angles modulo 2 pi.
 
     Of a linkage of one degree of freedom that is its period, to the sampling. Raises `InputError` when it
@@ -94,7 +93,7 @@ def first_return(model: ConstrainedModel, state: np.ndarray, longest: float = 20
     """
     count = int(200 * longest) + 1
     motion = simulate_dae(model, state, longest, count)
-    n, turning = model.coordinates, np.asarray(model.angles)
+    n, turning = model.degrees_of_freedom, np.asarray(model.angles)
     away = motion.states - motion.states[0]
     away[:, :n] = np.where(turning, (away[:, :n] + np.pi) % (2 * np.pi) - np.pi, away[:, :n])
     clock = np.ptp(motion.states[:, n:]) or 1.0
@@ -108,7 +107,7 @@ def first_return(model: ConstrainedModel, state: np.ndarray, longest: float = 20
     return float(motion.times[back[0]])
 
 
-def _terms(model: ConstrainedModel, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+def _terms(model: Model, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """(grad L, phi), J, d2L/dtheta2 and mu of least |grad L|, and M, at link angles."""
     system = holonomic(model)
     if theta.shape != (system.size,):
@@ -124,7 +123,7 @@ def _terms(model: ConstrainedModel, theta: np.ndarray) -> tuple[np.ndarray, ...]
     return residual, jacobian, second(theta, forces).full(), forces.ravel(), mass(theta).full()
 
 
-def _stationary(model: ConstrainedModel, start: np.ndarray) -> np.ndarray:
+def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
     """Newton's method on grad L = 0, phi = 0."""
     theta = start.copy()
     for _ in range(NEWTON_STEPS):
@@ -139,7 +138,7 @@ def _stationary(model: ConstrainedModel, start: np.ndarray) -> np.ndarray:
     raise InputError(f"linkage: no equilibrium found near {np.array2string(start, precision=4)}; give other angles")
 
 
-def _descended(model: ConstrainedModel, start: np.ndarray) -> np.ndarray:
+def _descended(model: Model, start: np.ndarray) -> np.ndarray:
     """Near a minimum of the potential on the constraint, by SLSQP."""
     from scipy.optimize import minimize
 

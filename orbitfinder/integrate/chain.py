@@ -17,10 +17,9 @@ from scipy.integrate import DOP853
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.rk8 import AGREEMENT, MOST_DOUBLINGS
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, vector_field
 
 CHUNK = 8
 """Steps in one call of the march: few, so that its memory stays in the cache"""

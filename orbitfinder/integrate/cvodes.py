@@ -27,7 +27,7 @@ from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.compiled import interpreted_seconds, mode, with_derivatives
 from orbitfinder.integrate.rk8 import variational_field
-from orbitfinder.mechanics.model import Invariant, Model, check_state
+from orbitfinder.mechanics.model import Invariant, Model, check_state, vector_field
 
 EVALUATIONS = 20_000
 """About how often one search for an orbit evaluates the variational equations."""
@@ -170,19 +170,6 @@ def _built(
 
 
 _small, _large = lru_cache(maxsize=2)(_built), lru_cache(maxsize=1)(_built)
-
-
-def vector_field(model: Model, free: Sequence[str], unfolded: Sequence[Invariant]) -> ca.Function:
-    """f(t, x, s, free) = (v, a(t, q, v, p) + sum_k s_k u_k(q, v, p))."""
-    n = model.degrees_of_freedom
-    symbol: Any = ca.SX.sym if model.acceleration.is_a("SXFunction") else ca.MX.sym
-    t, x = symbol("t"), symbol("x", 2 * n)
-    s, chosen = symbol("s", len(unfolded)), symbol("free", len(free))
-    parameters = model.parameters(free, chosen)
-    acceleration = model.acceleration(t, x[:n], x[n:], parameters)
-    for k, invariant in enumerate(unfolded):
-        acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
-    return ca.Function("field", [t, x, s, chosen], [ca.vertcat(x[n:], acceleration)])
 
 
 def _integrator(name: str, ode: tuple[Any, Any, Any, Any], settings: IntegratorSettings) -> ca.Function:

@@ -1,8 +1,20 @@
-"""Integrate a ConstrainedModel natively, as an index-1 DAE, with IDAS."""
+"""Integrate a Model under constraints natively, as an index-1 DAE, with IDAS; ends of segments with derivatives.
+
+    x' = (v, a + sum_k s_k u_k),    0 = (M a + h - J^T lambda, J a + Jdot v + 2 alpha J v + beta^2 phi),
+
+z = (a, lambda) algebraic. The unfolding s_k u_k (u = v for the energy: the force s M v along the motion)
+does no work on the constraints where J v = 0. With Baumgarte terms the flow contracts onto the
+constraint manifold, so that the closure equations contain phi = 0 and phidot = 0 and {closure, phase,
+pin} in {x, T, s} is square and regular; without them it is singular (compare S. Sternberg, S. Gros, B.
+Houska, M. Diehl, "Approximate robust optimal control of periodic systems with invariants and
+high-index differential algebraic systems", IFAC ROCOND 2012).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -13,9 +25,19 @@ from orbitfinder._runtime.limit import alarm
 from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.integrate.cvodes import check_tolerances, integration_error
-from orbitfinder.mechanics.constrained import CONSISTENCY_TOLERANCE, RANK_TOLERANCE, ConstrainedModel
+from orbitfinder.integrate.cvodes import (
+    Flow,
+    IntegratorSettings,
+    check_tolerances,
+    custom_jacobian,
+    integration_error,
+    remembered,
+)
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE
+from orbitfinder.mechanics.model import Invariant, Model, constraint_of, energies
 
+CONSISTENCY_TOLERANCE = 1e-6
+"""largest |phi| and |J v| of a state that is accepted as lying on the constraints"""
 ALGEBRAIC_ROOM = 1e6
 """Accelerations and forces are sought to this multiple of the absolute tolerance, in units of their largest.
 
@@ -54,6 +76,10 @@ class DaeSettings:
         }
 
 
+SEGMENT_SETTINGS = DaeSettings(relative_tolerance=1e-12, absolute_tolerance=1e-12, max_steps=50_000)
+"""IDAS in a segment: enough for Newton's method, the last digits come from the polish"""
+
+
 @dataclass(frozen=True)
 class DaeTrajectory:
     """A DAE's motion at k times: `states` (k x 2n), `algebraic` = (a, lambda) (k x n+m), drifts.
@@ -64,7 +90,7 @@ class DaeTrajectory:
 
     __repr__ = brief("times", "states")
 
-    model: ConstrainedModel
+    model: Model
     settings: DaeSettings
     times: np.ndarray
     states: np.ndarray
@@ -75,12 +101,12 @@ class DaeTrajectory:
 
     @property
     def forces(self) -> np.ndarray:
-        """Constraint forces lambda (k x m), named by `model.force_names`."""
-        return self.algebraic[:, self.model.coordinates :]
+        """Constraint forces lambda (k x m), named by `model.constraint.force_names`."""
+        return self.algebraic[:, self.model.degrees_of_freedom :]
 
 
 def simulate_dae(
-    model: ConstrainedModel,
+    model: Model,
     state: np.ndarray,
     duration: float,
     count: int = 501,
@@ -100,12 +126,13 @@ def simulate_dae(
     with captured() as output, alarm():
         try:
             z0 = algebraic(model, start[None, :], np.zeros(1))[0]
-            n = model.coordinates
+            n = model.degrees_of_freedom
             # without x' at the start IDAS takes it for 0 and fails its first error test
             options = {**settings.options(), "init_xdot": [*start[n:], *z0[:n]]}
             unit = algebraic_unit(z0)
             solver = ca.integrator("dae", "idas", dae(model), 0.0, list(times), options)
-            states = solver(x0=start, z0=z0 / unit, p=ca.vertcat(model.parameter_values, unit))["xf"].full().T
+            plain = ca.vertcat(0.0, 1.0, ca.DM.zeros(4 * n), unit)  # x itself and not a deviation, in seconds
+            states = solver(x0=start, z0=z0 / unit, p=plain)["xf"].full().T
         except RuntimeError as failure:
             error = failure
     if error is not None:
@@ -125,13 +152,26 @@ def dae_error(text: str, start: np.ndarray, settings: DaeSettings) -> Integratio
     return IntegrationError(reason, time=found.time, state=found.state)
 
 
-def dae(model: ConstrainedModel) -> dict[str, Any]:
-    """The DAE as CasADi's integrators take it: t, x = (q, v), z = (a, lambda) / unit, (p, unit), ode, alg."""
-    n = model.coordinates
-    t, x, p = ca.SX.sym("t"), ca.SX.sym("x", 2 * n), ca.SX.sym("p", model.parameter_values.size)
-    z, unit = ca.SX.sym("z", n + model.constraints), ca.SX.sym("unit")
-    ode = ca.vertcat(x[n:], unit * z[:n])
-    return {"t": t, "x": x, "z": z, "p": ca.vertcat(p, unit), "ode": ode, "alg": model.residual(t, x, unit * z, p)}
+def dae(model: Model, free: Sequence[str] = (), unfolded: Sequence[Invariant] = ()) -> dict[str, ca.SX]:
+    """The DAE as CasADi's integrators take it, z = (a, lambda) / unit; p = (t0, duration, s, free, base, slope, unit).
+
+    Its state is the deviation x - base - clock slope. With x(0) and x'(0) there it starts with derivative 0: IDAS
+    takes x' for 0 at the start and fails its first error test where that is wrong.
+    """
+    constraint, n = constraint_of(model), model.degrees_of_freedom
+    clock, t0, duration = ca.SX.sym("clock"), ca.SX.sym("t0"), ca.SX.sym("duration")
+    s, chosen = ca.SX.sym("s", len(unfolded)), ca.SX.sym("free", len(free))
+    y, z = ca.SX.sym("y", 2 * n), ca.SX.sym("z", n + len(constraint.force_names))
+    base, slope, unit = ca.SX.sym("base", 2 * n), ca.SX.sym("slope", 2 * n), ca.SX.sym("unit")
+    x, parameters = base + clock * slope + y, model.parameters(free, chosen)
+    acceleration = unit * z[:n]
+    for k, invariant in enumerate(unfolded):
+        acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
+    return {
+        "t": clock, "x": y, "z": z, "p": ca.vertcat(t0, duration, s, chosen, base, slope, unit),
+        "ode": duration * ca.vertcat(x[n:], acceleration) - slope,
+        "alg": constraint.residual(t0 + clock * duration, x, unit * z, parameters),
+    }  # fmt: skip
 
 
 def algebraic_unit(z0: Any) -> Any:
@@ -140,45 +180,98 @@ def algebraic_unit(z0: Any) -> Any:
     return ALGEBRAIC_ROOM * ca.if_else(largest > 0, largest, 1.0)
 
 
-def trajectory(model: ConstrainedModel, times: np.ndarray, states: np.ndarray, settings: DaeSettings) -> DaeTrajectory:
+def trajectory(model: Model, times: np.ndarray, states: np.ndarray, settings: DaeSettings) -> DaeTrajectory:
     """A DaeTrajectory around states (k x 2n), everything else recomputed from them."""
-    n, count = model.coordinates, len(states)
+    constraint, n, count = constraint_of(model), model.degrees_of_freedom, len(states)
     q, v = states.T[:n], states.T[n:]
     p = np.tile(model.parameter_values[:, None], (1, count))
-    phi = model.constraint.map(count)(q, p).full()
-    rate = model.constraint_rate.map(count)(q, v, p).full()
-    energy = model.kinetic.map(count)(q, v, p).full() + model.potential.map(count)(q, p).full()
+    phi = constraint.phi.map(count)(q, p).full()
+    rate = constraint.rate.map(count)(q, v, p).full()
     return DaeTrajectory(
         model, settings, times, states, algebraic(model, states, times),
-        np.abs(phi).max(axis=0), np.abs(rate).max(axis=0), energy.ravel(),
+        np.abs(phi).max(axis=0), np.abs(rate).max(axis=0), np.sum(energies(model, states), axis=0),
     )  # fmt: skip
 
 
-def algebraic(model: ConstrainedModel, states: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
+def algebraic(model: Model, states: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
     """(a, lambda) (k x n+m) at states (k x 2n) by the linear system of the DAE, in m/s^2, rad/s^2, N."""
     rows = np.atleast_2d(np.asarray(states, float))
-    count, n = len(rows), model.coordinates
+    count, n = len(rows), model.degrees_of_freedom
     clock = np.zeros(count) if times is None else np.asarray(times, float)
     p = np.tile(model.parameter_values[:, None], (1, count))
-    return np.asarray(model.algebraic.map(count)(clock[None, :], rows.T[:n], rows.T[n:], p).full().T)
+    solved = constraint_of(model).algebraic.map(count)
+    return np.asarray(solved(clock[None, :], rows.T[:n], rows.T[n:], p).full().T)
 
 
-def check_consistent(model: ConstrainedModel, state: np.ndarray) -> np.ndarray:
+def check_consistent(model: Model, state: np.ndarray) -> np.ndarray:
     """The state (2n) as floats, or `InputError`: wrong size, off the constraints, or J rank-deficient."""
-    x, n, p = np.asarray(state, float), model.coordinates, model.parameter_values
+    constraint, n, p = constraint_of(model), model.degrees_of_freedom, model.parameter_values
+    x = np.asarray(state, float)
     if x.shape != (2 * n,) or not np.all(np.isfinite(x)):
         raise InputError(f"state: need {2 * n} finite numbers ({n} coordinates, then velocities), got {state!r}")
-    phi = np.abs(model.constraint(x[:n], p).full()).max()
-    rate = np.abs(model.constraint_rate(x[:n], x[n:], p).full()).max()
+    phi = np.abs(constraint.phi(x[:n], p).full()).max()
+    rate = np.abs(constraint.rate(x[:n], x[n:], p).full()).max()
     if max(phi, rate) > CONSISTENCY_TOLERANCE:
         raise InputError(
             f"state: off the constraints, |phi| = {phi:.3g}, |J v| = {rate:.3g} (at most {CONSISTENCY_TOLERANCE:g}); "
             "compute it with maximal_states or linkage_state, or solve the constraints first"
         )
-    values = np.linalg.svd(model.constraint_jacobian(x[:n], p).full(), compute_uv=False)
+    values = np.linalg.svd(constraint.jacobian(x[:n], p).full(), compute_uv=False)
     if values[-1] < RANK_TOLERANCE * values[0]:
         raise InputError(
             f"state: the constraints are dependent here (singular values of J from {values[0]:.3g} to "
             f"{values[-1]:.3g}), so forces are not determined; start away from this change-point configuration"
         )
     return x
+
+
+@dataclass(frozen=True)
+class DaeFlow(Flow):
+    """A Flow whose `end` integrates the native DAE by IDAS; `field` and `derivatives` are the Model's own.
+
+    Measured on half a second of a four-bar: IDAS forward sensitivities 0.38 s, the variational equations
+    of the eliminated form by CVODES 0.08 s, and the two agree to 1.5e-10.
+    """
+
+    dae_settings: DaeSettings = SEGMENT_SETTINGS
+
+    @cached_property
+    def plain_end(self) -> ca.Function:
+        """IDAS on the DAE, `plain_end(t0, x0, duration, s, free)` -> x(t0 + duration); CasADi's own derivatives."""
+        names, inputs = self._inputs()
+        return ca.Function("dae_end", inputs, [self._integrated(inputs)], names, ["xf"])
+
+    @cached_property
+    def end(self) -> ca.Function:
+        """The same integrator with the variational equations as its Jacobian."""
+        names, inputs = self._inputs()
+        jacobian = custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
+        options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
+        return ca.Function("flow_end", inputs, [self._integrated(inputs)], names, ["xf"], options)
+
+    def _integrated(self, inputs: list[ca.MX]) -> ca.MX:
+        t0, x0, duration, s, free = inputs
+        model, n = self.model, self.model.degrees_of_freedom
+        problem = dae(model, self.free, self.unfolded)
+        solver = ca.integrator("segment", "idas", problem, 0.0, 1.0, self.dae_settings.options())
+        z0 = constraint_of(model).algebraic(t0, x0[:n], x0[n:], model.parameters(self.free, free))
+        slope, unit = duration * self.field(t0, x0, s, free), algebraic_unit(z0)
+        p = ca.vertcat(t0, duration, s, free, x0, slope, unit)
+        deviation = solver(x0=ca.MX(x0.numel(), 1), z0=z0 / unit, p=p)["xf"]
+        return x0 + slope + deviation
+
+
+def build_dae_flow(
+    model: Model,
+    free: Sequence[str] = (),
+    unfolded: Sequence[Invariant] = (),
+    settings: IntegratorSettings | None = None,
+) -> Flow:
+    """Flow of a Model under constraints, its ends by IDAS. Raises `InputError` without Baumgarte terms."""
+    stabilisation = constraint_of(model).baumgarte
+    if min(stabilisation.alpha, stabilisation.beta) <= 0:
+        raise InputError(
+            "baumgarte: shooting on a DAE needs alpha > 0 and beta > 0 (without them closure and consistency are "
+            f"over-determined), got alpha = {stabilisation.alpha:g}, beta = {stabilisation.beta:g}; 10 and 10 do"
+        )
+    return remembered(DaeFlow, model, free, unfolded, settings)

@@ -13,7 +13,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.loops.symmetry import Symmetry
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, constraint_of
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,7 @@ def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, 
     J v = 0 says the rest.
     """
     n = start.numel() // 2
-    assert model.native is not None
-    return ca.vertcat(start[n:], model.native.constraint(start[:n], parameters), basis.T @ end[n:])
+    return ca.vertcat(start[n:], constraint_of(model).phi(start[:n], parameters), basis.T @ end[n:])
 
 
 def pin_row(model: Model, one: Pin, state: Any, period: Any, parameters: Any) -> Any:

@@ -20,11 +20,10 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.march import March, Varied
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.symmetry import Symmetry
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, vector_field
 
 
 @dataclass(frozen=True)

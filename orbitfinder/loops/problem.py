@@ -16,7 +16,7 @@ from orbitfinder.integrate.idas import check_consistent
 from orbitfinder.loops.conditions import Pin, check_pin
 from orbitfinder.loops.freedom import Constraint, Expression, check_bounds, check_constraint
 from orbitfinder.loops.symmetry import Symmetry, named, time_dependent
-from orbitfinder.mechanics.constrained import ConstrainedModel
+from orbitfinder.mechanics.maximal import maximal_states
 from orbitfinder.mechanics.model import Model
 
 CLOSURE_TOLERANCE = 1e-12
@@ -75,7 +75,8 @@ class Count:
 
 @dataclass(frozen=True)
 class Problem:
-    """What to find. `pin=()` takes the orbit nearest to the guess; a ConstrainedModel is taken in its reduced form.
+    """What to find. `pin=()` takes the orbit nearest to the guess; of a chain or linkage as a DAE, the guess's state
+    and the winding may be given for its links instead of its coordinates.
 
     `symmetry` is none | brake | reflection | reversal | brake+reflection, or one that the model declares;
     `winding` the whole turns of each coordinate in one period; `segments` the shooting intervals of the
@@ -111,11 +112,18 @@ class Problem:
     phase_condition: Expression | None = None
 
     def __post_init__(self) -> None:
-        given: Any = self.model
-        if isinstance(given, ConstrainedModel):
-            object.__setattr__(self, "model", given.as_model())
         check_fields(self)
+        if self.model.constraint is not None and self.model.constraint.lift is not None:
+            self._lift(self.model.degrees_of_freedom // 3)
         _check(self)
+
+    def _lift(self, links: int) -> None:
+        """Link angles and rates, and the turns of links, become those of the redundant coordinates."""
+        if np.size(self.guess.state) == 2 * links:
+            state = maximal_states(self.model, np.asarray(self.guess.state, float))
+            object.__setattr__(self, "guess", replace(self.guess, state=state))
+        if self.winding is not None and len(self.winding) == links:
+            object.__setattr__(self, "winding", tuple(k for turn in self.winding for k in (0, 0, turn)))
 
     @property
     def boundary(self) -> Symmetry:
@@ -230,8 +238,8 @@ def _check(problem: Problem) -> None:
         )
     if not model.conservative:
         _check_forcing(problem)
-    if model.native is not None:
-        check_consistent(replace(model.native, parameter_values=model.parameter_values), state)
+    if model.constraint is not None:
+        check_consistent(model, state)
     symmetry.check(model, state, problem.forcing_cycles)
 
 

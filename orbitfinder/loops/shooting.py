@@ -13,7 +13,7 @@ from orbitfinder.loops.conditions import boundary_rows, constrained_brake_rows, 
 from orbitfinder.loops.freedom import Variables
 from orbitfinder.loops.loop import Layout
 from orbitfinder.loops.problem import Problem
-from orbitfinder.mechanics.tangent import allowed_velocities
+from orbitfinder.mechanics.constrained import allowed_velocities
 
 PERIOD_RANGE = 5.0
 """The period may change by this factor either way; keeps it away from 0, where every state closes."""
@@ -107,7 +107,7 @@ def units_of(problem: Problem) -> tuple[float, ...]:
     that is 0.
     """
     model, clock = problem.model, problem.guess.period / (2 * np.pi)
-    if model.native is not None:  # integrated by IDAS, in its own coordinates
+    if model.constraint is not None:  # integrated by IDAS, in its own coordinates
         return ()
     n, state = model.degrees_of_freedom, np.asarray(problem.guess.state, float)
     states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
@@ -209,8 +209,8 @@ def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | No
     state, constant, far = guess
     model, parts, ends = problem.model, known.nodes, known.ends
     rows = [end - node for end, node in zip(ends, parts[1:], strict=False)]
-    if model.native is not None and far is not None:
-        basis = allowed_velocities(model.native, far)
+    if model.constraint is not None and far is not None:
+        basis = allowed_velocities(model, far)
         rows.append(constrained_brake_rows(model, parts[0], ends[-1], known.parameters, basis))
     else:
         rows.append(boundary_rows(problem.boundary, parts[0], ends[-1], constant))
@@ -228,7 +228,7 @@ def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | No
 
 def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
     """The guess's state at the end of the horizon, where the boundary rows need it: the other instant of symmetry."""
-    constrained = problem.model.native is not None and problem.boundary.reverses
+    constrained = problem.model.constraint is not None and problem.boundary.reverses
     if not problem.boundary.asks_where(problem.model.degrees_of_freedom) and not constrained:
         return None
     duration = problem.guess.period * problem.boundary.fraction / len(nodes)

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model
-from orbitfinder.mechanics.tangent import allowed_velocities
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -325,7 +325,7 @@ class Symmetry:
         a(sense t, P q, sense P v) = P a(t, q, v) is needed, of one that runs forwards at t + T/2, where T is `cycles`
         periods of the forcing.
         """
-        if model.native is not None and any(one.signs != 1 or one.order for one in self.maps):
+        if model.constraint is not None and any(one.signs != 1 or one.order for one in self.maps):
             raise InputError(
                 f"symmetry: {self.name!r} cannot be imposed in redundant coordinates, where x -> -x moves the joints; "
                 f"use symmetry = {BRAKE.name!r} or 'none' (symmetric orbits are recognised)"
@@ -417,8 +417,8 @@ def _broken(model: Model, state: np.ndarray, one: Involution, shift: float) -> b
     places = one.places(q.size)
     for _ in range(4):
         place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(), v.size)
-        if model.native is not None:  # off the constraints the stabilisation is damped
-            basis = allowed_velocities(model.native, q)
+        if model.constraint is not None:  # off the constraints the stabilisation is damped
+            basis = allowed_velocities(model, q)
             place, rate = q, basis @ (basis.T @ rate)
         t = float(random.uniform(0, 1 + 2 * shift))
         here = places @ model.acceleration(t, place, rate, model.parameter_values).full().ravel()

@@ -1,29 +1,35 @@
-"""From a plain description (the `system` entry of a file) back to a Model."""
+"""From a plain description (the `system` entry of a file) back to a Model.
+
+Systems made by Python functions are rebuilt too: the built-in ones for everybody, others only where the user vouches
+for them.
+"""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.suggest import closest
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.constrained import ConstrainedModel, reduced
-from orbitfinder.mechanics.foreign import python_model
-from orbitfinder.mechanics.linkage import linkage
+from orbitfinder.mechanics.library import FUNCTIONS
+from orbitfinder.mechanics.linkage import linkage, minimal_linkage
 from orbitfinder.mechanics.maximal import chain_dae
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.partition import minimal_linkage
 from orbitfinder.records.orbit import system_at
 
+BUILT_IN = "orbitfinder.systems"
 REBUILDABLE = ("chain", "linkage")
 """Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
-    """The Model that a description stands for; of a linkage its reduced form in maximal coordinates, or
-    (with `independent` bars and `branch`) its minimal one.
+    """The Model that a description stands for; of a linkage the one in maximal coordinates, or (with
+    `independent` bars and `branch`) the minimal one; of a chain with `baumgarte` terms the native DAE.
 
     `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
     Raises `InputError` for an unknown or wrong description.
@@ -39,22 +45,18 @@ def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model
 def _model(system: Mapping[str, Any], trusted: Path | None) -> Model:
     if system.get("kind") == "python":
         return python_model(system, trusted)
-    if system.get("kind") == "linkage" and "independent" in system:
+    if system.get("kind") == "linkage":
         plain = {key: value for key, value in system.items() if key not in ("independent", "branch")}
-        return minimal_linkage(build_constrained(plain), system["independent"], system.get("branch", 1))
-    if system.get("kind") == "linkage":
-        return reduced(build_constrained(system))
-    return _built(chain, system)  # type: ignore[no-any-return]
+        model = _built(linkage, plain)
+        return (
+            minimal_linkage(model, system["independent"], system.get("branch", 1)) if "independent" in system else model
+        )
+    if system.get("kind") == "chain" and "baumgarte" in system:
+        return _built(chain_dae, {key: value for key, value in system.items() if key != "formulation"})
+    return _built(chain, system)
 
 
-def build_constrained(system: Mapping[str, Any]) -> ConstrainedModel:
-    """The native DAE that a description of a linkage, or of a chain, stands for. Raises `InputError`."""
-    if system.get("kind") == "linkage":
-        return _built(linkage, system)  # type: ignore[no-any-return]
-    return _built(chain_dae, {key: value for key, value in system.items() if key != "formulation"})  # type: ignore[no-any-return]
-
-
-def _built(builder: Callable[..., Any], system: Mapping[str, Any]) -> Any:
+def _built(builder: Callable[..., Model], system: Mapping[str, Any]) -> Model:
     if (kind := system.get("kind")) not in REBUILDABLE:
         raise InputError(
             f"system.kind: cannot rebuild {kind!r} from a file; in Python give the Model itself (model=...), and for "
@@ -65,6 +67,75 @@ def _built(builder: Callable[..., Any], system: Mapping[str, Any]) -> Any:
         return builder(**{key: value for key, value in system.items() if key != "kind"})
     except TypeError as error:
         raise InputError(f"system: {error}; compare with a freshly written orbit.json") from error
+
+
+def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
+    """The Model of a `kind = "python"` description {module, function, arguments}.
+
+    `orbitfinder.systems` is always allowed and only its registered functions are. With `trusted`
+    (the folder of a file that the user vouches for) any other module is imported (see `module_file`).
+    Raises `InputError`, also for whatever the function raises.
+    """
+    module, name = system.get("module", BUILT_IN), system.get("function")
+    arguments = system.get("arguments", {})
+    if not (isinstance(module, str) and isinstance(name, str) and isinstance(arguments, Mapping)):
+        raise InputError("system: a python system needs module and function (text) and arguments (a table)")
+    function = _built_in(name) if module == BUILT_IN else _foreign(module, name, trusted)
+    try:
+        model = function(**arguments)
+    except InputError:
+        raise
+    except TypeError as error:
+        raise InputError(f"system.arguments: {error}; compare with help({module}.{name})") from error
+    except Exception as error:
+        raise InputError(f"system.function: {module}.{name} failed with {type(error).__name__}: {error}") from error
+    if not isinstance(model, Model):
+        raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
+    if module != BUILT_IN:
+        described = {"kind": "python", "module": module, "function": name, "arguments": dict(arguments)}
+        model = replace(model, system=described)
+    return model
+
+
+def module_file(module: str, folder: Path) -> Path | None:
+    """Where a trusted module lies: beside the file that names it, else in the working folder; None: installed.
+
+    The one answer for every command: an orbit.json is seldom in the folder of the problem that it came from.
+    """
+    places = (folder / f"{module}.py", Path.cwd() / f"{module}.py")
+    return next((place for place in places if place.is_file()), None)
+
+
+def _built_in(name: str) -> Callable[..., Any]:
+    if name not in FUNCTIONS:
+        known = ", ".join(FUNCTIONS)
+        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, FUNCTIONS)}; it has {known}")
+    return FUNCTIONS[name]
+
+
+def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]:
+    """A function of a module that is not ours, imported only for a trusted file."""
+    if trusted is None:
+        raise InputError(
+            f"system.module: {module!r} is a program that is not part of orbitfinder, so it was not run; read it, "
+            f"then add --trust, or use module = {BUILT_IN!r}"
+        )
+    if not all(part.isidentifier() for part in module.split(".")):
+        raise InputError(f"system.module: {module!r} is no module name; give one such as 'my_system' (my_system.py)")
+    try:
+        if (place := module_file(module, trusted)) is not None:
+            spec = importlib.util.spec_from_file_location(f"orbitfinder_trusted_{module}", place)
+            assert spec is not None and spec.loader is not None
+            found = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(found)
+        else:
+            found = importlib.import_module(module)
+    except Exception as error:
+        raise InputError(f"system.module: {module!r} cannot be imported ({type(error).__name__}: {error})") from error
+    function = getattr(found, name, None)
+    if not callable(function):
+        raise InputError(f"system.function: {module} has no function {name!r}; define it there")
+    return function  # type: ignore[no-any-return]
 
 
 def with_parameters(model: Model, values: Mapping[str, float]) -> Model:

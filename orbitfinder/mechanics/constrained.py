@@ -1,4 +1,4 @@
-"""Mechanical systems in redundant coordinates with holonomic constraints, as index-1 DAEs.
+"""Models in redundant coordinates with holonomic constraints: index-1 DAEs, their elimination, their tangent space.
 
     M(q) a + h(t, q, v) = J(q)^T lambda,      J a + Jdot v + 2 alpha J v + beta^2 phi = 0.
 
@@ -6,123 +6,41 @@ x = (q, v) are the differential states and z = (a, lambda) the algebraic ones. a
 leaves the bare acceleration constraints, which drift; with both positive phi decays
 (J. Baumgarte, "Stabilization of constraints and integrals of motion in dynamical systems",
 Computer Methods in Applied Mechanics and Engineering 1 (1972) 1-16).
+
+Motions satisfy phi(q) = 0 and J v = 0, so neighbouring ones differ by w = (w_q, w_v) with
+
+    J w_q = 0,    J w_v + (d(J v)/dq) w_q = 0.
+
+The directions across this tangent space belong to the stabilisation (multipliers exp(-alpha T)) or, without it,
+to no motion at all; they never enter an eigenvalue solver.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime.arguments import check_fields
-from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.lagrange import (
     Symbols,
+    Terms,
     coordinate_angles,
     coordinate_names,
     energy_invariant,
     mass_matrix_and_bias,
+    mechanical_model,
     polyline,
+    strangers,
 )
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.model import Baumgarte, HolonomicConstraint, Invariant, Model, constraint_of
 
 RANK_TOLERANCE = 1e-8
 """smallest over largest singular value of J below which a configuration counts as singular"""
-CONSISTENCY_TOLERANCE = 1e-6
-"""largest |phi| and |J v| of a state that is accepted as lying on the constraints"""
-
-
-@dataclass(frozen=True)
-class Baumgarte:
-    """Stabilisation phi'' + 2 alpha phi' + beta^2 phi = 0, both in 1/s; zero is off."""
-
-    alpha: float = 0.0
-    beta: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-
-@dataclass(frozen=True)
-class ConstrainedModel:
-    """Equations of a system of n redundant coordinates q under m constraints phi(q, p) = 0.
-
-    `balances(t, q, v, a, lambda, p)` = M a + h - J^T lambda (n); `constraint(q, p)` = phi (m);
-    `constraint_rate(q, v, p)` = J v; `constraint_acceleration(q, v, a, p)` = J a + Jdot v (m);
-    `constraint_jacobian(q, p)` = J (m x n); `algebraic(t, q, v, p)` = (a, lambda) by elimination,
-    Baumgarte terms included. Energies, `forces`, `points`, `centres`, names and the like are as in `Model`.
-    `lift(angles, rates, p)` is the state (2n) of a chain or linkage from its link angles and rates.
-    """
-
-    __repr__ = brief("system", "constraints")
-
-    system: Mapping[str, Any]
-    state_names: tuple[str, ...]
-    force_names: tuple[str, ...]
-    parameter_names: tuple[str, ...]
-    parameter_values: np.ndarray
-    balances: ca.Function
-    constraint: ca.Function
-    constraint_rate: ca.Function
-    constraint_acceleration: ca.Function
-    constraint_jacobian: ca.Function
-    algebraic: ca.Function
-    kinetic: ca.Function
-    potential: ca.Function
-    baumgarte: Baumgarte
-    forces: ca.Function | None = None
-    invariants: tuple[Invariant, ...] = ()
-    angles: tuple[bool, ...] = ()
-    points: ca.Function | None = None
-    centres: ca.Function | None = None
-    lift: ca.Function | None = None
-    forcing_period: ca.Function | None = None
-
-    @property
-    def coordinates(self) -> int:
-        """n, the number of redundant coordinates."""
-        return len(self.state_names) // 2
-
-    @property
-    def constraints(self) -> int:
-        """m, the number of constraints and of constraint forces."""
-        return len(self.force_names)
-
-    def as_model(self) -> Model:
-        """The same system as a Model; see `reduced`."""
-        return reduced(self)
-
-    def residual(self, t: Any, x: Any, z: Any, p: Any) -> Any:
-        """The n + m algebraic equations of the DAE in z = (a, lambda), Baumgarte terms included."""
-        n = self.coordinates
-        q, v, a = x[:n], x[n:], z[:n]
-        alpha, beta = self.baumgarte.alpha, self.baumgarte.beta
-        rows = self.constraint_acceleration(q, v, a, p)
-        rows += 2 * alpha * self.constraint_rate(q, v, p) + beta**2 * self.constraint(q, p)
-        return ca.vertcat(self.balances(t, q, v, a, z[n:], p), rows)
-
-
-@dataclass(frozen=True)
-class ConstrainedEquations:
-    """Expressions that a ConstrainedModel is built from, written in `symbols`, a and lambda.
-
-    `balances` = M a + h - J^T lambda (n) and `constraint_acceleration` = J a + Jdot v (m).
-    """
-
-    symbols: Symbols
-    acceleration: ca.SX
-    multipliers: ca.SX
-    balances: ca.SX
-    constraint: ca.SX
-    constraint_acceleration: ca.SX
-    kinetic: ca.SX
-    potential: ca.SX
-    forces: ca.SX | None = None
 
 
 def constrained(
@@ -138,42 +56,37 @@ def constrained(
     invariants: Sequence[Invariant] | None = None,
     points: ca.SX | None = None,
     system: Mapping[str, Any] | None = None,
-) -> ConstrainedModel:
-    """Native DAE of a system given by energies and holonomic constraints phi(q, p) = 0 (SX, m).
+) -> Model:
+    """Model of a system given by energies and holonomic constraints phi(q, p) = 0 (SX, m), with its native DAE.
 
     M a + h = J^T lambda with M = d2T/dv2, J = dphi/dq: Lagrange's equations of the first kind
     (Goldstein, Classical Mechanics, section 2.4). `forces` Q(t, q, v, p) (n) are added to the right.
     SI units. Raises `InputError` for expressions of a wrong shape or in foreign symbols, and when the
     constraints are none or as many as the coordinates. Only forces may depend on time.
     """
-    q, v = symbols.coordinates, symbols.velocities
-    count = ca.SX(constraint).numel()
+    _, q, v, p = symbols.arguments
     _check_expressions(kinetic, potential, constraint, forces, symbols)
     matrix, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
-    a, multipliers, jacobian = ca.SX.sym("a", q.numel()), ca.SX.sym("lambda", count), ca.jacobian(constraint, q)
-    equations = ConstrainedEquations(
-        symbols, a, multipliers, matrix @ a + bias - jacobian.T @ multipliers, ca.SX(constraint),
-        jacobian @ a + ca.jtimes(jacobian @ v, q, v), kinetic, potential, forces,
-    )  # fmt: skip
-    p = _parameters(symbols)
+    jacobian = ca.jacobian(constraint, q)
     return constrained_model(
-        equations,
+        LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
+        ca.SX(constraint),
+        Terms(kinetic, potential, forces=forces),
+        symbols,
         baumgarte or Baumgarte(),
-        names=coordinate_names(names, q.numel()),
-        angles=coordinate_angles(angles, q.numel()),
+        coordinate_names(names, symbols),
+        angles=coordinate_angles(angles, symbols),
         invariants=invariants,
         points=polyline("points", points, [q, p]),
-        system=dict(system or {"kind": "custom"}),
+        system=system,
     )
 
 
 def _check_expressions(
     kinetic: ca.SX, potential: ca.SX, constraint: ca.SX, forces: ca.SX | None, symbols: Symbols
 ) -> None:
-    q, v, p = symbols.coordinates, symbols.velocities, _parameters(symbols)
+    _, q, v, p = symbols.arguments
     count, clock = ca.SX(constraint).numel(), [] if symbols.time is None else [symbols.time]
-    if q.numel() != v.numel():
-        raise InputError(f"velocities: {v.numel()} given for {q.numel()} coordinates; give one per coordinate")
     if not 0 < count < q.numel():
         raise InputError(
             f"constraint: {count} equations for {q.numel()} coordinates leave no motion to compute; "
@@ -188,114 +101,79 @@ def _check_expressions(
         expression = ca.SX(size, 1) if value is None else ca.SX(value)
         if expression.shape != (size, 1):
             raise InputError(f"{name}: expected {size} x 1 expressions, got shape {expression.shape}")
-        stray = [str(one) for one in ca.symvar(expression) if not ca.depends_on(ca.vertcat(*known), one)]
-        if stray:
+        if stray := strangers(expression, known):
             raise InputError(f"{name}: depends on {', '.join(stray)}; use only the symbols passed (time: forces only)")
     at_rest = ca.substitute(ca.vertcat(kinetic, ca.gradient(kinetic, v)), v, ca.SX.zeros(v.numel()))
     if ca.depends_on(ca.hessian(ca.SX(kinetic), v)[0], v) or not ca.simplify(at_rest).is_zero():
         raise InputError("kinetic: not a quadratic form in the velocities; write T = 1/2 v.M(q) v")
 
 
-def _parameters(symbols: Symbols) -> ca.SX:
-    return symbols.parameters if symbols.parameters is not None else ca.SX(0, 1)
-
-
 def constrained_model(
-    equations: ConstrainedEquations,
+    balances: LinearBalances,
+    phi: ca.SX,
+    terms: Terms,
+    symbols: Symbols,
     baumgarte: Baumgarte,
-    *,
     names: Sequence[str],
+    *,
     force_names: Sequence[str] | None = None,
     invariants: Sequence[Invariant] | None = None,
-    **fields: Any,
-) -> ConstrainedModel:
-    """A ConstrainedModel around expressions; `fields` are passed on to it as they are."""
-    symbols, a, force = equations.symbols, equations.acceleration, equations.multipliers
-    q, v, p = symbols.coordinates, symbols.velocities, _parameters(symbols)
-    t = symbols.time if symbols.time is not None else ca.SX.sym("t")
-    jacobian = ca.jacobian(equations.constraint, q)
-    if invariants is None:
-        conservative = equations.forces is None and symbols.time is None
-        invariants = [energy_invariant(equations.kinetic, equations.potential, q, v, p)] if conservative else []
-    values, clock = np.asarray(symbols.parameter_values, float), symbols.forcing_period
-    return ConstrainedModel(
-        state_names=(*names, *(f"{name}dot" for name in names)),
-        force_names=tuple(force_names or (f"lambda{k + 1}" for k in range(force.numel()))),
-        parameter_names=tuple(symbols.parameter_names),
-        parameter_values=values,
-        balances=ca.Function("balances", [t, q, v, a, force, p], [equations.balances]),
-        constraint=ca.Function("constraint", [q, p], [equations.constraint]),
-        constraint_rate=ca.Function("constraint_rate", [q, v, p], [jacobian @ v]),
-        constraint_acceleration=ca.Function(
-            "constraint_acceleration", [q, v, a, p], [equations.constraint_acceleration]
-        ),
-        constraint_jacobian=ca.Function("constraint_jacobian", [q, p], [jacobian]),
-        algebraic=_eliminate(equations, baumgarte, [t, q, v, p], values),
-        kinetic=ca.Function("kinetic", [q, v, p], [equations.kinetic]),
-        potential=ca.Function("potential", [q, p], [equations.potential]),
-        baumgarte=baumgarte,
-        forces=None if equations.forces is None else ca.Function("forces", [t, q, v, p], [equations.forces]),
-        invariants=tuple(invariants),
-        forcing_period=None if clock is None else ca.Function("forcing_period", [p], [ca.SX(clock)]),
-        **fields,
-    )
-
-
-def _eliminate(
-    equations: ConstrainedEquations, baumgarte: Baumgarte, arguments: list[ca.SX], values: np.ndarray
-) -> ca.Function:
-    """(a, lambda) as a Function of (t, q, v, p), with M, h, J and the rest read off by jacobian."""
-    a, force = equations.acceleration, equations.multipliers
+    lift: ca.Function | None = None,
+    **parts: Any,
+) -> Model:
+    """A Model around M a + h = F lambda, J a = r: its accelerations are those of the DAE, Baumgarte terms included."""
+    arguments = symbols.arguments
     t, q, v, p = arguments
-    unknowns = ca.vertcat(a, force)
-    residual = ca.vertcat(equations.balances, equations.constraint_acceleration)
-    rest = ca.substitute(residual, unknowns, ca.SX.zeros(unknowns.numel()))
-    drift = 2 * baumgarte.alpha * ca.jtimes(equations.constraint, q, v) + baumgarte.beta**2 * equations.constraint
-    mass = ca.jacobian(equations.balances, a)
-    linear = LinearBalances(
-        mass=mass,
-        bias=rest[: a.numel()],
-        force=-ca.jacobian(equations.balances, force),
-        jacobian=ca.jacobian(equations.constraint_acceleration, a),
-        right=-rest[a.numel() :] - drift,
+    a, force, jacobian = ca.SX.sym("a", q.numel()), ca.SX.sym("lambda", phi.numel()), ca.jacobian(phi, q)
+    if invariants is None:
+        conservative = terms.forces is None and symbols.time is None
+        invariants = [energy_invariant(terms.kinetic, terms.potential, q, v, p)] if conservative else []
+    drift = 2 * baumgarte.alpha * ca.jtimes(phi, q, v) + baumgarte.beta**2 * phi
+    algebraic = eliminated(replace(balances, right=balances.right - drift), arguments, _invertible(balances, symbols))
+    inputs = algebraic.sx_in() if algebraic.is_a("SXFunction") else algebraic.mx_in()
+    equations = balances.mass @ a + balances.bias - balances.force @ force
+    constraint = HolonomicConstraint(
+        phi=ca.Function("constraint", [q, p], [phi]),
+        rate=ca.Function("constraint_rate", [q, v, p], [jacobian @ v]),
+        acceleration=ca.Function("constraint_acceleration", [q, v, a, p], [balances.jacobian @ a - balances.right]),
+        jacobian=ca.Function("constraint_jacobian", [q, p], [jacobian]),
+        balances=ca.Function("balances", [t, q, v, a, force, p], [equations]),
+        algebraic=algebraic,
+        force_names=tuple(force_names or (f"lambda{k + 1}" for k in range(force.numel()))),
+        baumgarte=baumgarte,
+        lift=lift,
     )
-    generic = 0.1 + 0.01 * np.arange(q.numel())
-    sample = ca.Function("mass", [t, q, p], [mass])(0, generic, values)
-    invertible = q.numel() == ca.sprank(sample) and np.all(np.abs(_pivots(sample)) > 0)
-    return eliminated(linear, arguments, bool(invertible))
+    acceleration = ca.Function("acceleration", inputs, [algebraic(*inputs)[: a.numel()]])
+    return mechanical_model(acceleration, terms, symbols, names, invariants=invariants, constraint=constraint, **parts)
 
 
-def _pivots(matrix: ca.DM) -> np.ndarray:
-    """Diagonal of a diagonal matrix, eigenvalues of any other symmetric one, small ones set to 0."""
-    if matrix.nnz() == matrix.shape[0]:
-        return np.asarray(ca.diag(matrix).full().ravel())
-    values = np.linalg.eigvalsh(matrix.full())
-    return np.where(np.abs(values) < 1e-12 * np.abs(values).max(), 0.0, values)
+def _invertible(balances: LinearBalances, symbols: Symbols) -> bool:
+    """True when M has no massless directions; tiny eigenvalues count as 0."""
+    t, q, _, p = symbols.arguments
+    generic, values = 0.1 + 0.01 * np.arange(q.numel()), np.asarray(symbols.parameter_values, float)
+    sample = ca.Function("mass", [t, q, p], [balances.mass])(0, generic, values)
+    if sample.nnz() == q.numel():
+        return bool(q.numel() == ca.sprank(sample) and np.all(ca.diag(sample).full() != 0))
+    pivots = np.linalg.eigvalsh(sample.full())
+    return bool(q.numel() == ca.sprank(sample) and np.all(np.abs(pivots) >= 1e-12 * np.abs(pivots).max()))
 
 
-def reduced(model: ConstrainedModel) -> Model:
-    """The same system as an explicit ODE in the same redundant coordinates: a(t, q, v, p) alone.
+def tangent_basis(rows: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (columns) of the null space of `rows` (r x N), which must have full rank r."""
+    if not rows.size:
+        return np.eye(rows.shape[1])
+    return np.asarray(np.linalg.svd(rows)[2][rows.shape[0] :].T)
 
-    The algebraic variables are eliminated, Baumgarte terms included, so the flow is that of the DAE.
-    Its energies carry no constraint forces: do not form Hamilton's equations from them.
-    """
-    inputs = [model.algebraic.mx_in(k) for k in range(4)]
-    if model.algebraic.is_a("SXFunction"):
-        inputs = [model.algebraic.sx_in(k) for k in range(4)]
-    acceleration = model.algebraic(*inputs)[: model.coordinates]
-    return Model(
-        system=model.system,
-        state_names=model.state_names,
-        parameter_names=model.parameter_names,
-        parameter_values=model.parameter_values,
-        acceleration=ca.Function("acceleration", inputs, [acceleration]),
-        kinetic=model.kinetic,
-        potential=model.potential,
-        forces=model.forces,
-        invariants=model.invariants,
-        angles=model.angles,
-        points=model.points,
-        centres=model.centres,
-        forcing_period=model.forcing_period,
-        native=model,
-    )
+
+def tangent_space(model: Model, state: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (2n x 2(n - m)) of the variations of a state (2n) that keep phi = 0 and J v = 0."""
+    n, p, constraint = model.degrees_of_freedom, ca.DM(model.parameter_values), constraint_of(model)
+    x = ca.MX.sym("x", 2 * n)
+    level = ca.vertcat(constraint.phi(x[:n], p), constraint.rate(x[:n], x[n:], p))
+    return tangent_basis(ca.Function("rows", [x], [ca.jacobian(level, x)])(state).full())
+
+
+def allowed_velocities(model: Model, state: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (n x n - m) of the velocities with J v = 0 at a state (2n)."""
+    q = state[: model.degrees_of_freedom]
+    return tangent_basis(constraint_of(model).jacobian(q, model.parameter_values).full())

@@ -1,14 +1,15 @@
-"""Solve M a + h = F lambda, J a = r for the accelerations and the forces, in the graph or numerically."""
+"""Solve M a + h = 0, or M a + h = F lambda and J a = r, for accelerations and forces, in the graph or numerically."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder.mechanics.lagrange import UNROLLED_FACTORISATION_LIMIT
+UNROLLED_FACTORISATION_LIMIT = 16
+"""Up to this bandwidth (or size, of a full matrix) matrices are factorised inside the graph; beyond, at run time."""
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,19 @@ class LinearBalances:
     force: ca.SX
     jacobian: ca.SX
     right: ca.SX
+
+    @classmethod
+    def of(cls, balances: ca.SX, rows: ca.SX, acceleration: ca.SX, forces: ca.SX) -> LinearBalances:
+        """Read off residuals M a + h - F lambda and J a - r, in which a and lambda are symbols and enter linearly."""
+        unknowns = ca.vertcat(acceleration, forces)
+        rest = ca.substitute(ca.vertcat(balances, rows), unknowns, ca.SX.zeros(unknowns.numel()))
+        return cls(
+            mass=ca.jacobian(balances, acceleration),
+            bias=rest[: acceleration.numel()],
+            force=-ca.jacobian(balances, forces),
+            jacobian=ca.jacobian(rows, acceleration),
+            right=-rest[acceleration.numel() :],
+        )
 
     def matrix(self) -> ca.SX:
         """[[M, -F], [J, 0]] (n+m square), which multiplies (a, lambda)."""
@@ -38,16 +52,28 @@ def eliminated(balances: LinearBalances, arguments: list[ca.SX], invertible: boo
     """
     schur_sparsity = ca.mtimes(balances.jacobian, balances.force)
     if invertible and max(bandwidth(balances.mass), bandwidth(schur_sparsity)) <= UNROLLED_FACTORISATION_LIMIT:
-        over_mass = factorised(balances.mass)
-        weighted = over_mass(balances.force)
+        solved = solve_positive_definite(balances.mass, ca.horzcat(balances.force, balances.bias))
+        weighted, free = solved[:, :-1], solved[:, -1]
         schur = balances.jacobian @ weighted
-        free = over_mass(balances.bias)
-        forces = factorised(schur)(balances.right + balances.jacobian @ free)
+        forces = solve_positive_definite(schur, balances.right + balances.jacobian @ free)
         return ca.Function("algebraic", arguments, [ca.vertcat(weighted @ forces - free, forces)])
     parts = ca.Function("parts", arguments, [balances.matrix(), balances.vector()])
     inputs = [ca.MX.sym(f"i{k}", *argument.shape) for k, argument in enumerate(arguments)]
     matrix, vector = parts(*inputs)
     return ca.Function("algebraic", inputs, [ca.solve(matrix, vector)])
+
+
+def acceleration_function(
+    matrix: ca.SX, bias: ca.SX, arguments: Sequence[ca.SX], limit: int = UNROLLED_FACTORISATION_LIMIT
+) -> ca.Function:
+    """a(t, q, v, p) = -M^-1 h; M is never inverted, and factorised numerically for large n."""
+    size = matrix.shape[0]
+    if size <= limit:
+        return ca.Function("acceleration", list(arguments), [solve_positive_definite(matrix, -bias)])
+    parts = ca.Function("mass_and_bias", list(arguments), [matrix, bias])
+    inputs = [ca.MX.sym(f"i{k}", *a.shape) for k, a in enumerate(arguments)]
+    mass, rest = parts(*inputs)
+    return ca.Function("acceleration", inputs, [ca.solve(mass, -rest, "ldl")])
 
 
 def bandwidth(matrix: ca.SX) -> int:
@@ -56,39 +82,25 @@ def bandwidth(matrix: ca.SX) -> int:
     return int(np.max(np.abs(np.subtract(rows, columns)), initial=0))
 
 
-def factorised(matrix: ca.SX) -> Callable[[ca.SX], ca.SX]:
-    """Solver of A y = b for A symmetric positive definite, by L D L^T inside its band.
+def solve_positive_definite(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Y with A Y = B, A symmetric positive definite (n x n), by L D L^T inside its band, written out in the graph.
 
-    The right side may have several columns. Source: Golub and Van Loan, Matrix Computations, 4.3.
+    Source: Golub and Van Loan, Matrix Computations, 4.3.
     """
     size, band = matrix.shape[0], bandwidth(matrix)
-    if band == 0:
-        inverse = ca.diag(1 / ca.diag(matrix))
-        return lambda right: inverse @ right
-    lower, diagonal = _band_factors(matrix, size, band)
-
-    def solve(right: ca.SX) -> ca.SX:
-        rows = [right[i, :] for i in range(size)]
-        for i in range(size):
-            for k in range(max(0, i - band), i):
-                rows[i] = rows[i] - lower[i, k] * rows[k]
-        rows = [row / pivot for row, pivot in zip(rows, diagonal, strict=True)]
-        for i in reversed(range(size)):
-            for k in range(i + 1, min(size, i + band + 1)):
-                rows[i] = rows[i] - lower[k, i] * rows[k]
-        return ca.vertcat(*rows)
-
-    return solve
-
-
-def _band_factors(matrix: ca.SX, size: int, band: int) -> tuple[dict[tuple[int, int], ca.SX], list[ca.SX]]:
-    """Unit lower triangle (by index, inside the band) and diagonal of A = L D L^T."""
     lower: dict[tuple[int, int], ca.SX] = {}
+    scaled: dict[tuple[int, int], ca.SX] = {}  # L D
     diagonal: list[ca.SX] = []
     for i in range(size):
         first = max(0, i - band)
         for j in range(first, i):
-            known = sum(lower[i, k] * diagonal[k] * lower[j, k] for k in range(max(first, j - band, 0), j))
-            lower[i, j] = (matrix[i, j] - known) / diagonal[j]
-        diagonal.append(matrix[i, i] - sum(lower[i, k] ** 2 * diagonal[k] for k in range(first, i)))
-    return lower, diagonal
+            lower[i, j] = (matrix[i, j] - sum(lower[i, k] * scaled[j, k] for k in range(first, j))) / diagonal[j]
+            scaled[i, j] = lower[i, j] * diagonal[j]
+        diagonal.append(matrix[i, i] - sum(lower[i, k] * scaled[i, k] for k in range(first, i)))
+    rows: list[ca.SX] = []
+    for i in range(size):
+        rows.append(right[i, :] - sum(lower[i, k] * rows[k] for k in range(max(0, i - band), i)))
+    rows = [row / pivot for row, pivot in zip(rows, diagonal, strict=True)]
+    for i in reversed(range(size)):
+        rows[i] = rows[i] - sum(lower[k, i] * rows[k] for k in range(i + 1, min(size, i + band + 1)))
+    return ca.vertcat(*rows)

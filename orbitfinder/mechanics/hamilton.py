@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from orbitfinder.mechanics.lagrange import UNROLLED_FACTORISATION_LIMIT, solve_positive_definite
+from orbitfinder.mechanics.factorise import UNROLLED_FACTORISATION_LIMIT, solve_positive_definite
 from orbitfinder.mechanics.model import Model
 
 

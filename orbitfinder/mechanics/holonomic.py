@@ -1,6 +1,6 @@
 """Hamilton's equations of a constrained system in as few coordinates as it offers: the certificate's formulation.
 
-The finder works on the balances of a ConstrainedModel, Baumgarte terms included; here everything is
+The finder works on the balances of a Model under constraints, Baumgarte terms included; here everything is
 derived from its energies and its constraints alone, without stabilisation:
 
     q' = M^-1 p,    p' = d(T - V)/dq + J^T lambda,    J q' = 0,
@@ -13,13 +13,13 @@ Geometric Numerical Integration, section VII.1.2.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder.mechanics.constrained import ConstrainedModel
-from orbitfinder.mechanics.lagrange import mass_matrix_and_bias, solve_positive_definite
+from orbitfinder.mechanics.factorise import solve_positive_definite
+from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
+from orbitfinder.mechanics.model import Model, constraint_of
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,16 @@ class HolonomicEquations:
     energy: ca.Function
 
 
-def holonomic(model: ConstrainedModel) -> Holonomic:
-    """The description of a ConstrainedModel in its link angles where it has them, else in its own coordinates."""
-    n, values = model.coordinates, ca.DM(model.parameter_values)
-    angular = model.lift is not None
+def holonomic(model: Model) -> Holonomic:
+    """A Model under constraints described in its link angles where it has them, else in its own coordinates."""
+    n, values, constraint = model.degrees_of_freedom, ca.DM(model.parameter_values), constraint_of(model)
+    angular = constraint.lift is not None
     size = n // 3 if angular else n
     q, v = ca.SX.sym("q", size), ca.SX.sym("v", size)
-    state = model.lift(q, v, values) if model.lift is not None else ca.vertcat(q, v)
+    state = ca.vertcat(q, v) if constraint.lift is None else constraint.lift(q, v, values)
     place, rate = state[:n], state[n:]
     # the joints of an open chain hold identically in the angles; only the rows after them are left
-    rows = model.constraint(place, values)[2 * size if angular else 0 :]
+    rows = constraint.phi(place, values)[2 * size if angular else 0 :]
     kept = np.arange(2, n, 3) if angular else np.arange(n)
     return Holonomic(
         kinetic=ca.Function("kinetic", [q, v], [model.kinetic(place, rate, values)]),
@@ -91,8 +91,8 @@ def holonomic_equations(system: Holonomic) -> HolonomicEquations:
     jacobian = ca.jacobian(phi, q)
     force = ca.gradient(kinetic - potential, q)
     if phi.numel():
-        weighted = _solved(mass, jacobian.T)
-        right = jacobian @ _solved(mass, bias) - ca.jtimes(jacobian @ v, q, v)
+        weighted, free = solve_positive_definite(mass, jacobian.T), solve_positive_definite(mass, bias)
+        right = jacobian @ free - ca.jtimes(jacobian @ v, q, v)
         force += jacobian.T @ solve_positive_definite(jacobian @ weighted, right)
     inner = ca.Function("inner", [q, v], [force])
     velocity = solve_positive_definite(mass, p)
@@ -111,8 +111,3 @@ def holonomic_equations(system: Holonomic) -> HolonomicEquations:
         tangent=ca.Function("tangent", [y], [ca.densify(ca.jacobian(level, y))]),
         energy=ca.Function("energy", [y], [system.kinetic(q, velocity) + potential]),
     )
-
-
-def _solved(matrix: Any, right: Any) -> Any:
-    """M^-1 B, column by column."""
-    return ca.horzcat(*[solve_positive_definite(matrix, right[:, j]) for j in range(right.shape[1])])

@@ -12,10 +12,8 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Invariant, Model
-
-UNROLLED_FACTORISATION_LIMIT = 16
-"""Up to this many coordinates M is factorised inside the graph; beyond, numerically at run time."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +41,9 @@ class Symbols:
             symbols = getattr(self, name)
             if symbols is not None and not (isinstance(symbols, ca.SX) and symbols.is_valid_input()):
                 raise InputError(f"{name}: {symbols} is no symbol of its own; make one by ca.SX.sym({name[0]!r}, n)")
+        n, rates = self.coordinates.numel(), self.velocities.numel()
+        if n != rates:
+            raise InputError(f"velocities: {rates} given for {n} coordinates; give one per coordinate")
         count = 0 if self.parameters is None else self.parameters.numel()
         found = len(self.parameter_names), len(self.parameter_values)
         if found != (count, count):
@@ -50,6 +51,13 @@ class Symbols:
                 f"parameter_names, parameter_values: {found[0]} names and {found[1]} values for {count} parameters; "
                 "give one each"
             )
+
+    @property
+    def arguments(self) -> list[ca.SX]:
+        """t, q, v, p: what every function of a Model is written in, with stand-ins for what is not there."""
+        t = ca.SX.sym("t") if self.time is None else self.time
+        p = ca.SX(0, 1) if self.parameters is None else self.parameters
+        return [t, self.coordinates, self.velocities, p]
 
 
 @dataclass(frozen=True)
@@ -104,25 +112,6 @@ def take_apart(kinetic: ca.SX, potential: ca.SX, forces: ca.SX | None, arguments
     return Terms(0.5 * ca.dot(v, ca.hessian(kinetic, v)[0] @ v), potential - rest, gyroscopic, forces)
 
 
-def solve_positive_definite(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Solve A y = b (A symmetric positive definite, n x n) by an L D L^T written out in the graph."""
-    size = matrix.shape[0]
-    lower, diagonal = ca.SX.eye(size), [ca.SX(0)] * size
-    for j in range(size):
-        scaled = [lower[j, k] * diagonal[k] for k in range(j)]
-        diagonal[j] = matrix[j, j] - sum(lower[j, k] * scaled[k] for k in range(j))
-        for i in range(j + 1, size):
-            correction = sum(lower[i, k] * scaled[k] for k in range(j))
-            lower[i, j] = (matrix[i, j] - correction) / diagonal[j]
-    y: list[ca.SX] = []
-    for i in range(size):
-        y.append(right[i] - sum(lower[i, k] * y[k] for k in range(i)))
-    y = [value / diagonal[i] for i, value in enumerate(y)]
-    for i in reversed(range(size)):
-        y[i] = y[i] - sum(lower[k, i] * y[k] for k in range(i + 1, size))
-    return ca.vertcat(*y)
-
-
 def energy_invariant(kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX, p: ca.SX) -> Invariant:
     """Energy as an invariant, unfolded by fictitious damping: a += s v, so dE/dt = s v.M v."""
     return Invariant(
@@ -158,19 +147,6 @@ def detected_invariants(terms: Terms, labels: Sequence[str], arguments: Sequence
     return found
 
 
-def acceleration_function(
-    matrix: ca.SX, bias: ca.SX, arguments: Sequence[ca.SX], limit: int = UNROLLED_FACTORISATION_LIMIT
-) -> ca.Function:
-    """a(t, q, v, p) = -M^-1 h; M is never inverted, and factorised numerically for large n."""
-    size = matrix.shape[0]
-    if size <= limit:
-        return ca.Function("acceleration", list(arguments), [solve_positive_definite(matrix, -bias)])
-    parts = ca.Function("mass_and_bias", list(arguments), [matrix, bias])
-    inputs = [ca.MX.sym(f"i{k}", *a.shape) for k, a in enumerate(arguments)]
-    mass, rest = parts(*inputs)
-    return ca.Function("acceleration", inputs, [ca.solve(mass, -rest, "ldl")])
-
-
 def lagrange(
     kinetic: ca.SX,
     potential: ca.SX,
@@ -193,38 +169,58 @@ def lagrange(
     `names` are the coordinates' names (rates get a trailing "dot"). Raises `InputError` when an
     energy is not a scalar, depends on a foreign symbol, or T is not quadratic in all velocities.
     """
-    q, v = symbols.coordinates, symbols.velocities
-    p = symbols.parameters if symbols.parameters is not None else ca.SX(0, 1)
-    labels, turning = coordinate_names(names, q.numel()), coordinate_angles(angles, q.numel())
-    t = symbols.time if symbols.time is not None else ca.SX.sym("t")
-    arguments = [t, q, v, p]
+    labels, turning = coordinate_names(names, symbols), coordinate_angles(angles, symbols)
+    arguments = symbols.arguments
+    _, q, v, p = arguments
     _check_energies(kinetic, potential, forces, arguments)
     terms = take_apart(ca.SX(kinetic), ca.SX(potential), forces, arguments)
     lagrangian = terms.kinetic if terms.gyroscopic is None else terms.kinetic + terms.gyroscopic
     matrix, bias = mass_matrix_and_bias(lagrangian, terms.potential, q, v, terms.forces)
-    if invariants is None:
-        invariants = detected_invariants(terms, labels, arguments)
-    clock = symbols.forcing_period
+    return mechanical_model(
+        acceleration_function(matrix, bias, arguments),
+        terms,
+        symbols,
+        labels,
+        invariants=detected_invariants(terms, labels, arguments) if invariants is None else invariants,
+        system=system,
+        angles=turning,
+        points=polyline("points", points, [q, p]),
+        centres=polyline("centres", centres, [q, p]),
+    )
+
+
+def mechanical_model(
+    acceleration: ca.Function,
+    terms: Terms,
+    symbols: Symbols,
+    names: Sequence[str],
+    *,
+    invariants: Sequence[Invariant],
+    system: Mapping[str, Any] | None = None,
+    **parts: Any,
+) -> Model:
+    """The Model of accelerations a(t, q, v, p) and of the Lagrangian's terms; other `parts` go in as they are."""
+    arguments, clock = symbols.arguments, symbols.forcing_period
+    _, q, v, p = arguments
     return Model(
         system=dict(system or {"kind": "custom"}),
-        state_names=labels + tuple(f"{label}dot" for label in labels),
+        state_names=(*names, *(f"{name}dot" for name in names)),
         parameter_names=tuple(symbols.parameter_names),
         parameter_values=np.asarray(symbols.parameter_values, float),
-        acceleration=acceleration_function(matrix, bias, arguments),
+        acceleration=acceleration,
         kinetic=ca.Function("kinetic", [q, v, p], [terms.kinetic]),
         potential=ca.Function("potential", [q, p], [terms.potential]),
         forces=None if terms.forces is None else ca.Function("forces", arguments, [terms.forces]),
         invariants=tuple(invariants),
-        angles=turning,
-        points=polyline("points", points, [q, p]),
-        centres=polyline("centres", centres, [q, p]),
         gyroscopic=None if terms.gyroscopic is None else ca.Function("gyroscopic", [q, v, p], [terms.gyroscopic]),
         forcing_period=None if clock is None else ca.Function("forcing_period", [p], [ca.SX(clock)]),
+        **parts,
     )
 
 
-def coordinate_names(names: Sequence[str] | None, count: int) -> tuple[str, ...]:
+def coordinate_names(names: Sequence[str] | None, symbols: Symbols) -> tuple[str, ...]:
     """Names of the coordinates, q1, q2, ... without any; `InputError` unless one each, and none twice or taken."""
+    count = symbols.coordinates.numel()
     if names is None:
         return tuple(f"q{i + 1}" for i in range(count))
     if len(names) != count:
@@ -239,11 +235,17 @@ def coordinate_names(names: Sequence[str] | None, count: int) -> tuple[str, ...]
     return tuple(names)
 
 
-def coordinate_angles(angles: Sequence[bool] | None, count: int) -> tuple[bool, ...]:
+def coordinate_angles(angles: Sequence[bool] | None, symbols: Symbols) -> tuple[bool, ...]:
     """Which coordinates are angles, none without a word; `InputError` unless one answer each."""
+    count = symbols.coordinates.numel()
     if angles is not None and len(angles) != count:
         raise InputError(f"angles: {len(angles)} given for {count} coordinates; give True or False for each")
     return (False,) * count if angles is None else tuple(bool(one) for one in angles)
+
+
+def strangers(expression: ca.SX, known: Sequence[ca.SX]) -> list[str]:
+    """Symbols of an expression that are not among the known ones."""
+    return [str(one) for one in ca.symvar(expression) if not ca.depends_on(ca.vertcat(*known), one)]
 
 
 def polyline(name: str, expression: ca.SX | None, arguments: Sequence[ca.SX]) -> ca.Function | None:
@@ -263,17 +265,13 @@ def _check_energies(kinetic: ca.SX, potential: ca.SX, forces: ca.SX | None, argu
     for name, value in (("kinetic", kinetic), ("potential", potential)):
         if ca.SX(value).numel() != 1:
             raise InputError(f"{name}: expected a scalar expression, got shape {ca.SX(value).shape}")
-    if q.numel() != v.numel():
-        raise InputError(f"velocities: {v.numel()} given for {q.numel()} coordinates; give one per coordinate")
     if forces is not None and ca.SX(forces).shape != (q.numel(), 1):
         raise InputError(f"forces: shape {ca.SX(forces).shape} for {q.numel()} coordinates; give one per coordinate")
     allowed = {"kinetic": "t, q, v and p", "potential": "t, q and p", "forces": "t, q, v and p"}
     for name, value, known in (
         ("kinetic", kinetic, arguments), ("potential", potential, [t, q, p]), ("forces", forces, arguments)
     ):  # fmt: skip
-        symbols = [] if value is None else ca.symvar(ca.SX(value))
-        stray = [str(s) for s in symbols if not ca.depends_on(ca.vertcat(*known), s)]
-        if stray:
+        if value is not None and (stray := strangers(ca.SX(value), known)):
             raise InputError(f"{name}: depends on {', '.join(stray)}; it may depend on {allowed[name]} only")
     hessian = ca.hessian(ca.SX(kinetic), v)[0]
     if ca.depends_on(hessian, v):

@@ -1,4 +1,4 @@
-"""Closed planar chains of bars (four-bar, five-bar, ...) as native DAEs, and their assembly.
+"""Closed planar chains of bars (four-bar, five-bar, ...) as native DAEs, their assembly, and minimal coordinates.
 
 A linkage of n bars is the chain of n links whose tip is pinned to the ground at (x, y), x down and
 y right, by two more reaction forces and two more constraints. The first joint is at the origin, the
@@ -15,13 +15,17 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.chain import ChainSymbols, Numbers, chain_symbols, chain_system
-from orbitfinder.mechanics.constrained import RANK_TOLERANCE, Baumgarte, ConstrainedModel
-from orbitfinder.mechanics.maximal import maximal_chain, maximal_states
-from orbitfinder.mechanics.model import check_state
+from orbitfinder.mechanics.chain_symbols import ChainSymbols, Numbers, chain_symbols, chain_system
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanics.maximal import baumgarte_of, maximal_chain, maximal_states
+from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 
 DEFAULT_BAUMGARTE = Baumgarte(10.0, 10.0)
 """1/s; phi decays within a few tenths of a second, much faster than a linkage of metres moves"""
+NEWTON_STEPS = 50
+CLOSURE_TOLERANCE = 1e-13
+"""|closure| over the perimeter at which an assembly counts as exact"""
 REACH_TOLERANCE = 1e-12
 """relative excess over the reach that is taken for round-off"""
 
@@ -35,7 +39,7 @@ def linkage(
     *,
     gravity: float = 9.8,
     baumgarte: Baumgarte | Sequence[float] | None = None,
-) -> ConstrainedModel:
+) -> Model:
     """Closed chain from the origin through bars of `length` (n of them, m) to the `ground` pivot (m).
 
     `mass` (kg), `inertia` (kg m^2 about the centre of mass, default m l^2 / 12), `com` (fraction of
@@ -53,7 +57,7 @@ def linkage(
     system = chain_system(lengths.size, lengths, mass, inertia, com, gravity=gravity)
     for absent in ("links", "formulation"):
         del system[absent]
-    stabilisation = _baumgarte(baumgarte)
+    stabilisation = baumgarte_of(baumgarte, DEFAULT_BAUMGARTE)
     system |= {
         "kind": "linkage",
         "ground": [float(value) for value in pivot],
@@ -61,18 +65,7 @@ def linkage(
     }
     check_closable(lengths, pivot)
     symbols = linkage_symbols(system)
-    return maximal_chain(symbols, system, stabilisation, ground=symbols.parameters[-2:])
-
-
-def _baumgarte(given: Baumgarte | Sequence[float] | None) -> Baumgarte:
-    if given is None:
-        return DEFAULT_BAUMGARTE
-    if isinstance(given, Baumgarte):
-        return given
-    numbers = np.asarray(given, float)
-    if numbers.shape != (2,) or not np.all(np.isfinite(numbers)) or np.any(numbers < 0):
-        raise InputError(f"baumgarte: need [alpha, beta], both at least 0 in 1/s, got {given!r}")
-    return Baumgarte(float(numbers[0]), float(numbers[1]))
+    return maximal_chain(symbols, system, stabilisation, ground=symbols.arguments[-1][-2:])
 
 
 def linkage_symbols(system: Mapping[str, Any]) -> ChainSymbols:
@@ -81,8 +74,8 @@ def linkage_symbols(system: Mapping[str, Any]) -> ChainSymbols:
     return replace(
         open_chain,
         parameters=ca.vertcat(open_chain.parameters, ca.SX.sym("ground", 2)),
-        names=(*open_chain.names, "ground1", "ground2"),
-        values=np.concatenate([open_chain.values, system["ground"]]),
+        parameter_names=(*open_chain.parameter_names, "ground1", "ground2"),
+        parameter_values=(*open_chain.parameter_values, *system["ground"]),
     )
 
 
@@ -100,13 +93,14 @@ def check_closable(lengths: np.ndarray, ground: np.ndarray) -> None:
         )
 
 
-def dimensions(model: ConstrainedModel) -> tuple[np.ndarray, np.ndarray]:
-    """Bar lengths (n) and ground pivot (2) of a linkage from its parameter values, in m."""
-    if model.system.get("kind") != "linkage":
-        raise InputError(f"expected a linkage, got kind {model.system.get('kind')!r}; build it with linkage(...)")
-    values = dict(zip(model.parameter_names, model.parameter_values, strict=True))
-    lengths = [values[f"length{i + 1}"] for i in range(model.coordinates // 3)]
-    return np.array(lengths), np.array([values["ground1"], values["ground2"]])
+def dimensions(model: Model, parameters: Any = None) -> tuple[Any, Any]:
+    """Bar lengths (n) and ground pivot (2) of a linkage, in m, among its values or other `parameters` (symbols)."""
+    if (kind := model.system.get("kind")) != "linkage":
+        raise InputError(f"model: expected a linkage, got kind {kind!r}; build it with linkage(...)")
+    lengths = [model.parameter_index(f"length{i + 1}") for i in range(len(model.system["length"]))]
+    ground = [model.parameter_index(name) for name in ("ground1", "ground2")]
+    p = model.parameter_values if parameters is None else parameters
+    return p[lengths], p[ground]
 
 
 def closure_jacobian(lengths: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -126,34 +120,235 @@ def check_regular(lengths: np.ndarray, theta: np.ndarray) -> None:
         )
 
 
-def joint_forces(model: ConstrainedModel, state: np.ndarray) -> np.ndarray:
+def joint_forces(model: Model, state: np.ndarray) -> np.ndarray:
     """Reaction forces (2 x joints, N) at one state (2n): on each link at its upper joint, x down, y right.
 
     For a linkage the last column is the force on the ground at its pivot.
     """
-    x, n = check_state(model, state), model.coordinates
-    z = model.algebraic(0.0, x[:n], x[n:], model.parameter_values).full().ravel()
+    x, n = check_state(model, state), model.degrees_of_freedom
+    z = constraint_of(model).algebraic(0.0, x[:n], x[n:], model.parameter_values).full().ravel()
     return np.asarray(z[n:].reshape(-1, 2).T)
 
 
-def linkage_state(model: ConstrainedModel, theta: np.ndarray, rates: np.ndarray | None = None) -> np.ndarray:
+def linkage_state(model: Model, theta: np.ndarray, rates: np.ndarray | None = None) -> np.ndarray:
     """State (6n) of a linkage at angles (n, rad) and rates (n, rad/s; at rest without them)."""
     speeds = np.zeros(len(theta)) if rates is None else rates
     return maximal_states(model, np.concatenate([theta, speeds]))
 
 
-def grashof(length: Sequence[float], ground: Sequence[float]) -> str:
-    """Class of a four-bar of three bars and the ground, by Grashof's inequality s + l <= p + q.
+def assemble(
+    model: Model,
+    known: Mapping[str, float],
+    branch: int | None = None,
+    guess: Sequence[float] | np.ndarray | None = None,
+) -> np.ndarray:
+    """All angles (n, rad) of a linkage from some, e.g. `assemble(fourbar, {"theta1": 0.3}, branch=+1)`.
 
-    Source: J. E. Shigley, J. J. Uicker, Theory of Machines and Mechanisms, chapter 1. One of
-    "change-point", "drag-link", "crank-rocker", "double-rocker", "triple-rocker".
+    Closure: sum l_i (cos theta_i, sin theta_i) = ground. With n - 2 known angles the two others
+    follow from the intersection of two circles, and `branch` is the sign of sin(theta_j - theta_i),
+    i < j the unknown bars (default +1, or the one nearer to `guess`). With fewer, the nearest
+    configuration to `guess` (n, rad) is found by Gauss-Newton. Raises `InputError` when the rest
+    cannot reach, or at a change-point.
     """
-    if len(length) != 3:
-        raise InputError(f"length: Grashof's rule is for three bars and the ground, got {len(length)} bars")
-    sides = np.append(np.asarray(length, float), np.linalg.norm(ground))
-    excess = 2 * (sides.min() + sides.max()) - sides.sum()
-    if abs(excess) <= REACH_TOLERANCE * sides.sum():
-        return "change-point"
-    if excess > 0:
-        return "triple-rocker"
-    return ("crank-rocker", "double-rocker", "crank-rocker", "drag-link")[int(np.argmin(sides))]
+    lengths, ground = dimensions(model)
+    fixed = _by_index(known, "theta", lengths.size)
+    if len(fixed) > lengths.size - 2:
+        raise InputError(
+            f"assemble: {len(fixed)} angles given, but {lengths.size} bars have {lengths.size - 2} degrees of freedom; "
+            f"give at most {lengths.size - 2}"
+        )
+    start = None if guess is None else np.asarray(guess, float)
+    if start is not None and (start.shape != (lengths.size,) or not np.all(np.isfinite(start))):
+        raise InputError(f"guess: need {lengths.size} finite angles in rad, got {guess!r}")
+    if branch is not None and branch not in (1, -1):
+        raise InputError(f"branch: must be +1 or -1, the sign of sin(theta_j - theta_i), got {branch!r}")
+    if len(fixed) == lengths.size - 2:
+        theta = _dyad(lengths, ground, fixed, branch, start)
+    elif start is None:
+        raise InputError(
+            f"assemble: {len(fixed)} angles given for {lengths.size - 2} degrees of freedom; give more, or guess="
+        )
+    else:
+        theta = _nearest(lengths, ground, fixed, start)
+    check_regular(lengths, theta)
+    return theta
+
+
+def linkage_rates(model: Model, theta: np.ndarray, known: Mapping[str, float]) -> np.ndarray:
+    """All rates (n, rad/s) from n - 2 of them, e.g. `{"theta1dot": 2.0}`; a four-bar needs one.
+
+    sum l_i n_i thetadot_i = 0. Raises `InputError` at a change-point, or at a dead point of the
+    given bars (the two others in line), where another bar's rate must be given.
+    """
+    lengths, _ = dimensions(model)
+    angles = np.asarray(theta, float)
+    given = _by_index(known, "theta", lengths.size, "dot")
+    if len(given) != lengths.size - 2:
+        raise InputError(
+            f"linkage_rates: {len(given)} rates given for {lengths.size - 2} degrees of freedom; give exactly that many"
+        )
+    check_regular(lengths, angles)
+    jacobian = closure_jacobian(lengths, angles)
+    rest = [i for i in range(lengths.size) if i not in given]
+    values = np.linalg.svd(jacobian[:, rest], compute_uv=False)
+    if values[-1] < RANK_TOLERANCE * values[0]:
+        raise InputError(
+            f"linkage_rates: dead point, bars {rest[0] + 1} and {rest[1] + 1} are in line, so the rates of the others "
+            f"do not determine theirs; give theta{rest[0] + 1}dot or theta{rest[1] + 1}dot instead"
+        )
+    rates = np.zeros(lengths.size)
+    for i, rate in given.items():
+        rates[i] = rate
+    rates[rest] = np.linalg.solve(jacobian[:, rest], -jacobian @ rates)
+    return rates
+
+
+def _by_index(known: Mapping[str, float], stem: str, count: int, suffix: str = "") -> dict[int, float]:
+    names = {f"{stem}{i + 1}{suffix}": i for i in range(count)}
+    for name, value in known.items():
+        if name not in names:
+            raise InputError(f"{name}: unknown; this linkage has {', '.join(names)}")
+        if not np.isfinite(value):
+            raise InputError(f"{name}: must be finite, got {value!r}")
+    return {names[name]: float(value) for name, value in known.items()}
+
+
+def _dyad(
+    lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float], branch: int | None, guess: np.ndarray | None
+) -> np.ndarray:
+    """The last two bars i < j as two sides of a triangle whose third side is the gap left by the others.
+
+    gap = l_i e_i + l_j e_j, so the angle at i is arccos((D^2 + l_i^2 - l_j^2) / (2 D l_i)).
+    """
+    theta = np.zeros(lengths.size)
+    gap = np.array(ground)
+    for k, angle in fixed.items():
+        theta[k] = angle
+        gap -= lengths[k] * np.array([np.cos(angle), np.sin(angle)])
+    i, j = (k for k in range(lengths.size) if k not in fixed)
+    distance = float(np.hypot(*gap))
+    _check_reach(lengths, fixed, (i, j), distance)
+    heading = np.arctan2(gap[1], gap[0])
+    cosine = (distance**2 + lengths[i] ** 2 - lengths[j] ** 2) / (2 * distance * lengths[i])
+    opening = np.arccos(np.clip(cosine, -1.0, 1.0))
+    solutions = {}
+    for sign in (1, -1):
+        solution = theta.copy()
+        solution[i] = heading - sign * opening
+        elbow = gap - lengths[i] * np.array([np.cos(solution[i]), np.sin(solution[i])])
+        solution[j] = np.arctan2(elbow[1], elbow[0])
+        solutions[sign] = solution if guess is None else _wound(solution, guess, (i, j))
+    if branch is not None or guess is None:
+        return solutions[branch or 1]
+    return min(solutions.values(), key=lambda solution: float(np.linalg.norm(solution - guess)))
+
+
+def _wound(theta: np.ndarray, guess: np.ndarray, which: tuple[int, int]) -> np.ndarray:
+    """The two computed angles moved by whole turns to within pi of the guess's."""
+    result = theta.copy()
+    for k in which:
+        result[k] += 2 * np.pi * np.round((guess[k] - theta[k]) / (2 * np.pi))
+    return result
+
+
+def _check_reach(lengths: np.ndarray, fixed: Mapping[int, float], pair: tuple[int, int], distance: float) -> None:
+    """`InputError` unless |l_i - l_j| <= distance <= l_i + l_j, both with a margin for round-off."""
+    i, j = pair
+    longest, shortest = lengths[i] + lengths[j], abs(lengths[i] - lengths[j])
+    margin = REACH_TOLERANCE * longest
+    given = ", ".join(f"theta{k + 1} = {angle:.6g}" for k, angle in fixed.items()) or "no angle given"
+    if shortest - margin <= distance <= longest + margin and distance > 0:
+        return
+    if distance > longest:
+        rule = f"at most {longest:.6g} m = length{i + 1} + length{j + 1}"
+    else:
+        rule = f"at least {shortest:.6g} m = |length{i + 1} - length{j + 1}|"
+    raise InputError(
+        f"linkage: cannot be assembled at {given}: bars {i + 1} and {j + 1} would have to span {distance:.6g} m, "
+        f"but they span {rule} (triangle inequality); give other angles or other lengths"
+    )
+
+
+def _nearest(lengths: np.ndarray, ground: np.ndarray, fixed: Mapping[int, float], guess: np.ndarray) -> np.ndarray:
+    """Closure by Gauss-Newton with least-norm steps in the angles that are not fixed."""
+    theta, loose = guess.copy(), [k for k in range(lengths.size) if k not in fixed]
+    for k, angle in fixed.items():
+        theta[k] = angle
+    scale = lengths.sum()
+    gap = np.inf
+    for _ in range(NEWTON_STEPS):
+        residual = np.array([np.cos(theta), np.sin(theta)]) @ lengths - ground
+        gap = float(np.hypot(*residual))
+        if gap <= CLOSURE_TOLERANCE * scale:
+            return theta
+        step = np.linalg.lstsq(closure_jacobian(lengths, theta)[:, loose], -residual, rcond=None)[0]
+        theta[loose] += step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-300))
+    raise InputError(
+        f"linkage: cannot be assembled near guess = {np.array2string(guess, precision=6)}: a gap of {gap:.3g} m "
+        f"is left after {NEWTON_STEPS} Gauss-Newton steps; give another guess or fewer fixed angles"
+    )
+
+
+def minimal_linkage(model: Model, independent: Sequence[int], branch: int = 1) -> Model:
+    """The Model of a linkage in the angles of its `independent` bars (n - 2 of 1..n), same energies and parameters.
+
+    The two dependent bars i < j close a triangle over the gap that the others leave, so their angles are explicit
+    functions of the independent ones u, and with theta = Theta(u) the energies T(Theta, dTheta/du u'), V(Theta)
+    give Lagrange's equations. Source: R. A. Wehage, E. J. Haug, "Generalized coordinate partitioning for dimension
+    reduction in analysis of constrained dynamic systems", Journal of Mechanical Design 104 (1982) 247-255. Valid
+    while the dependent bars are not in line (a dead point). The physical parameters stay symbols, the closure of
+    the loop included, so that any of them may be freed.
+    `branch` is the sign of sin(theta_j - theta_i) of the dependent bars i < j, constant along the motion.
+    Raises `InputError`.
+    """
+    chosen = [int(k) - 1 for k in independent]
+    u, rates = ca.SX.sym("u", len(chosen)), ca.SX.sym("udot", len(chosen))
+    p, n = ca.SX.sym("p", model.parameter_values.size), model.degrees_of_freedom
+    theta = _bar_angles(model, u, p, independent, branch)
+    lift = constraint_of(model).lift
+    assert lift is not None
+    state = lift(theta, ca.jtimes(theta, u, rates), p)
+    return lagrange(
+        model.kinetic(state[:n], state[n:], p),
+        model.potential(state[:n], p),
+        Symbols(u, rates, p, model.parameter_names, tuple(map(float, model.parameter_values))),
+        names=[f"theta{k + 1}" for k in chosen],
+        angles=(True,) * len(chosen),
+        points=None if model.points is None else model.points(state[:n], p),
+        system={**model.system, "independent": [int(k) for k in independent], "branch": int(branch)},
+    )
+
+
+def bar_angles(model: Model, independent: Sequence[int], branch: int = 1) -> ca.Function:
+    """theta(u): the angles of all bars from those of the independent ones; see `minimal_linkage`."""
+    u = ca.SX.sym("u", len(independent))
+    return ca.Function("bar_angles", [u], [_bar_angles(model, u, ca.SX(model.parameter_values), independent, branch)])
+
+
+def _bar_angles(model: Model, u: ca.SX, p: ca.SX, independent: Sequence[int], branch: int) -> ca.SX:
+    lengths, ground = dimensions(model, p)
+    bars = lengths.numel()
+    chosen = [int(k) - 1 for k in independent]
+    rest = [k for k in range(bars) if k not in chosen]
+    if len(rest) != 2 or len(set(chosen)) != bars - 2 or branch not in (1, -1):
+        raise InputError(
+            f"independent: need {bars - 2} different bars of 1 to {bars} and branch +1 or -1, "
+            f"got {list(independent)!r} and {branch!r}"
+        )
+    angles = [ca.SX(0)] * bars
+    gap = ground
+    for position, k in enumerate(chosen):
+        angles[k] = u[position]
+        gap = gap - lengths[k] * ca.vertcat(ca.cos(u[position]), ca.sin(u[position]))
+    i, j = rest
+    angles[i], angles[j] = _symbolic_dyad(gap, lengths[i], lengths[j], branch)
+    return ca.vertcat(*angles)
+
+
+def _symbolic_dyad(gap: ca.SX, first: ca.SX, second: ca.SX, branch: int) -> tuple[ca.SX, ca.SX]:
+    """Angles of two bars that span a gap (2): heading -+ arccos of the cosine rule, and what is left."""
+    distance = ca.norm_2(gap)
+    opening = ca.acos((distance**2 + first**2 - second**2) / (2 * distance * first))
+    angle = ca.atan2(gap[1], gap[0]) - branch * opening
+    elbow = gap - first * ca.vertcat(ca.cos(angle), ca.sin(angle))
+    return angle, ca.atan2(elbow[1], elbow[0])

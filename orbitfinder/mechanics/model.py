@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
-
-if TYPE_CHECKING:
-    from orbitfinder.mechanics.constrained import ConstrainedModel
 
 
 @dataclass(frozen=True)
@@ -38,8 +36,52 @@ class Invariant:
 
 
 @dataclass(frozen=True)
+class Baumgarte:
+    """Stabilisation phi'' + 2 alpha phi' + beta^2 phi = 0, both in 1/s; zero is off."""
+
+    alpha: float = 0.0
+    beta: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True)
+class HolonomicConstraint:
+    """Constraints phi(q, p) = 0 (m) on redundant coordinates q (n), and the index-1 DAE that they make:
+
+        M(q) a + h(t, q, v) = J(q)^T lambda,      J a + Jdot v + 2 alpha J v + beta^2 phi = 0.
+
+    `rate(q, v, p)` = J v; `acceleration(q, v, a, p)` = J a + Jdot v (m); `jacobian(q, p)` = J (m x n);
+    `balances(t, q, v, a, lambda, p)` = M a + h - J^T lambda (n); `algebraic(t, q, v, p)` = (a, lambda) by
+    elimination, Baumgarte terms included; `force_names` are those of lambda. `lift(angles, rates, p)` is the
+    state (2n) of a chain or linkage from its link angles and rates.
+    """
+
+    __repr__ = brief("force_names", "baumgarte")
+
+    phi: ca.Function
+    rate: ca.Function
+    acceleration: ca.Function
+    jacobian: ca.Function
+    balances: ca.Function
+    algebraic: ca.Function
+    force_names: tuple[str, ...]
+    baumgarte: Baumgarte
+    lift: ca.Function | None = None
+
+    def residual(self, t: Any, x: Any, z: Any, p: Any) -> Any:
+        """The n + m algebraic equations of the DAE in z = (a, lambda), Baumgarte terms included."""
+        n = self.phi.size1_in(0)
+        q, v, a = x[:n], x[n:], z[:n]
+        alpha, beta = self.baumgarte.alpha, self.baumgarte.beta
+        rows = self.acceleration(q, v, a, p) + 2 * alpha * self.rate(q, v, p) + beta**2 * self.phi(q, p)
+        return ca.vertcat(self.balances(t, q, v, a, z[n:], p), rows)
+
+
+@dataclass(frozen=True)
 class Model:
-    """Equations of motion M(q, p) a + h(t, q, v, p) = 0 in minimal coordinates q (n), v = dq/dt.
+    """Equations of motion x' = (v, a(t, q, v, p)) of a state x = (q, v), and what belongs to them.
 
     All functions take the full parameter vector p; `parameter_values` are the numbers that go
     there when a parameter is not freed. The state is x = (q, v), SI units, angles in rad.
@@ -51,6 +93,8 @@ class Model:
     `gyroscopic(q, v, p)` is the part of the Lagrangian that is linear in v; `kinetic` is then its
     quadratic part and `potential` minus the rest, so that kinetic + potential is the Jacobi
     integral v.dL/dv - L. `forcing_period(p)` (s) is the period of an explicit dependence on time.
+    Under a `constraint` the coordinates are redundant and the energies carry no constraint forces: a is what the
+    elimination of the DAE's algebraic variables gives, so that x' has the DAE's flow.
     """
 
     __repr__ = brief("system", "state_names")
@@ -71,8 +115,7 @@ class Model:
     forcing_period: ca.Function | None = None
     symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
     """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
-    native: ConstrainedModel | None = None
-    """the DAE that this is the reduced form of, in redundant coordinates under constraints"""
+    constraint: HolonomicConstraint | None = None
 
     @property
     def conservative(self) -> bool:
@@ -117,7 +160,29 @@ class Model:
         return self.state_names.index(name)
 
 
-def check_state(model: Model | ConstrainedModel, state: Any) -> np.ndarray:
+def constraint_of(model: Model) -> HolonomicConstraint:
+    """The constraint of a Model; `InputError` without one."""
+    if model.constraint is None:
+        raise InputError(
+            "model: has no constraints; linkage(...), chain_dae(...) and constrained(...) make one with them"
+        )
+    return model.constraint
+
+
+def vector_field(model: Model, free: Sequence[str] = (), unfolded: Sequence[Invariant] = ()) -> ca.Function:
+    """The state-space field f(t, x, s, free) = (v, a(t, q, v, p) + sum_k s_k u_k(q, v, p)) of a Model."""
+    n = model.degrees_of_freedom
+    symbol: Any = ca.SX.sym if model.acceleration.is_a("SXFunction") else ca.MX.sym
+    t, x = symbol("t"), symbol("x", 2 * n)
+    s, chosen = symbol("s", len(unfolded)), symbol("free", len(free))
+    parameters = model.parameters(free, chosen)
+    acceleration = model.acceleration(t, x[:n], x[n:], parameters)
+    for k, invariant in enumerate(unfolded):
+        acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
+    return ca.Function("field", [t, x, s, chosen], [ca.vertcat(x[n:], acceleration)])
+
+
+def check_state(model: Model, state: Any) -> np.ndarray:
     """One state (2n) as floats; `InputError` for another size."""
     found = np.squeeze(np.asarray(state, float))
     if found.shape != (len(model.state_names),):
@@ -133,7 +198,7 @@ def check_states(model: Model, states: Any) -> np.ndarray:
     return found
 
 
-def _missized(name: str, found: str, model: Model | ConstrainedModel, what: str) -> str:
+def _missized(name: str, found: str, model: Model, what: str) -> str:
     n = len(model.state_names) // 2
     return f"{name}: {found} for {n} coordinates; give {what}{2 * n} numbers ({', '.join(model.state_names)})"
 

@@ -142,7 +142,7 @@ def gather(
 ) -> Evidence:
     """The `Evidence` of a state (2n) and a period (s), the motion's states at further `moments` with it."""
     formulation = hamiltonian_motion
-    if model.native is not None:
+    if model.constraint is not None:
         formulation = constrained_motion
     elif is_long(model):
         formulation = chain_motion
@@ -181,7 +181,7 @@ def _constraint_checks(
     orbit: Orbit, model: Model, allowed: Tolerances, scale: float, evidence: Evidence
 ) -> list[Check]:
     """The state on the constraints and, by IDAS on the native DAE, back where it was after a period."""
-    if model.native is None:
+    if model.constraint is None:
         return []
     defect = constraint_defect(model, orbit.state, evidence.extents)
     turns = np.asarray(orbit.winding, int)

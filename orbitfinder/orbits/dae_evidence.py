@@ -1,13 +1,11 @@
 """What the second integrator says of an orbit under constraints: other coordinates, no stabilisation.
 
-The finder works on a ConstrainedModel's own balances with Baumgarte terms; this integrates constrained
+The finder works on the Model's own balances with Baumgarte terms; this integrates constrained
 Hamilton's equations derived from the energies, in the link angles where there are any
 (`mechanics.holonomic`), by DOP853 at its tightest, and reads the multipliers on the tangent space.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -15,9 +13,8 @@ import numpy as np
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, TIGHTEST, ReferenceSettings, vector_field
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
-from orbitfinder.mechanics.constrained import ConstrainedModel
 from orbitfinder.mechanics.holonomic import Holonomic, HolonomicEquations, holonomic, holonomic_equations
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, constraint_of
 from orbitfinder.orbits.evidence import Motion, integrate_in, masses_of, pieces_of, relative_gap, units_of
 
 
@@ -29,11 +26,10 @@ def constrained_motion(
     moments: np.ndarray,
     settings: ReferenceSettings = TIGHTEST,
 ) -> Motion:
-    """The `Motion` of a state (2n) of the reduced form of a ConstrainedModel; states in its own coordinates."""
-    native = native_of(model)
-    if native.forces is not None:
+    """The `Motion` of a state (2n) of a Model under constraints; states in its own coordinates."""
+    if model.forces is not None:
         raise InputError("certify: systems under constraints are certified when they are conservative, and this is not")
-    system = holonomic(native)
+    system = holonomic(model)
     equations = holonomic_equations(system)
     k = system.size
     chosen = np.asarray(state, float)[system.chosen]
@@ -51,13 +47,6 @@ def constrained_motion(
     )  # fmt: skip
 
 
-def native_of(model: Model) -> ConstrainedModel:
-    """The ConstrainedModel behind a Model, with that Model's parameter values."""
-    if model.native is None:
-        raise InputError("model: has no constraints; build it with linkage(...) or constrained(...), then reduced()")
-    return replace(model.native, parameter_values=model.parameter_values)
-
-
 def _in_own_coordinates(system: Holonomic, equations: HolonomicEquations, momenta: np.ndarray) -> np.ndarray:
     rates = equations.velocity.map(len(momenta))(momenta.T).full()
     places = momenta.T[: system.size]
@@ -66,12 +55,11 @@ def _in_own_coordinates(system: Holonomic, equations: HolonomicEquations, moment
 
 def constraint_defect(model: Model, state: np.ndarray, units: np.ndarray) -> float:
     """Largest |phi| and |J v| of a state (2n), relative to its lengths and to the rates' extents, `units` (2n)."""
-    native, n = native_of(model), model.degrees_of_freedom
+    constraint, n, p = constraint_of(model), model.degrees_of_freedom, model.parameter_values
     q, v = state[:n], state[n:]
-    phi = native.constraint(q, native.parameter_values).full()
-    rate = native.constraint_rate(q, v, native.parameter_values).full()
+    phi, rate = constraint.phi(q, p).full(), constraint.rate(q, v, p).full()
     length = float(np.abs(q[~np.asarray(model.angles)]).max(initial=0.0)) or 1.0
-    slopes = np.abs(native.constraint_jacobian(q, native.parameter_values).full()).max()
+    slopes = np.abs(constraint.jacobian(q, p).full()).max()
     return max(float(np.abs(phi).max()) / length, float(np.abs(rate).max()) / (slopes * units[n:].max()))
 
 
@@ -79,7 +67,7 @@ def native_closure(model: Model, state: np.ndarray, period: float, turns: np.nda
     """Gap round the loop in `units` (2n) by IDAS on the native DAE; infinite where it cannot integrate."""
     settings = DaeSettings(relative_tolerance=1e-13, absolute_tolerance=1e-13)
     try:
-        motion = simulate_dae(native_of(model), state, period, 2, settings)
+        motion = simulate_dae(model, state, period, 2, settings)
     except (IntegrationError, InputError):
         return float("inf")
     return relative_gap(motion.states[0], motion.states[-1], turns, units)

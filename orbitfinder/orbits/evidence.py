@@ -22,8 +22,8 @@ from orbitfinder.integrate.dop853 import (
     scaled,
     vector_field,
 )
+from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, energies
-from orbitfinder.mechanics.tangent import tangent_basis
 from orbitfinder.orbits.closure import Closure, closes, extents
 from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy
 from orbitfinder.orbits.hamilton import hamilton

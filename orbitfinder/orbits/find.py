@@ -16,8 +16,8 @@ from orbitfinder._runtime.threads import one_thread
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.guesses.balanced import balanced_guess
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
+from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
-from orbitfinder.loops.dae_segments import build_dae_flow
 from orbitfinder.loops.ipopt import Callback as Callback
 from orbitfinder.loops.ipopt import Progress as Progress
 from orbitfinder.loops.ipopt import SolveSettings as SolveSettings
@@ -72,7 +72,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     check_invariants(problem)
     problem = at_forcing_period(problem)
     unfolded = problem.boundary.unfolded(problem.model)
-    if problem.model.native is None:
+    if problem.model.constraint is None:
         flow = build_flow(problem.model, problem.free, unfolded, settings.integrator, units_of(problem))
     else:
         flow = build_dae_flow(problem.model, problem.free, unfolded, settings.integrator)
@@ -99,7 +99,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
 
 def _certifiable(model: Model) -> None:
     """`InputError` for what no certificate is made of, before anything is solved."""
-    if model.native is not None and not model.conservative:
+    if model.constraint is not None and not model.conservative:
         raise InputError(
             "system: under constraints only conservative systems are certified, and forces or time act on this one; "
             "describe it in minimal coordinates (lagrange), or solve it with SolveSettings(with_certificate=False)"

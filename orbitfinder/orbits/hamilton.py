@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.cvodes import vector_field as equations_of_motion
 from orbitfinder.mechanics.hamilton import Canonical, canonical
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import vector_field as equations_of_motion
 
 KEPT = 8
 """Sets of equations that are remembered."""

@@ -12,9 +12,9 @@ from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, t
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.shooting import boundary_constants
 from orbitfinder.loops.symmetry import recognise
+from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.model import energy as total_energy
-from orbitfinder.mechanics.tangent import tangent_space
 from orbitfinder.orbits.evidence import gap
 from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
@@ -92,8 +92,8 @@ def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> F
         units = np.asarray(flow.units)
         monodromy = monodromy * units / units[:, None]
         gradients, directions = gradients * units, directions / units
-    if model.native is not None:
-        basis = tangent_space(model.native, nodes[0])
+    if model.constraint is not None:
+        basis = tangent_space(model, nodes[0])
         monodromy, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
     return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=model.conservative)
 

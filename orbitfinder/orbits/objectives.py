@@ -57,7 +57,7 @@ def chosen(
         )
     stability = problem.objective == "min_instability"
     if stability:
-        if problem.model.native is not None:
+        if problem.model.constraint is not None:
             raise InputError("objective: min_instability needs minimal coordinates; see minimal_linkage")
         problem = replace(problem, objective=instability(problem.model))
     first = transcribe(replace(problem, objective="nearest", coordinate=None), nodes, flow)

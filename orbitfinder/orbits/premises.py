@@ -39,7 +39,7 @@ class _Nearby:
         self.model, self.period = model, float(times[-1])
         self.along, self.units = states, units
         self.rows = states[random.integers(0, len(states), TRIED)]
-        if model.native is None:  # off the constraints a motion has no meaning
+        if model.constraint is None:  # off the constraints a motion has no meaning
             self.rows = self.rows + 0.1 * units * random.normal(size=self.rows.shape)
         self.moments = np.append(0.0, random.uniform(0.0, self.period, TRIED - 1))
         self.ahead = random.integers(1, LATER + 1, TRIED)

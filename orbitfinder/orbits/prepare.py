@@ -9,13 +9,13 @@ import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, end_state
-from orbitfinder.integrate.cvodes import vector_field as equations_of_motion
 from orbitfinder.integrate.dop853 import SECOND, vector_field
 from orbitfinder.loops.polish import segment, tail_of
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import boundary_constants, far_end, units_of
 from orbitfinder.loops.square import whole_turns
 from orbitfinder.loops.symmetry import off_centre
+from orbitfinder.mechanics.model import vector_field as equations_of_motion
 from orbitfinder.orbits.evidence import integrate_in
 
 DRIFT = 1e-7
@@ -34,7 +34,7 @@ def check_invariants(problem: Problem) -> None:
     between neighbouring states.
     """
     model = problem.model
-    if not model.invariants or model.native is not None or model.system.get("kind") in DERIVED:
+    if not model.invariants or model.constraint is not None or model.system.get("kind") in DERIVED:
         return
     n, values = model.degrees_of_freedom, model.parameter_values
     t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * n)

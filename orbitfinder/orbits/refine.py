@@ -165,7 +165,7 @@ def _check_square(problem: Problem) -> None:
     for name, value in others.items():
         if value:
             raise InputError(f"{name}: warm refinement knows pins only; use find_orbit")
-    if problem.model.native is not None and problem.boundary.maps:
+    if problem.model.constraint is not None and problem.boundary.maps:
         raise InputError("symmetry: brake orbits under constraints are not refined warm; use find_orbit")
     count = problem.count()
     if count.freedom:

@@ -11,9 +11,7 @@ from orbitfinder.guesses.linkages import first_return, linkage_equilibrium, link
 from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.guesses.returns import normal_mode_sum, recurrences
 from orbitfinder.loops.problem import Guess
-from orbitfinder.mechanics.assembly import assemble, linkage_rates
-from orbitfinder.mechanics.constrained import ConstrainedModel
-from orbitfinder.mechanics.linkage import dimensions, linkage_state
+from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
 from orbitfinder.mechanics.maximal import maximal_states
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.schema import GuessTable
@@ -22,8 +20,8 @@ from orbitfinder.records.reading import file_bytes
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
-    if model.native is not None and model.system.get("kind") == "linkage":
-        return linkage_guess(given, model, folder)
+    if model.constraint is not None and model.system.get("kind") == "linkage":
+        return _linkage_guess(given, model, folder)
     linkage_keys = [key for key in ("angles", "branch", "rates", "equilibrium") if getattr(given, key) is not None]
     if linkage_keys:
         raise InputError(f"guess.{linkage_keys[0]}: is for linkages only; give state and period, mode or csv")
@@ -46,38 +44,36 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     return found[0].guess
 
 
-def linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
+def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point of a linkage that a table stands for; a period left out is the first return."""
-    native = model.native
-    assert native is not None
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names))
     if given.mode is not None:
         if not isinstance(given.mode, int) or not isinstance(given.amplitude, float):
             raise InputError("guess.mode: a linkage takes one mode with one amplitude; give numbers, not lists")
-        near = None if given.equilibrium is None else _angles(native, given.equilibrium)
-        found = linkage_mode(native, given.mode, given.amplitude, linkage_equilibrium(native, near))
+        near = None if given.equilibrium is None else _angles(model, given.equilibrium)
+        found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
         return found if given.period is None else Guess(found.state, given.period)
-    state = _assembled(given, native) if given.angles is not None else _state(native, given.state or [])
-    return Guess(state, given.period or first_return(native, state, given.duration or 20.0))
+    state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
+    return Guess(state, given.period or first_return(model, state, given.duration or 20.0))
 
 
-def _angles(native: ConstrainedModel, angles: list[float]) -> np.ndarray:
-    bars = dimensions(native)[0].size
+def _angles(model: Model, angles: list[float]) -> np.ndarray:
+    bars = dimensions(model)[0].size
     if len(angles) != bars:
         raise InputError(f"guess.equilibrium: {len(angles)} angles for {bars} bars; give one per bar")
     return np.asarray(angles, float)
 
 
-def _assembled(given: GuessTable, native: ConstrainedModel) -> np.ndarray:
-    theta = assemble(native, given.angles or {}, branch=given.branch)
-    return linkage_state(native, theta, linkage_rates(native, theta, given.rates) if given.rates else None)
+def _assembled(given: GuessTable, model: Model) -> np.ndarray:
+    theta = assemble(model, given.angles or {}, branch=given.branch)
+    return linkage_state(model, theta, linkage_rates(model, theta, given.rates) if given.rates else None)
 
 
-def _state(native: ConstrainedModel, state: list[float]) -> np.ndarray:
+def _state(model: Model, state: list[float]) -> np.ndarray:
     """A state as given, or lifted from link angles and rates."""
     numbers = np.asarray(state, float)
-    return maximal_states(native, numbers) if numbers.size == 2 * (native.coordinates // 3) else numbers
+    return maximal_states(model, numbers) if numbers.size == 2 * (model.degrees_of_freedom // 3) else numbers
 
 
 def read_trajectory(folder: Path, name: str, size: int) -> Guess:

@@ -105,14 +105,14 @@ def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
     from orbitfinder.guesses.linkages import linkage_equilibrium, linkage_mode, linkage_modes
     from orbitfinder.guesses.modes import normal_mode, normal_modes
 
-    model, native = loaded.model, loaded.model.native
+    model = loaded.model
     if model.degrees_of_freedom > MOST_COORDINATES:
         raise InputError(f"{model.degrees_of_freedom} coordinates; give mode and amplitude in [guess]")
-    if native is not None and model.system.get("kind") == "linkage":
-        place = linkage_equilibrium(native)
-        squared, shapes = linkage_modes(native, place)
-        made = [lambda k=k: linkage_mode(native, k, amplitude, place) for k in range(1, squared.size + 1)]
-    elif native is not None:
+    if model.constraint is not None and model.system.get("kind") == "linkage":
+        place = linkage_equilibrium(model)
+        squared, shapes = linkage_modes(model, place)
+        made = [lambda k=k: linkage_mode(model, k, amplitude, place) for k in range(1, squared.size + 1)]
+    elif model.constraint is not None:
         raise InputError("redundant coordinates; give a state and a period")
     else:
         squared, shapes = normal_modes(model)

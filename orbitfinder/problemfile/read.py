@@ -161,7 +161,7 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         guess=guess,
         pin=pin(**(find.pin or {})),
         symmetry=find.symmetry,
-        winding=_turns(find.winding, model),
+        winding=None if find.winding is None else tuple(find.winding),
         segments=find.segments,
         tolerance=find.tolerance,
         free=tuple(find.free),
@@ -184,13 +184,6 @@ def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float
             known = ", ".join(model.parameter_names[:12])
             raise InputError(f"expected.parameters: unknown {name!r}; this system has {known}")
     return {key: (float(number["value"]), float(number["tolerance"])) for key, number in (numbers | parameters).items()}
-
-
-def _turns(winding: list[int] | None, model: Model) -> tuple[int, ...] | None:
-    """Turns per coordinate; a linkage's may be given per bar, whose centres of mass do not turn."""
-    if winding is None or model.native is None or len(winding) * 3 != model.degrees_of_freedom:
-        return None if winding is None else tuple(winding)
-    return tuple(k for turn in winding for k in (0, 0, turn))
 
 
 def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.ndarray | None:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.integrate.idas import DaeSettings, DaeTrajectory, simulate_dae
-from orbitfinder.mechanics.assembly import assemble, linkage_rates
-from orbitfinder.mechanics.linkage import linkage, linkage_state
+from orbitfinder.mechanics.linkage import assemble, linkage, linkage_rates, linkage_state
 from orbitfinder.reproduce.figures import save_both
 from orbitfinder.reproduce.runs import IDAS_TOLERANCE
 from orbitfinder.show.animate import save_animation, simulation_clip
@@ -55,7 +54,7 @@ def four_bar_part(folder: Path) -> dict[str, Any]:
         result = run(which)
         points = bar_points(result)
         save_animation(simulation_clip(result.times, points, which.title, closed=True), folder / f"{which.file}.gif")
-        turned = result.states[:, 2 : result.model.coordinates : 3]
+        turned = result.states[:, 2 : result.model.degrees_of_freedom : 3]
         extent = (turned.max(axis=0) - turned.min(axis=0)) / (2 * np.pi)
         entries.append({
             "file": which.file,
@@ -76,7 +75,7 @@ def bar_points(result: DaeTrajectory) -> np.ndarray:
     """Joints (k x 2 x 4) of the linkage at every sample."""
     model = result.model
     assert model.points is not None
-    coordinates = result.states[:, : model.coordinates].T
+    coordinates = result.states[:, : model.degrees_of_freedom].T
     values = np.tile(model.parameter_values[:, None], (1, coordinates.shape[1]))
     flat = model.points.map(coordinates.shape[1])(coordinates, values).full()
     return np.asarray(flat.reshape(2, -1, flat.shape[1] // len(result.times)).transpose(1, 0, 2))

@@ -15,11 +15,10 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import IntegrationError, OrbitfinderError
-from orbitfinder.integrate.cvodes import vector_field
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.records.family import Event, FamilyPoint
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480)
