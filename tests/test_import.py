@@ -85,11 +85,12 @@ def values():
     atlas = of.Atlas(next((ROOT / "results" / "atlas").glob("*.sqlite")))
     found = [
         model, problem, problem.guess, problem.pin[0], orbit, orbit.certificate, orbit.certificate.checks[0], family,
-        family.points[0], family.events[0], family.ends[0], of.FamilySettings(),
-        linkage.constraint.baumgarte, linkage.constraint, of.systems.planar_oscillator().invariants[0], of.Symbols(q, v),
-        of.Constraint(lambda v: v.period), atlas, of.Filter(), refiner, refiner.refine(), of.SolveSettings(), of.flows.build_flow(model),
-        of.flows.IntegratorSettings(), of.linkages.DaeSettings(), of.simulate(model, [0.1] * 6, 0.1),
-        of.orbit_clip(orbit), Variables(model, problem.boundary, (), (), ca.MX.sym("T"), {}, ca.MX.sym("p"), list),
+        family.points[0], family.events[0], family.ends[0], of.FamilySettings(), linkage.constraint,
+        linkage.constraint.baumgarte, of.systems.planar_oscillator().invariants[0], of.Symbols(q, v), atlas,
+        of.Constraint(lambda v: v.period), of.Filter(), refiner, refiner.refine(), of.SolveSettings(),
+        of.flows.build_flow(model), of.flows.IntegratorSettings(), of.linkages.DaeSettings(),
+        of.simulate(model, [0.1] * 6, 0.1), of.orbit_clip(orbit),
+        Variables(model, problem.boundary, (), (), ca.MX.sym("T"), {}, ca.MX.sym("p"), list),
         load_problem_file(ROOT / "problems" / "report" / "triple-1.toml"),
     ]  # fmt: skip
     return {type(one).__name__: one for one in found}
