@@ -23,9 +23,10 @@ import orbitfinder as of
 from orbitfinder.integrate.compiled import compiled, compiling, with_derivatives
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow
 from orbitfinder.integrate.rk8 import block, variational_field
+from orbitfinder.loops import newton
+from orbitfinder.loops.loop import Loop
 from orbitfinder.orbits import find as solve
 from orbitfinder.orbits import objectives
-from orbitfinder.orbits import refine as warm
 
 STAGES = {
     "nodes of the guess": (solve, "initial_nodes"),
@@ -139,18 +140,18 @@ def refinement(mode: str) -> str:
     refiner.refine()
     spent = dict.fromkeys(("derivatives", "states", "closing", "algebra"), 0.0)
 
-    plain = warm.eliminated
+    plain = newton.eliminated
 
     def elimination(system: object) -> Callable:
         return clocked(spent, "algebra", clocked(spent, "algebra", plain)(system))
 
     total = least(refiner.refine)
-    marches = refiner.marches
-    marches._vary = clocked(spent, "derivatives", marches._vary)
-    marches._march = clocked(spent, "states", marches._march)
-    refiner._closing = clocked(spent, "closing", refiner._closing)
-    refiner._slopes = clocked(spent, "closing", refiner._slopes)
-    warm.eliminated = elimination
+    march = refiner.equations.march
+    march.varied = clocked(spent, "derivatives", march.varied)  # type: ignore[method-assign]
+    march.ends = clocked(spent, "states", march.ends)  # type: ignore[method-assign]
+    rows = Loop.rows
+    Loop.rows = clocked(spent, "closing", rows)  # type: ignore[method-assign]
+    newton.eliminated = elimination
     parts = []
     try:
         for _ in range(60):
@@ -159,7 +160,7 @@ def refinement(mode: str) -> str:
             refiner.refine()
             parts.append(list(spent.values()))
     finally:
-        warm.eliminated = plain
+        newton.eliminated, Loop.rows = plain, rows  # type: ignore[method-assign]
     found = np.min(parts, axis=0)
     cells = " | ".join(f"{one:.2f}" for one in [*found, max(0.0, total - found.sum()), total])
     return f"| {mode} | {cells} |"
