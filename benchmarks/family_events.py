@@ -22,7 +22,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.branches import SWITCHABLE
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.switching import branches, described
 from orbitfinder.loops.problem import Problem
@@ -98,9 +98,9 @@ def compared(problem: Problem, points: int, step: float, folder: Path) -> str:
     """One row: the problem, its dense orbits, and what either says."""
     settings = FamilySettings(directions="forward", certify=False)
     dense = FamilySettings(directions="forward", certify=False, events=False, longest_step=step, first_step=step)
-    fine = continue_command(problem, points=points, out=folder / "fine", settings=dense)
+    fine = follow_family(problem, points=points, out=folder / "fine", settings=dense)
     until = max(point.arclength for point in fine.points)
-    told = continue_command(problem, points=points, out=folder / "told", settings=settings)
+    told = follow_family(problem, points=points, out=folder / "told", settings=settings)
     model = problem.model if problem.model.constraint is None else None
     if model is None:
         from orbitfinder.mechanics.catalogue import build_model

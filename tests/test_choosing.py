@@ -16,7 +16,7 @@ from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.objectives import rank
 
 DOUBLE = of.chain(2)
-GUESS = of.normal_mode(DOUBLE, 2, 0.9)
+GUESS = of.guesses.normal_mode(DOUBLE, 2, 0.9)
 EXAMPLES = Path(__file__).parents[1] / "problems" / "examples"
 
 
@@ -77,7 +77,7 @@ def test_no_independent_search_finds_a_better_one():
         state = np.concatenate([random.uniform(-0.6, 0.6, 2), random.normal(size=2)])
         rest = of.energy(DOUBLE, np.concatenate([state[:2], np.zeros(2)]))
         state[2:] *= np.sqrt((-10.0 - rest) / (of.energy(DOUBLE, state) - rest))
-        for one in of.recurrences(DOUBLE, state, 40.0, 5, 3.0):
+        for one in of.guesses.recurrences(DOUBLE, state, 40.0, 5, 3.0):
             try:
                 orbit = find_orbit(
                     of.Problem(DOUBLE, one.guess, pin=of.pin(energy=-10.0)), SolveSettings(with_certificate=False)

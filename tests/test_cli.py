@@ -358,3 +358,48 @@ def test_json_has_null_for_what_is_no_number():
     """NaN and infinities at any depth become null, everything else stays."""
     found = finite({"a": [1.5, float("nan"), (float("inf"), "x")], "b": {"c": -float("inf")}, "d": None})
     assert found == {"a": [1.5, None, [None, "x"]], "b": {"c": None}, "d": None}
+
+
+COMPUTING = {"run", "verify", "simulate", "guess", "continue", "search", "prove", "refine", "reproduce", "doctor"}
+
+
+def test_every_computing_command_answers_in_json_and_every_out_has_its_letter():
+    """--json wherever something is computed, and -o is --out wherever something is written."""
+    options = {name: {word for one in command.params for word in one.opts} for name, command in cli.commands.items()}
+    assert {name for name, words in options.items() if "--json" in words} == COMPUTING
+    assert all("-o" in words for words in options.values() if "--out" in words)
+
+
+def test_continue_answers_in_json(tmp_path):
+    file = problem(tmp_path, PENDULUM)
+    words = ("--points", 3, "--direction", "forward", "--no-figures", "--json", "-o", tmp_path / "families")
+    result = invoke("continue", file, *words)
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    path = tmp_path / "families" / "swing" / "family.json"
+    assert document["format"] == "orbitfinder/continue" and document["written"] == [str(path)]
+    assert document["points"] == len(json.loads(path.read_text())["points"]) == 4
+    assert document["certified"] == 2 and document["ends"] == [
+        {"kind": "point limit", "reason": "3 points were asked for"}
+    ]
+
+
+@pytest.mark.parametrize(("certified", "code"), [(True, 0), (False, 1)])
+def test_reproduce_answers_in_json(tmp_path, monkeypatch, certified, code):
+    def parts(out, fresh, told):
+        told("finished", 1, 1)
+        return {"orbits": {"triple-1": {"certified": certified}}}
+
+    monkeypatch.setattr("orbitfinder.reproduce.runner.reproduce", parts)
+    result = invoke("reproduce", "--json", "-o", tmp_path)
+    document = json.loads(result.stdout)
+    assert result.exit_code == code and document["passed"] is certified and document["page"].endswith("README.md")
+
+
+def test_a_model_is_built_once_for_a_run(tmp_path, monkeypatch):
+    from orbitfinder.mechanics import catalogue
+
+    built, build = [], catalogue.build_model
+    monkeypatch.setattr(catalogue, "build_model", lambda *given: built.append(given) or build(*given))
+    assert invoke("run", problem(tmp_path, PENDULUM), "--no-figures", "--out", tmp_path).exit_code == 0
+    assert len(built) == 1

@@ -40,8 +40,8 @@ def cartesian_pendulum(mass=1.3, length=0.7, gravity=9.81, baumgarte=(10, 10)):
 
 def effective(model, theta1, branch=1):
     """m and V of 1/2 m thetadot1^2 + V = E at one crank angle, from the maximal model's energies."""
-    theta = of.assemble(model, {"theta1": theta1}, branch=branch)
-    state = of.linkage_state(model, theta, of.linkage_rates(model, theta, {"theta1dot": 1.0}))
+    theta = of.linkages.assemble(model, {"theta1": theta1}, branch=branch)
+    state = of.linkages.linkage_state(model, theta, of.linkages.linkage_rates(model, theta, {"theta1dot": 1.0}))
     q, v = np.split(state, 2)
     return 2 * float(model.kinetic(q, v, model.parameter_values)), float(model.potential(q, model.parameter_values))
 
@@ -101,7 +101,7 @@ def test_whirling_cartesian_pendulum_closes_without_winding():
 def test_forward_sensitivities_agree_with_the_reduced_variational_equations():
     """IDAS on the DAE against CVODES on the reduced form: 1e-8, with and without unfolding in the model."""
     model = of.linkage(**FOUR_BAR)
-    theta = of.assemble(model, {"theta1": 0.6})
+    theta = of.linkages.assemble(model, {"theta1": 0.6})
     problem = of.Problem(model, of.Guess(np.concatenate([theta, np.zeros(3)]), 1.0))
     flow = build_dae_flow(problem.model, (), problem.boundary.unfolded(problem.model))
     x0 = ca.MX.sym("x0", 18)
@@ -116,7 +116,7 @@ def test_forward_sensitivities_agree_with_the_reduced_variational_equations():
 def test_rocking_four_bar_has_the_period_of_the_quadrature():
     """Every regular motion of one degree of freedom is an orbit; maximal and minimal agree to 1e-9."""
     model = of.linkage(**FOUR_BAR)
-    start = of.linkage_state(model, of.assemble(model, {"theta1": 0.6}))
+    start = of.linkages.linkage_state(model, of.linkages.assemble(model, {"theta1": 0.6}))
     level = energy(model, start)
     orbit = of.find_orbit(of.Problem(model, of.Guess(start, first_return(model, start)), of.pin(energy=level)))
     assert orbit.certificate.passed, orbit.certificate.failures
@@ -130,8 +130,8 @@ def test_rocking_four_bar_has_the_period_of_the_quadrature():
 def test_rotating_four_bar_has_the_period_of_the_quadrature():
     """The crank turns over once in a period: winding found from the motion, period by quadrature to 1e-9."""
     model = of.linkage(**FOUR_BAR)
-    theta = of.assemble(model, {"theta1": 0.6})
-    start = of.linkage_state(model, theta, of.linkage_rates(model, theta, {"theta1dot": 16.0}))
+    theta = of.linkages.assemble(model, {"theta1": 0.6})
+    start = of.linkages.linkage_state(model, theta, of.linkages.linkage_rates(model, theta, {"theta1dot": 16.0}))
     level = energy(model, start)
     problem = of.Problem(model, of.Guess(start, first_return(model, start)), of.pin(energy=level))
     orbit = of.find_orbit(replace(problem, tolerance=5e-12))  # the shear amplifies round-off
@@ -149,7 +149,7 @@ def test_five_bar_modes_agree_in_minimal_coordinates(mode):
     orbit = of.find_orbit(of.Problem(model, guess, of.pin(energy=level)))
     assert orbit.certificate.passed, orbit.certificate.failures
     assert orbit.symmetry == "brake" and orbit.stability == "elliptic" and orbit.floquet_multipliers.size == 2
-    theta = of.minimal_states(model, orbit.state)
+    theta = of.linkages.minimal_states(model, orbit.state)
     minimal = minimal_linkage(model, [1, 4], 1 if np.sin(theta[2] - theta[1]) > 0 else -1)
     state = np.array([theta[0], theta[3], theta[4], theta[7]])
     small = of.find_orbit(of.Problem(minimal, of.Guess(state, orbit.period), of.pin(energy=level)))
@@ -285,7 +285,7 @@ def test_a_brake_orbit_under_constraints_on_half_its_period(name):
 def test_a_brake_orbit_of_the_cartesian_pendulum():
     """Its period against the elliptic integral, from a state that is 2 % off and not at rest."""
     model = of.chain_dae(1, baumgarte=of.Baumgarte(10.0, 10.0))
-    state = of.maximal_states(model, np.array([1.2, 0.1]))
+    state = of.linkages.maximal_states(model, np.array([1.2, 0.1]))
     problem = of.Problem(model, of.Guess(state, 1.8), of.pin(energy=-4.9 * np.cos(1.2)))
     orbit = of.find_orbit(replace(problem, symmetry="brake"))
     exact = 4 * np.sqrt(1 / 3 / 4.9) * ellipk(np.sin(0.6) ** 2)
@@ -306,7 +306,7 @@ SMALL = of.linkage([0.06, 0.18, 0.12], [0.3, 0.9, 0.6], (0.0, 0.16))
 
 
 def released(angle):
-    return of.linkage_state(SMALL, of.assemble(SMALL, {"theta1": angle}, branch=1))
+    return of.linkages.linkage_state(SMALL, of.linkages.assemble(SMALL, {"theta1": angle}, branch=1))
 
 
 def test_a_small_linkage_moves_from_wherever_it_is_released():
@@ -314,7 +314,7 @@ def test_a_small_linkage_moves_from_wherever_it_is_released():
     minimal = minimal_linkage(SMALL, [1], 1)
     p = minimal.parameter_values
     for angle in np.linspace(0.3, 1.2, 19):
-        end = of.simulate_dae(SMALL, released(angle), 0.3, 2).states[-1]
+        end = of.linkages.simulate_dae(SMALL, released(angle), 0.3, 2).states[-1]
         expected = integrate(
             lambda t, x: np.array([x[1], float(minimal.acceleration(t, x[0], x[1], p))]), [angle, 0.0], [0.0, 0.3]
         )[-1]

@@ -12,6 +12,7 @@ missing; pages in `PARSED_ONLY` are checked without being run. Lines of shell th
 """
 
 import fnmatch
+import inspect
 import re
 import shlex
 import shutil
@@ -223,15 +224,22 @@ def test_every_page_is_in_the_navigation():
 
 
 def test_every_public_name_is_in_the_reference():
-    """What `import orbitfinder` offers, `errors` and `systems` as whole modules."""
-    import orbitfinder as of
-
+    """What `import orbitfinder` offers, `errors` as a whole module, and what the namespaces do."""
     named = re.findall(r"^::: orbitfinder\.([\w.]+)", (DOCS / "reference" / "python.md").read_text(), re.MULTILINE)
-    homes = {f"{home}.{name}" if home else name for name, home in of._HOMES.items()}
-    assert homes - {"systems"} <= set(named) and {
-        "mechanics.library.mechanisms",
-        "mechanics.library.oscillators",
-    } <= set(named)
+    front = (ROOT / "orbitfinder" / "__init__.pyi").read_text()
+    homes = {f"{home}.{name}" for home, name in re.findall(r"^from \.(\S+) import (\w+)", front, re.MULTILINE)}
+    homes |= {f"{one.__module__.removeprefix('orbitfinder.')}.{one.__name__}" for one in offered_by_the_namespaces()}
+    library = {"mechanics.library.mechanisms", "mechanics.library.oscillators"}
+    assert homes - {"_runtime.__version__"} <= set(named) and library | {"errors"} <= set(named)
+
+
+def offered_by_the_namespaces():
+    """The functions and classes of of.guesses, of.linkages and of.flows, as their own modules define them."""
+    from orbitfinder import flows, guesses, linkages
+
+    for room in (flows, guesses, linkages):
+        for name in room.__all__:
+            yield inspect.unwrap(getattr(room, name))
 
 
 def test_nothing_is_loaded_from_the_network():
@@ -255,6 +263,6 @@ def test_the_site_builds(tmp_path):
         loaded = re.findall(r'<(?:script|link|img|iframe)[^>]*(?:src|href)="(https?://[^"]*)"', text)
         assert not loaded, page
     reference = (tmp_path / "site" / "reference" / "python.html").read_text(encoding="utf-8")
-    assert all(name in reference for name in ("find_orbit", "certify", "continue_command", "export_orbit"))
+    assert all(name in reference for name in ("find_orbit", "certify", "follow_family", "export_orbit"))
     commands = (tmp_path / "site" / "reference" / "commands.html").read_text(encoding="utf-8")
     assert "Recompute the certificate of each ORBIT.json" in commands

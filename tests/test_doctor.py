@@ -126,7 +126,7 @@ def test_our_own_derivative_is_right_where_casadis_is_wrong():
     """The Jacobian of `flow.end` with three freed parameters against central differences."""
     model = of.chain(2)
     free = ("length1", "length2", "mass2", "gravity")
-    flow, state = of.build_flow(model, free=free), np.array([0.4, -0.3, 0.2, 0.5])
+    flow, state = of.flows.build_flow(model, free=free), np.array([0.4, -0.3, 0.2, 0.5])
     p = model.parameter_values[[model.parameter_index(name) for name in free]]
     found = flow.derivatives(0.0, state, 1.0, [], p)[1].full()[:, 4:]
     steps = 1e-4 * np.eye(4)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import pendulum_period
+from orbitfinder.problemfile.trajectory import read_trajectory
 
 import orbitfinder as of
 from benchmarks.validation.literature import EIGHT_PERIOD, three_bodies
@@ -29,7 +30,6 @@ from orbitfinder.exports.straightline import FORTRAN, C, fortran_number, straigh
 from orbitfinder.exports.write import export_orbit
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import vector_field
-from orbitfinder.problemfile.trajectory import read_trajectory
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "orbits"
@@ -160,9 +160,9 @@ def test_an_orbit_without_samples_is_sampled_again(tmp_path, triple):
 def test_interpolated_samples_lie_on_the_orbit(triple):
     """Cubic Hermite through 401 samples: the midpoints agree with an integration."""
     times, states = dense_states(source_of(triple), 2001)
-    flow = of.build_flow(build_model(triple.system))
+    flow = of.flows.build_flow(build_model(triple.system))
     for k in (7, 501, 1333):
-        assert np.abs(of.end_state(flow, triple.state, times[k]) - states[k]).max() < 1e-5
+        assert np.abs(of.flows.end_state(flow, triple.state, times[k]) - states[k]).max() < 1e-5
 
 
 def julia_in_python(text, u, t=0.0):

@@ -17,7 +17,7 @@ from scipy.special import ellipk
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families import events
 from orbitfinder.families.branches import switch
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Walk, first_point
@@ -61,7 +61,7 @@ def test_normal_modes_reproduce_the_reference(links, mode, tmp_path):
     wanted = [one for one in MODES if one["links"] == links and one["mode"] == mode]
     problem = mode_problem(chain(links), mode)
     quiet = FamilySettings(events=False)
-    family = continue_command(problem, at=[one["energy"] for one in wanted], out=tmp_path, settings=quiet)
+    family = follow_family(problem, at=[one["energy"] for one in wanted], out=tmp_path, settings=quiet)
     assert family.ends[0].kind == "target"
     for one in wanted:
         point = exact_point(family, one["energy"])
@@ -79,7 +79,7 @@ def test_simple_pendulum_to_the_separatrix(tmp_path):
     model = chain(1)
     linear = 2 * np.pi / np.sqrt(9.8 * 0.5 / (1 / 12 + 0.25))
     settings = FamilySettings(longest_period=5.5, directions="forward")
-    family = continue_command(mode_problem(model, 1), out=tmp_path, settings=settings)
+    family = follow_family(mode_problem(model, 1), out=tmp_path, settings=settings)
     assert family.ends[0].kind == "homoclinic"
     assert family.points[-1].period > 5 * linear
     for point in family.points:
@@ -93,7 +93,7 @@ def test_simple_pendulum_to_the_separatrix(tmp_path):
 def test_families_end_at_the_equilibrium(tmp_path):
     """Backwards from a small amplitude the family shrinks to the hanging position, and says so."""
     settings = FamilySettings(directions="backward")
-    family = continue_command(mode_problem(chain(2), 1, 0.1), out=tmp_path, settings=settings)
+    family = follow_family(mode_problem(chain(2), 1, 0.1), out=tmp_path, settings=settings)
     assert family.ends[0].kind == "equilibrium"
     assert family.points[0].energy < family.points[-1].energy
 
@@ -114,7 +114,7 @@ def test_family_of_an_upright_equilibrium(tmp_path):
     """A family born where the last link stands upright: its period tends to the linear one."""
     model, place = chain(3), np.array([0.0, 0.0, np.pi])
     settings = FamilySettings(directions="forward", events=False)
-    family = continue_command(mode_problem(model, 1, 1e-3, place), points=5, out=tmp_path, settings=settings)
+    family = follow_family(mode_problem(model, 1, 1e-3, place), points=5, out=tmp_path, settings=settings)
     linear = 2 * np.pi / np.sqrt(next(one for one in normal_modes(model, place)[0] if one > 0))
     assert abs(family.points[0].period - linear) < 1e-5
     assert all(point.stability == "unstable" for point in family.points)
@@ -168,7 +168,7 @@ def test_branch_ends_where_it_was_born(second_mode, tmp_path):
     event = next(one for one in events if one.kind == "branch_point")
     (start,) = switch(curve, event)
     settings = FamilySettings(directions="forward")
-    family = continue_command(start, points=8, out=tmp_path, name="branch", settings=settings)
+    family = follow_family(start, points=8, out=tmp_path, name="branch", settings=settings)
     assert family.ends[0].kind == "merged"
     fold = family.events[-1]
     assert (fold.kind, fold.detail) == ("fold", "energy")
@@ -211,7 +211,7 @@ def test_symmetric_and_full_formulations_agree(tmp_path):
     for symmetry in ("brake+reflection", "reflection", "brake", "none"):
         start = begin(problem, settings, symmetry=symmetry)
         folder = tmp_path / symmetry
-        found.append(continue_command(start, at=wanted, out=folder, name="mode", settings=settings))
+        found.append(follow_family(start, at=wanted, out=folder, name="mode", settings=settings))
     for energy in wanted:
         quarter, *others = (exact_point(family, energy) for family in found)
         for other in others:
@@ -224,7 +224,7 @@ def test_physical_parameter_at_constant_energy(tmp_path):
     """A length varied at constant energy: the end of the family is an orbit of the changed system."""
     model = chain(2)
     origin = Problem(model, mode_problem(model, 1, 0.5).guess, symmetry="brake+reflection", name="longer")
-    family = continue_command(origin, "length2", until=1.3, out=tmp_path, settings=FamilySettings(events=False))
+    family = follow_family(origin, "length2", until=1.3, out=tmp_path, settings=FamilySettings(events=False))
     last = family.points[-1]
     assert last.free["length2"] == pytest.approx(1.3, abs=1e-13)
     assert abs(last.energy - family.points[0].energy) < 1e-12 * abs(last.energy) + 1e-12
@@ -235,7 +235,7 @@ def test_physical_parameter_at_constant_energy(tmp_path):
 def test_unknown_parameter_is_refused(tmp_path):
     """The message names what is known."""
     with pytest.raises(InputError, match="use one of energy"):
-        continue_command(mode_problem(chain(1), 1), "enregy", out=tmp_path)
+        follow_family(mode_problem(chain(1), 1), "enregy", out=tmp_path)
 
 
 def test_matching_follows_curves_that_cross():
@@ -247,7 +247,7 @@ def test_matching_follows_curves_that_cross():
 def test_family_file_round_trip(tmp_path):
     """family.json and family.npz give back every number exactly; the contract's names are there."""
     settings = FamilySettings(directions="forward")
-    family = continue_command(mode_problem(chain(2), 2), points=12, out=tmp_path, settings=settings)
+    family = follow_family(mode_problem(chain(2), 2), points=12, out=tmp_path, settings=settings)
     path = tmp_path / "mode-2" / "family.json"
     again = load_family(path)
     pairs = list(zip(family.points, again.points, strict=True))
@@ -261,13 +261,13 @@ def test_family_file_round_trip(tmp_path):
 SCRIPT = """
 import sys
 sys.path.insert(0, {root!r})
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.mechanics.chain import chain
 settings = FamilySettings(directions="forward", longest_step={step})
-continue_command(mode_problem(chain(2), 1), points={points}, out={out!r}, settings=settings)
+follow_family(mode_problem(chain(2), 1), points={points}, out={out!r}, settings=settings)
 """
 
 
@@ -318,13 +318,13 @@ def test_killed_twenty_times(tmp_path):
 def test_torn_line_is_dropped(tmp_path):
     """A journal cut in the middle of a line resumes from the line before."""
     settings = FamilySettings(directions="forward")
-    first = continue_command(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
+    first = follow_family(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
     journal = tmp_path / "mode-1" / "family.jsonl"
     data = journal.read_bytes()
     journal.write_bytes(data[: data.rfind(b"\n", 0, len(data) - 1) - 40])
     kept = read_journal(tmp_path / "mode-1")
     assert len(kept.steps(1)) < 6
-    again = continue_command(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
+    again = follow_family(mode_problem(chain(1), 1), points=6, out=tmp_path, settings=settings)
     assert [p.period for p in again.points] == pytest.approx([p.period for p in first.points], abs=1e-10)
     assert curve_of(kept.header["curve"], chain(1), settings).equations.symmetry.name == "brake+reflection"
 
@@ -381,7 +381,7 @@ def test_no_bifurcations_out_of_round_off(monkeypatch):
 def test_modes_to_the_upright_saddle(links, mode, tmp_path):
     """Each mode goes on to where its period blows up: 88.2 J above hanging with three links, 156.8 J with four."""
     settings = FamilySettings(directions="forward", events=False)
-    family = continue_command(mode_problem(chain(links), mode), out=tmp_path, settings=settings)
+    family = follow_family(mode_problem(chain(links), mode), out=tmp_path, settings=settings)
     assert family.ends[0].kind == "homoclinic"
     top = {3: 44.1, 4: 78.4}[links]
     assert abs(family.points[-1].energy - top) < 0.05
@@ -393,7 +393,7 @@ def test_family_figures(tmp_path):
     from orbitfinder.show.family_plot import save_family_figures
 
     settings = FamilySettings(directions="forward")
-    family = continue_command(mode_problem(chain(2), 2), points=15, out=tmp_path, settings=settings)
+    family = follow_family(mode_problem(chain(2), 2), points=15, out=tmp_path, settings=settings)
     paths = save_family_figures(family, tmp_path)
     assert len(paths) == 3 and all(path.stat().st_size > 10_000 for path in paths)
 

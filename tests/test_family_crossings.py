@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 
 from orbitfinder.families.events import bifurcations
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.samples import Interval, Probe
 from orbitfinder.loops.problem import Guess, Problem
@@ -123,7 +123,7 @@ def embedded(f, q, parameter, name, value, rate=1.0):
 def followed(model, name, until, guess, period, tmp_path):
     """The family through the orbit of a guess, its first event of each kind."""
     orbit = find_orbit(Problem(model, Guess(guess, period), name="start"))
-    return continue_command(orbit, name, until, out=tmp_path, settings=FORWARD, model=model)
+    return follow_family(orbit, name, until=until, out=tmp_path, settings=FORWARD, model=model)
 
 
 def test_torus_in_closed_form(tmp_path):

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag, expm
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.events import bifurcations
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.passages import exchanged, index_levels
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.samples import Interval, Probe
@@ -291,7 +291,7 @@ def test_real_family_with_resonance_and_collision_in_one_step(tmp_path):
     found = []
     for step in (0.15, 0.03):
         settings = FamilySettings(longest_step=step, first_step=step, certify=False, directions="forward")
-        family = continue_command(
+        family = follow_family(
             problem, "a", until=0.13, out=tmp_path / str(step), settings=settings, model=problem.model
         )
         found.append([(event.kind, event.detail, event.parameter) for event in family.events])

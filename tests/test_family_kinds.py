@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.members import motions
 from orbitfinder.families.minimal import bar_states, dead_point, minimal_problem, native_state
 from orbitfinder.families.point import FamilySettings
@@ -73,7 +73,7 @@ def period_at(level, start, period):
 @pytest.mark.parametrize(("mode", "levels"), [(1, (-18.0, -10.0)), (2, (-18.0, -12.0))])
 def test_double_pendulum_modes_by_a_second_implementation(mode, levels, tmp_path):
     """Both normal modes up to 9.6 J above hanging: periods agree to 1e-10 with equations and Newton of our own."""
-    family = continue_command(mode_problem(chain(2), mode, 0.05), at=levels, out=tmp_path, settings=QUIET)
+    family = follow_family(mode_problem(chain(2), mode, 0.05), at=levels, out=tmp_path, settings=QUIET)
     for level in levels:
         point = min(family.points, key=lambda one: abs(one.energy - level))
         assert abs(point.energy - level) < 1e-12
@@ -92,7 +92,7 @@ def test_five_bar_family_agrees_with_the_native_dae(tmp_path):
     model = linkage(**FIVE_BAR)
     guess = linkage_mode(model, 1, 0.3)
     level = energy(model, guess.state)
-    family = continue_command(problem, at=(level,), out=tmp_path, settings=QUIET)
+    family = follow_family(problem, at=(level,), out=tmp_path, settings=QUIET)
     point = family.points[-1]
     assert family.system["independent"] == [1, 4] and point.symmetry == "brake"
     state = native_state(family.system, point.state)
@@ -117,7 +117,7 @@ def longer_third_bar(family, length, point):
 def test_five_bar_family_in_a_length(tmp_path):
     """The loop closes at every length: dT/d(length) is that of orbits found alone on the DAE, as is the last."""
     problem = load_problem(FAMILIES / "five-bar-length.toml")
-    family = continue_command(problem, "length3", until=0.9, out=tmp_path, settings=QUIET)
+    family = follow_family(problem, "length3", until=0.9, out=tmp_path, settings=QUIET)
     first, last = family.points[0], family.points[-1]
     assert family.ends[0].kind == "target" and last.free == {"length3": pytest.approx(0.9, abs=1e-13)}
     alone = longer_third_bar(family, 0.9, last)
@@ -134,7 +134,7 @@ def test_linkage_families_in_other_parameters(name, until, hold, tmp_path):
     """Masses and lengths, at constant energy or period; the last orbit closes on the linkage built anew; resumed."""
     problem = load_problem(FAMILIES / "five-bar-length.toml")
     settings = FamilySettings(events=False, hold=hold)
-    family = continue_command(problem, name, until=until, out=tmp_path, settings=settings)
+    family = follow_family(problem, name, until=until, out=tmp_path, settings=settings)
     assert [end.kind for end in family.ends] == ["target"]
     last = max(family.points, key=lambda point: abs(point.arclength))
     kept = "energy" if hold == "energy" else "period"
@@ -143,7 +143,7 @@ def test_linkage_families_in_other_parameters(name, until, hold, tmp_path):
     assert ClosureCheck(changed)(last.state, last.period, np.zeros(2)) < 1e-11 * last.scale
     joints = motions(family, build_model(family.system), 3)[-1].joints
     assert np.allclose(joints[:, :, -1], FIVE_BAR["ground"], atol=1e-10)  # drawn with the point's own lengths
-    again = continue_command(problem, name, until=until, out=tmp_path, settings=settings)
+    again = follow_family(problem, name, until=until, out=tmp_path, settings=settings)
     assert [point.period for point in again.points] == [point.period for point in family.points]
 
 
@@ -152,10 +152,10 @@ def test_family_in_a_length_ends_at_a_dead_point(tmp_path):
     """A bar too short for the motion at this energy: the bars beside it come into line, and the end says so."""
     walk = FamilySettings(events=False, certify=False, shortest_step=1e-3)
     problem = load_problem(FAMILIES / "five-bar-length.toml")
-    high = continue_command(problem, until=-16.0, out=tmp_path / "up", settings=walk)
+    high = follow_family(problem, until=-16.0, out=tmp_path / "up", settings=walk)
     point, model = high.points[-1], build_model(high.system)
     origin = Problem(model, Guess(point.state, point.period), pin(energy=point.energy), name="swing")
-    family = continue_command(origin, "length2", until=0.15, out=tmp_path, settings=walk)
+    family = follow_family(origin, "length2", until=0.15, out=tmp_path, settings=walk)
     (end,) = family.ends
     assert end.kind == "dead point" and end.reason.startswith("bars 2 and 3 come into line")
     swept = motions(family, model, 2)[0]  # the shortest bar
@@ -198,7 +198,7 @@ def test_henon_heiles_straight_line_by_quadrature(tmp_path):
     """T = sqrt(2) int dy / sqrt(E - y^2/2 + y^3/3) between the turning points, along the family."""
     problem = load_problem(FAMILIES / "henon-heiles-straight.toml")
     levels = (0.1, 0.15, 0.16)
-    family = continue_command(problem, at=levels, out=tmp_path, settings=QUIET)
+    family = follow_family(problem, at=levels, out=tmp_path, settings=QUIET)
     for level in levels:
         point = min(family.points, key=lambda one: abs(one.energy - level))
         low, high = np.sort(np.roots([1 / 3, -0.5, 0.0, level]).real)[:2]
@@ -216,7 +216,7 @@ def test_henon_heiles_straight_line_by_quadrature(tmp_path):
 def test_straight_line_ends_at_equilibrium_and_saddle(tmp_path):
     """Both ends have their names: the centre at E = 0 and the saddle at E = 1/6."""
     problem = load_problem(FAMILIES / "henon-heiles-straight.toml")
-    family = continue_command(problem, out=tmp_path, settings=FamilySettings(events=False))
+    family = follow_family(problem, out=tmp_path, settings=FamilySettings(events=False))
     assert [end.kind for end in family.ends] == ["equilibrium", "homoclinic"]
     assert family.points[-1].energy == pytest.approx(1 / 6, abs=1e-6)
 
@@ -224,7 +224,7 @@ def test_straight_line_ends_at_equilibrium_and_saddle(tmp_path):
 def test_momentum_is_no_second_condition_on_a_brake_orbit(tmp_path):
     """A pendulum on a cart: its momentum vanishes with the rates, so that the symmetric system stays square."""
     problem = load_problem(FAMILIES.parent / "gallery" / "pendulum-on-cart.toml")
-    family = continue_command(problem, points=4, out=tmp_path, settings=ONWARD)
+    family = follow_family(problem, points=4, out=tmp_path, settings=ONWARD)
     assert family.points[0].symmetry == "brake" and len(family.points) == 5
 
 
@@ -253,7 +253,7 @@ def test_families_of_orbits_with_momentum(name, tmp_path):
     """Momentum is neither held nor unfolded twice: it varies along the family, and every orbit closes."""
     orbit = find_orbit(RUNNING[name]())
     model = RUNNING[name]().model
-    family = continue_command(orbit, points=6, out=tmp_path, settings=ONWARD, model=model)
+    family = follow_family(orbit, points=6, out=tmp_path, settings=ONWARD, model=model)
     assert orbit.certificate.passed and len(family.points) == 7
     kept = model.invariants[1].value
     momenta = [float(kept(*np.split(point.state, 2), model.parameter_values)) for point in family.points]
@@ -269,7 +269,7 @@ def test_families_of_orbits_with_momentum(name, tmp_path):
 def test_closed_family_returns_to_its_start(tmp_path):
     """Beyond its 7:1 resonance the slow mode of the quadruple pendulum is a closed curve, and is named so."""
     walk = FamilySettings(certify=False, directions="forward")
-    family = continue_command(mode_problem(chain(4), 1, 0.3), points=200, out=tmp_path, settings=walk)
+    family = follow_family(mode_problem(chain(4), 1, 0.3), points=200, out=tmp_path, settings=walk)
     (end,) = family.ends
     assert end.kind == "returned" and "back at its start" in end.reason
     assert all(one.energy > -77.46 for one in family.points)  # beyond the resonance
@@ -279,11 +279,11 @@ def test_closed_family_returns_to_its_start(tmp_path):
 
 def test_avoided_crossing_is_reported_or_followed(tmp_path):
     """No silent jump: stepped over and named, or with `narrowest` followed onto the resonant part of the family."""
-    over = continue_command(mode_problem(chain(4), 1), until=-77.2, out=tmp_path / "over")
+    over = follow_family(mode_problem(chain(4), 1), until=-77.2, out=tmp_path / "over")
     (crossing,) = (event for event in over.events if "avoided crossing" in event.detail)
     assert crossing.kind == "collision" and crossing.energy == pytest.approx(-77.45, abs=0.02)
     finer = FamilySettings(narrowest=2e-4)
-    along = continue_command(mode_problem(chain(4), 1), until=-77.3, out=tmp_path / "along", settings=finer)
+    along = follow_family(mode_problem(chain(4), 1), until=-77.3, out=tmp_path / "along", settings=finer)
     assert not any("avoided crossing" in event.detail for event in along.events)
     one, other = (min(f.points, key=lambda p: abs(p.energy + 77.3)) for f in (over, along))
     # the second link: 0.165 on the backbone, less with fast links superposed seven times a period
@@ -295,7 +295,7 @@ def test_avoided_crossing_is_reported_or_followed(tmp_path):
 def test_quadruple_modes_to_45_joules(mode, narrowest, tmp_path):
     """Every mode goes on to 45 J above hanging, through every symmetry-breaking point, in the symmetric formulation."""
     settings = FamilySettings(directions="forward", narrowest=narrowest)
-    family = continue_command(mode_problem(chain(4), mode), until=-33.4, points=600, out=tmp_path, settings=settings)
+    family = follow_family(mode_problem(chain(4), mode), until=-33.4, points=600, out=tmp_path, settings=settings)
     assert family.ends[0].kind == "target"
     assert all(point.symmetry == "brake+reflection" for point in family.points)
     assert all(point.closure <= 1e-11 * point.scale for point in family.points)
@@ -306,11 +306,11 @@ def test_gallery_of_motions(tmp_path):
     """Eight whole periods along a family, each closing, with the joints that a system has."""
     model = henon_heiles()
     problem = load_problem(FAMILIES / "henon-heiles-loop.toml")
-    family = continue_command(problem, points=20, out=tmp_path, settings=ONWARD)
+    family = follow_family(problem, points=20, out=tmp_path, settings=ONWARD)
     shown = motions(family, model)
     assert len(shown) == 8 and shown[0].joints.shape[1:] == (2, 1)
     assert max(np.abs(one.states[-1] - one.states[0]).max() for one in shown) < 1e-10
-    swept = continue_command(mode_problem(chain(2), 1), points=9, out=tmp_path, settings=ONWARD)
+    swept = follow_family(mode_problem(chain(2), 1), points=9, out=tmp_path, settings=ONWARD)
     assert motions(swept, chain(2))[0].joints.shape[1:] == (2, 3)
 
 
@@ -322,12 +322,12 @@ def test_custom_model_is_continued_from_its_orbit(tmp_path):
     q, v = ca.SX.sym("q"), ca.SX.sym("v")
     model = lagrange(v**2 / 2, q**2 / 2 + q**4 / 4, Symbols(q, v), names=["x"])
     orbit = find_orbit(Problem(model, Guess(np.array([1.0, 0.0]), 4.7), pin(x=1.0), name="duffing"))
-    family = continue_command(orbit, points=4, out=tmp_path, settings=ONWARD, model=model)
+    family = follow_family(orbit, points=4, out=tmp_path, settings=ONWARD, model=model)
     assert len(family.points) == 5
-    again = continue_command(orbit, points=6, out=tmp_path, settings=ONWARD, model=model)
+    again = follow_family(orbit, points=6, out=tmp_path, settings=ONWARD, model=model)
     assert len(again.points) == 7
     with pytest.raises(InputError, match="model"):
-        continue_command(orbit, points=4, out=tmp_path / "other", settings=QUIET)
+        follow_family(orbit, points=4, out=tmp_path / "other", settings=QUIET)
 
 
 def test_motion_more_symmetric_than_its_system():
@@ -353,7 +353,7 @@ def test_events_do_not_depend_on_the_steps(tmp_path):
     for step in (0.15, 0.05):
         settings = FamilySettings(longest_step=step, certify=False)
         start = mode_problem(chain(4), 2, 0.6)
-        family = continue_command(start, until=-66.0, out=tmp_path / str(step), settings=settings)
+        family = follow_family(start, until=-66.0, out=tmp_path / str(step), settings=settings)
         found.append([(event.kind, event.detail, event.energy) for event in family.events])
     assert [one[:2] for one in found[0]] == [one[:2] for one in found[1]]
     assert np.allclose([one[2] for one in found[0]], [one[2] for one in found[1]], rtol=0, atol=1e-7)

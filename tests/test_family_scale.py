@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from scipy.optimize import brentq
 
 from orbitfinder.cli.group import cli
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.switching import branches
 from orbitfinder.loops.conditions import pin
@@ -59,7 +59,7 @@ def lyapunov(three_body, out, points=25):
     """The planar family from an orbit of size 6e-4 on."""
     model, folder = three_body
     settings = FamilySettings(directions="forward")
-    return continue_command(folder / "orbit.json", points=points, out=out, settings=settings, model=model)
+    return follow_family(folder / "orbit.json", points=points, out=out, settings=settings, model=model)
 
 
 def test_halo_orbits_are_switched_to(three_body, tmp_path):
@@ -69,7 +69,7 @@ def test_halo_orbits_are_switched_to(three_body, tmp_path):
     (halo,) = branches(tmp_path / "lyapunov" / "family.json", 0, model=three_body[0])
     settings = FamilySettings(directions="away")
     energy, period = -HALO[0] / 2, HALO[1]
-    found = continue_command(halo, at=(energy,), points=40, out=tmp_path, settings=settings)
+    found = follow_family(halo, at=(energy,), points=40, out=tmp_path, settings=settings)
     (asked,) = (one for one in found.points if one.role == "at")
     assert asked.certified and abs(asked.period - period) < 1e-11 * period
     assert len(found.points) > 10 and max(abs(one.state[2]) for one in found.points) > 0.02
@@ -110,7 +110,7 @@ def backbone(unit, points, out):
     size = 0.1 / unit
     guess = Guess([size, size, 0.0, 0.0], 2 * np.pi)
     problem = Problem(springs(unit), guess, pin(energy=0.01 / unit**2), "brake+reflection", name="backbone")
-    return continue_command(problem, points=points, out=out, settings=FamilySettings(directions="forward"))
+    return follow_family(problem, points=points, out=out, settings=FamilySettings(directions="forward"))
 
 
 def test_units_do_not_change_a_family(tmp_path):

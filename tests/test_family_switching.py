@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import begin
 from orbitfinder.families.switching import branches
-from orbitfinder.records.family import load_family
+from orbitfinder.problemfile.read import load_problem
+from orbitfinder.records.family import family_to_document, load_family
 from orbitfinder.records.store import load_orbit
 
 ROOT = Path(__file__).parents[1]
@@ -165,7 +167,27 @@ def test_running_orbit_of_a_chain_with_an_orbit_file(tmp_path):
     assert invoke("run", problem, "--out", tmp_path).exit_code == 0
     orbit = load_orbit(tmp_path / "pendulum-running" / "orbit.json")
     settings = FamilySettings(directions="backward")
-    family = continue_command(orbit, out=tmp_path / "families", settings=settings)
+    family = follow_family(orbit, out=tmp_path / "families", settings=settings)
     assert family.ends[0].kind == "homoclinic" and family.points[0].energy == pytest.approx(4.9, abs=0.05)
     assert begin(orbit).curve.equations.symmetry.name == "reversal"
     assert np.all(np.diff(family.values("period")) < 0)
+
+
+def test_a_family_in_memory_is_that_of_a_folder(tmp_path, monkeypatch):
+    """Without out= nothing is written, a branch of it is followed from there, and the numbers are the same."""
+    monkeypatch.chdir(tmp_path)
+    settings = FamilySettings(directions="forward")
+    problem = load_problem(FAMILIES / "triple-mode-2.toml")
+    family = of.follow_family(problem, until=-36.5, settings=settings)
+    assert not list(tmp_path.iterdir())
+    kept = of.follow_family(problem, until=-36.5, settings=settings, out=tmp_path)
+    assert family_to_document(family)["events"] == family_to_document(kept)["events"]
+    assert np.array_equal(family.values("period"), kept.values("period"))
+    branch = of.switch_branch(family, 2)
+    assert branch.start.direction == pytest.approx(
+        of.switch_branch(tmp_path / family.name / "family.json", 2).start.direction
+    )
+    away = of.follow_family(branch, settings=FamilySettings(directions="away", points=3))
+    assert away.name == "triple-mode-2-2-1" and away.source["event"] == 2 and len(away.points) == 4
+    with pytest.raises(InputError, match="--branch: 5 asked for, 1 found at event 2"):
+        of.switch_branch(family, 2, 5)

@@ -12,8 +12,9 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.problemfile.proposals import propose, toml
+from orbitfinder.problemfile.proposals import propose
 from orbitfinder.problemfile.read import load_problem_file
+from orbitfinder.problemfile.write import toml
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 DOUBLE = PROBLEMS / "examples" / "double-mode-2.toml"
@@ -46,7 +47,7 @@ def test_own_guess_and_its_miss(shown):
     """The miss is the gap after the guessed period relative to the extent of the motion, simulated here again."""
     (own,) = [one for one in shown["guesses"] if one["name"] == "own"]
     model = of.chain(2)
-    states = of.sample(of.build_flow(model), np.array(own["state"]), own["period"], 400)
+    states = of.flows.sample(of.flows.build_flow(model), np.array(own["state"]), own["period"], 400)
     gaps = np.abs(states[-1] - states[0]) / np.ptp(states, axis=0)
     assert own["miss"] == pytest.approx(gaps.max(), rel=1e-3)
     assert own["energy"] == pytest.approx(of.energy(model, np.array(own["state"])))
@@ -59,7 +60,7 @@ def test_returns_come_back(shown):
     assert [one["miss"] for one in returns] == sorted(one["miss"] for one in returns)
     model = of.chain(2)
     for one in returns[:3]:
-        states = of.sample(of.build_flow(model), np.array(one["state"]), one["period"], 400)
+        states = of.flows.sample(of.flows.build_flow(model), np.array(one["state"]), one["period"], 400)
         gaps = np.abs(states[-1] - states[0]) / np.ptp(states, axis=0)
         assert gaps.max() < 5 * one["miss"] + 1e-3
 
@@ -81,14 +82,14 @@ def test_what_is_written_runs(pick, tmp_path):
 def test_recorded_trajectories(tmp_path):
     """A CSV over many periods is searched for close returns, unless a simulation is asked for."""
     model = of.chain(1)
-    states = of.sample(of.build_flow(model), np.array([1.0, 0.0]), 12.0, 1201)
+    states = of.flows.sample(of.flows.build_flow(model), np.array([1.0, 0.0]), 12.0, 1201)
     table = np.column_stack([np.linspace(0.0, 12.0, 1201), states])
     np.savetxt(tmp_path / "long.csv", table, delimiter=",")
     file = tmp_path / "long.toml"
     file.write_text('[system]\nkind = "chain"\nlinks = 1\n[guess]\ncsv = "long.csv"\n', encoding="utf-8")
     outcome = invoke(file, "--json")
     guesses = {one["name"]: one for one in json.loads(outcome.stdout)["guesses"]}
-    exact = of.find_orbit(of.Problem(model, of.normal_mode(model, 1, 1.0), pin=of.pin(theta1=1.0))).period
+    exact = of.find_orbit(of.Problem(model, of.guesses.normal_mode(model, 1, 1.0), pin=of.pin(theta1=1.0))).period
     best = guesses["return-1"]
     assert best["source"] == "trajectory" and guesses["own"]["samples"] == 1201
     assert best["period"] / exact == pytest.approx(round(best["period"] / exact), abs=0.02)
@@ -149,7 +150,7 @@ def test_python_files_have_no_system_to_copy(tmp_path):
     file = tmp_path / "made.py"
     file.write_text(
         "import orbitfinder as of\n\n\ndef problem():\n    model = of.chain(2)\n"
-        "    return of.Problem(model, of.normal_mode(model, 1, 0.2))\n",
+        "    return of.Problem(model, of.guesses.normal_mode(model, 1, 0.2))\n",
         encoding="utf-8",
     )
     assert invoke(file).exit_code == 2
@@ -165,7 +166,7 @@ def test_values_survive_toml():
 
 def test_returns_need_a_duration():
     with pytest.raises(InputError, match="guess.duration"):
-        of.recurrences(of.chain(2), [0.1, 0.2, 0.0, 0.0], -1.0)
+        of.guesses.recurrences(of.chain(2), [0.1, 0.2, 0.0, 0.0], -1.0)
 
 
 def test_a_system_without_derivatives_at_zero_says_so():

@@ -16,7 +16,7 @@ from orbitfinder._runtime import limit
 from orbitfinder.atlas import job as task
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError, LimitError
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, end_state, sample
 from orbitfinder.loops import ipopt as nlp
 from orbitfinder.problemfile.read import load_problem
@@ -145,10 +145,10 @@ def test_a_family_that_is_cut_off_keeps_its_points(tmp_path):
             limit._deadline.get().end = 0.0
 
     with pytest.raises(LimitError, match=r"\(limit\): 5 steps are kept in .*duffing; the same"), of.limited(3600.0):
-        continue_command(duffing, points=6, out=tmp_path, progress=late)
+        follow_family(duffing, points=6, out=tmp_path, progress=late)
     cut = load_family(tmp_path / "duffing" / "family.json")
     assert len(cut.points) == 1 + sum(len(one.points) for one in read_journal(tmp_path / "duffing").batches) > 4
-    assert len(continue_command(duffing, points=6, out=tmp_path).points) > len(cut.points)
+    assert len(follow_family(duffing, points=6, out=tmp_path).points) > len(cut.points)
 
 
 def test_a_start_that_takes_too_long_is_a_failed_start(monkeypatch):

@@ -28,7 +28,7 @@ from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.cli.jobs import check_consistent
 from orbitfinder.errors import OrbitfinderError
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import curve_of
 from orbitfinder.guesses.modes import mode_problem
@@ -180,7 +180,7 @@ def sound(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sound")
     shutil.copytree(ROOT / "problems" / "gallery", folder / "problems")
     settings = FamilySettings(directions="forward")
-    continue_command(mode_problem(chain(1), 1), points=6, out=folder, settings=settings)
+    follow_family(mode_problem(chain(1), 1), points=6, out=folder, settings=settings)
     for name in FAMILIES:
         save_family(load_family(ROOT / "results" / "families" / name / "family.json"), folder / name)
     for name in ("duffing", "henon-heiles-loop", "four-bar-rotating", "spring-pendulum-swing"):

@@ -12,7 +12,7 @@ import pytest
 import orbitfinder as of
 from orbitfinder._runtime import notebook as display
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.show import svg
@@ -56,7 +56,7 @@ def triple():
 def family(tmp_path_factory):
     settings = FamilySettings(directions="forward", events=False)
     problem = mode_problem(of.chain(2), 1, 0.2)
-    return continue_command(problem, points=4, out=tmp_path_factory.mktemp("family"), settings=settings)
+    return follow_family(problem, points=4, out=tmp_path_factory.mktemp("family"), settings=settings)
 
 
 def test_an_orbit_moves_and_says_its_numbers(triple):

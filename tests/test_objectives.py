@@ -23,7 +23,7 @@ DOUBLE = of.chain(2)
 
 
 def fast_mode(amplitude=0.8, **more):
-    return of.Problem(DOUBLE, of.normal_mode(DOUBLE, 2, amplitude), **more)
+    return of.Problem(DOUBLE, of.guesses.normal_mode(DOUBLE, 2, amplitude), **more)
 
 
 def index_of(orbit):
@@ -115,7 +115,7 @@ def test_min_instability_is_the_minimum_of_the_family():
 def test_min_instability_with_two_pairs():
     """Triple pendulum: the largest of two indices, by eigenvectors, against a scan of the slow mode's family."""
     model = of.chain(3)
-    guess = of.normal_mode(model, 1, 0.5)
+    guess = of.guesses.normal_mode(model, 1, 0.5)
     kept = {"symmetry": "brake+reflection"}
     low, high = -42.0, -38.0
     orbit = find_orbit(of.Problem(model, guess, objective="min_instability", bounds={"energy": (low, high)}, **kept))
@@ -134,7 +134,7 @@ def test_min_instability_at_a_kink():
     model = of.chain(3)
     kept = {"pin": of.pin(energy=-38.0), "symmetry": "brake"}
     wanted = {"free": ("length3",), "objective": "min_instability", "bounds": {"length3": (0.7, 1.4)}}
-    orbit = find_orbit(of.Problem(model, of.normal_mode(model, 2, 0.6), **kept, **wanted))
+    orbit = find_orbit(of.Problem(model, of.guesses.normal_mode(model, 2, 0.6), **kept, **wanted))
     indices = np.sort((orbit.floquet_multipliers + 1 / orbit.floquet_multipliers).real)
     assert orbit.certificate.passed and indices[0] == pytest.approx(-indices[-1], abs=1e-8)
     length = orbit.provenance["free"]["length3"]
@@ -160,7 +160,7 @@ def test_max_amplitude_is_the_maximum_of_the_family(symmetry):
 
 def test_min_peak_rate_stops_at_the_bound_of_the_period():
     """The peak rate grows with the period along the slow mode, so the smallest period allowed wins, to the digit."""
-    guess = of.normal_mode(DOUBLE, 1, 1.1)
+    guess = of.guesses.normal_mode(DOUBLE, 1, 1.1)
     wanted = {"objective": "min_peak_rate", "coordinate": "theta2", "bounds": {"period": (2.45, 2.6)}}
     orbit = find_orbit(of.Problem(DOUBLE, guess, **wanted))
     assert orbit.certificate.passed and orbit.period == 2.45
@@ -172,7 +172,7 @@ def test_min_peak_rate_stops_at_the_bound_of_the_period():
 
 def test_min_peak_rate_with_a_freed_length():
     """At -17 J the lower link of 0.60005 m turns most gently; lengths beside it are worse."""
-    guess = of.normal_mode(DOUBLE, 1, 0.4)
+    guess = of.guesses.normal_mode(DOUBLE, 1, 0.4)
     wanted = {"objective": "min_peak_rate", "coordinate": "theta2", "bounds": {"length2": (0.5, 2.0)}}
     orbit = find_orbit(of.Problem(DOUBLE, guess, pin=of.pin(energy=-17.0), free=("length2",), **wanted))
     assert orbit.certificate.passed
@@ -210,7 +210,7 @@ def test_a_turning_coordinate_has_no_amplitude():
 
 def test_a_vector_is_least_squares_with_a_gauss_newton_hessian():
     """|r|^2 / 2: the same orbit as the scalar objective, and the Hessian handed to IPOPT is J^T J."""
-    guess = of.normal_mode(DOUBLE, 1, 0.5)
+    guess = of.guesses.normal_mode(DOUBLE, 1, 0.5)
 
     def distances(v):
         return ca.vertcat(v["theta1"] - 0.6, 3 * (v["period"] - 2.39))
@@ -245,7 +245,7 @@ def test_inequalities_and_bounds_hold_without_being_counted():
 
 def test_variables_by_name():
     """States, quantities, parameters and accelerations are what their names say."""
-    guess = of.normal_mode(DOUBLE, 1, 0.5)
+    guess = of.guesses.normal_mode(DOUBLE, 1, 0.5)
     seen = {}
 
     def look(v):
@@ -316,7 +316,7 @@ def test_a_pendulum_alone_has_nothing_to_be_unstable():
 
 def test_a_peak_away_from_rest_is_said():
     """Slow mode at large amplitude: the lower link is not farthest out at rest."""
-    guess = of.normal_mode(DOUBLE, 1, 0.8)
+    guess = of.guesses.normal_mode(DOUBLE, 1, 0.8)
     wanted = {"objective": "max_amplitude", "coordinate": "theta2", "bounds": {"energy": (-19.0, -14.0)}}
     with pytest.raises(ConvergenceError, match="theta2 is largest away from rest.*use symmetry none"):
         find_orbit(of.Problem(DOUBLE, guess, symmetry="brake", **wanted))
@@ -331,7 +331,7 @@ def test_a_kink_is_where_the_objective_stops():
 
 def test_an_orbit_outside_the_period_asked_for_is_no_answer():
     """The loop run twice closes as well; its minimal period is what counts."""
-    once = of.normal_mode(DOUBLE, 1, 0.3)
+    once = of.guesses.normal_mode(DOUBLE, 1, 0.3)
     twice = of.Guess(once.state, 2 * once.period)
     with pytest.raises(ConvergenceError, match="several times.*outside bounds.period"):
         find_orbit(of.Problem(DOUBLE, twice, bounds={"period": (4.0, 6.0)}))

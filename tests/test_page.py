@@ -19,7 +19,7 @@ from orbitfinder._runtime import locks
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.rk8 import march
@@ -67,7 +67,7 @@ def material(tmp_path_factory) -> Path:
         json.dumps(document() | {"name": "../" + NASTY, "title": NASTY, "source": NASTY})
     )
     settings = FamilySettings(first_step=0.1, longest_step=0.3)
-    continue_command(mode_problem(chain(2), 1, 0.3), points=12, out=folder / "families", settings=settings)
+    follow_family(mode_problem(chain(2), 1, 0.3), points=12, out=folder / "families", settings=settings)
     orbits = [load_orbit(path) for path in sorted(SHIPPED.glob("triple-*/orbit.json"))]
     with Atlas(folder / "triples.sqlite", write=True, model=chain(3)) as atlas:
         for orbit in orbits:

@@ -13,7 +13,7 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.problemfile.read import load_problem, load_problem_file
 from orbitfinder.problemfile.reference import schema_markdown
-from orbitfinder.problemfile.template import TEMPLATE
+from orbitfinder.problemfile.write import TEMPLATE
 
 ROOT = Path(__file__).parents[1]
 REPORT = sorted((ROOT / "problems" / "report").glob("*.toml"))

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families.folder import continue_command
+from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.mechanics.chain import chain
@@ -126,7 +126,7 @@ def test_what_json_may_not_hold(text, said):
 def walked(tmp_path_factory):
     """A short family with its journal."""
     folder = tmp_path_factory.mktemp("walked")
-    continue_command(mode_problem(chain(1), 1), points=6, out=folder, settings=FORWARD)
+    follow_family(mode_problem(chain(1), 1), points=6, out=folder, settings=FORWARD)
     return folder / "mode-1"
 
 
@@ -153,7 +153,7 @@ def test_a_damaged_last_line_loses_only_itself(family, caplog):
     assert len(kept.batches) == len(whole.batches) - 1
     assert "line 8" in caplog.text and "computed again" in caplog.text
     assert (family / JOURNAL).read_bytes() == data[: len((family / JOURNAL).read_bytes())]
-    again = continue_command(mode_problem(chain(1), 1), points=6, out=family.parent, settings=FORWARD)
+    again = follow_family(mode_problem(chain(1), 1), points=6, out=family.parent, settings=FORWARD)
     assert len(again.points) == 7
 
 
@@ -173,13 +173,13 @@ def test_an_edited_number_of_a_journal_is_no_certified_orbit(family, seal):
     edit_line(family / JOURNAL, 3, lambda line: line["points"][0].update(period=1.9), seal)
     said = "line 4: .*digest" if seal else "closes only to"
     with pytest.raises(InputError, match=said):
-        continue_command(mode_problem(chain(1), 1), points=6, out=family.parent, settings=FORWARD)
+        follow_family(mode_problem(chain(1), 1), points=6, out=family.parent, settings=FORWARD)
 
 
 def test_a_journal_without_digests_still_resumes(family):
     edit_line(family / JOURNAL, 1, lambda line: None, seal=False)
     assert not read_journal(family).sealed
-    again = continue_command(mode_problem(chain(1), 1), points=8, out=family.parent, settings=FORWARD)
+    again = follow_family(mode_problem(chain(1), 1), points=8, out=family.parent, settings=FORWARD)
     assert len(again.points) == 9
 
 

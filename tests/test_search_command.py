@@ -16,6 +16,7 @@ from test_atlas_search import content
 from orbitfinder.atlas.search import Limits, Tally
 from orbitfinder.cli import atlas as cataloguing
 from orbitfinder.cli import search as searching
+from orbitfinder.cli.console import paced
 from orbitfinder.cli.group import cli
 
 ROOT = Path(__file__).parents[1]
@@ -185,15 +186,17 @@ def test_progress_in_words():
     tally.began = time.monotonic() - 2.0
     limits = Limits(starts=35, budget=60.0)
     assert tally.left(limits) == pytest.approx(4.0, abs=0.2)
-    line = searching.line(-30.0, tally, limits)
-    assert line.startswith("-30 J: 15 starts, 6 hits, 4 new, 2 known, 4 failed, 9 orbits in the atlas, 5")
-    assert line.endswith("s left")
-    assert searching.table(-30.0, tally, limits).row_count == 9
+    told = searching.progress(-30.0, tally, limits)
+    assert told.line.startswith("-30 J: 15 starts, 6 hits, 4 new, 2 known, 4 failed, 9 orbits in the atlas, 5")
+    assert told.line.endswith("s left")
+    assert len(told.rows) == 9 and ("failed: iteration limit", "4") in told.rows
     shown = []
-    call = searching.paced(lambda energy, tally: shown.append(energy), 1000.0)
-    call(1.0, tally)
-    call(2.0, tally)
+    call = paced(shown.append, 1000.0)
+    call(told)
+    call(told)
     assert shown == []
+    paced(shown.append, 0.0)(told)
+    assert shown == [told]
 
 
 def test_ranges_may_be_open():

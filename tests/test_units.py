@@ -69,7 +69,7 @@ CHAINS = {
 def test_a_double_pendulum_is_certified_whatever_it_is_measured_in(arguments):
     """Multipliers, pairs and symplecticity hold in canonical coordinates of any size."""
     model = of.chain(2, **arguments)
-    guess = of.normal_mode(model, 1, 0.5)
+    guess = of.guesses.normal_mode(model, 1, 0.5)
     orbit = of.find_orbit(of.Problem(model, guess, pin=of.pin(theta1=float(np.asarray(guess.state)[0]))))
     assert orbit.certificate.passed, orbit.certificate.failures
     assert np.abs(orbit.floquet_multipliers) == pytest.approx(1.0, abs=1e-8)

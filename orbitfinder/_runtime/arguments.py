@@ -81,6 +81,8 @@ MADE_BY = {
     "Flow": "build_flow(model) makes one",
     "Clip": "orbit_clip(orbit) makes one",
     "Baumgarte": "Baumgarte(alpha, beta) makes one",
+    "Family": "follow_family(origin) makes one, load_family(path) reads one",
+    "FamilySettings": "FamilySettings(directions=...) makes them",
     "SolveSettings": "SolveSettings(max_iterations=...) makes them",
     "IntegratorSettings": "IntegratorSettings(relative_tolerance=...) makes them",
     "DaeSettings": "DaeSettings(relative_tolerance=...) makes them",

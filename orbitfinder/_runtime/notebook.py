@@ -1,4 +1,4 @@
-"""How notebooks show orbits, certificates, families and atlases.
+"""How values are shown: one line in a terminal, and in a notebook orbits, certificates, families and atlases drawn.
 
 Those classes live on lower floors than the pictures. So `orbitfinder/__init__.py` says here which module draws, the
 classes ask `html` in their `_repr_html_`, and the module is loaded when something is shown for the first time.
@@ -6,6 +6,7 @@ classes ask `html` in their `_repr_html_`, and the module is loaded when somethi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -23,3 +24,32 @@ def html(value: Any) -> str | None:
     if not _drawing:
         return None
     return import_module(_drawing[0]).html(value)  # type: ignore[no-any-return]
+
+
+LONGEST = 60
+"""characters of one attribute in a line"""
+
+
+def brief(*names: str) -> Callable[[Any], str]:
+    """A `__repr__` of one line: the class and these of its attributes, long ones by their size."""
+
+    def text(self: Any) -> str:
+        found = {name: _short(getattr(self, name, None)) for name in names}
+        said = ", ".join(f"{name}={value}" for name, value in found.items() if value)
+        return f"{type(self).__name__}({said})"
+
+    return text
+
+
+def _short(value: Any) -> str:
+    """A value in at most `LONGEST` characters: numbers to nine digits, long lists by their size; nothing for none."""
+    if value is None or (isinstance(value, (str, tuple)) and not value):
+        return ""
+    if isinstance(value, float):
+        return f"{value:.9g}"
+    size = " x ".join(map(str, getattr(value, "shape", None) or [len(value)])) if hasattr(value, "__len__") else ""
+    said = " ".join(repr(value.tolist() if hasattr(value, "tolist") else value).split())
+    if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
+        said = "[" + ", ".join(map(_short, value[:LONGEST])) + "]" if size else said
+        return said if len(said) <= LONGEST else f"<{size}>"
+    return said if len(said) <= LONGEST else said[: LONGEST - 3] + "..."

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.job import Task
 from orbitfinder.atlas.report import Summary, summarise
 from orbitfinder.atlas.search import Limits, Search, Tally
@@ -26,6 +27,8 @@ LARGEST_SEED = 2**63 - 1
 @dataclass(frozen=True)
 class Found:
     """What one run of a search did: its tally by energy (J), and the summary of these searches from the atlas."""
+
+    __repr__ = brief("atlas", "summary")
 
     atlas: Path
     tallies: tuple[tuple[float, Tally], ...]

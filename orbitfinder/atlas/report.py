@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.estimate import Stratum, chao1, mirrored, remarks, stratum, total
 from orbitfinder.atlas.store import RESTORE, Atlas
 from orbitfinder.records.reading import json_document, read_as
@@ -32,6 +33,8 @@ class Summary:
     `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits;
     `mirrors` are symmetries of the system that nobody declared.
     """
+
+    __repr__ = brief("orbits", "starts")
 
     orbits: int
     starts: int

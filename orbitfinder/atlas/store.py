@@ -13,6 +13,7 @@ import numpy as np
 
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.arguments import checked
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, select, transaction
 from orbitfinder.errors import InputError, closest
@@ -115,6 +116,8 @@ class Atlas:
     orbits already there. `model` is needed for systems that no file describes. `trusted` is the folder
     of a Python module that makes the system, which the caller vouches for.
     """
+
+    __repr__ = brief("path", "system")
 
     @checked
     def __init__(

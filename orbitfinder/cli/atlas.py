@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orbitfinder.cli.options import FILES, json_option, print_json, trust_option
+from orbitfinder.cli.options import FILES, finish, json_option, out_option, print_json, text, trust_option, wants_json
 from orbitfinder.cli.search import print_summary
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.atlas.store import Filter, Row
+    from orbitfinder.atlas.store import Filter
 
-
+BOOK = click.argument("book", type=FILES, metavar="FILE.sqlite")
 TRUST = "Import the Python function of the system, from beside the atlas or installed, for the names of its state."
 
 
@@ -66,11 +66,11 @@ def atlas() -> None:
 
 
 @atlas.command(name="list")
-@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@BOOK
 @filters
 @click.option("--order", default="energy, period", show_default=True, help="Columns to sort by; DESC reverses.")
 @json_option
-def list_orbits(book: Path, order: str, as_json: bool, **options: Any) -> None:
+def list_orbits(book: Path, order: str, **options: Any) -> None:
     """List the orbits of an atlas, one a line.
 
     \b
@@ -82,32 +82,25 @@ def list_orbits(book: Path, order: str, as_json: bool, **options: Any) -> None:
 
     with Atlas(book) as opened:
         rows = opened.rows(chosen(options), order)
-    if as_json:
-        print_json({"format": "orbitfinder/atlas-list", "orbits": [vars(row) for row in rows]})
-        return
-    click.echo(
+    text(
         f"{'id':>6} {'energy (J)':>12} {'period (s)':>14} {'action (J s)':>13}  {'symmetry':<18}{'stability':<11}"
         f"{'largest |mu|':>12} {'closure':>9}"
     )
     for row in rows:
-        click.echo(described(row))
-    click.echo(f"{len(rows)} orbits")
-
-
-def described(row: Row) -> str:
-    """A row of an atlas as one line."""
-    return (
-        f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f} {row.action:>13.6f}  {row.symmetry:<18}"
-        f"{row.stability:<11}{row.instability:>12.4g} {row.closure:>9.1e}"
-    )
+        text(
+            f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f} {row.action:>13.6f}  {row.symmetry:<18}"
+            f"{row.stability:<11}{row.instability:>12.4g} {row.closure:>9.1e}"
+        )
+    text(f"{len(rows)} orbits")
+    finish("atlas-list", {"orbits": [vars(row) for row in rows]})
 
 
 @atlas.command()
-@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@BOOK
 @click.argument("number", type=int, metavar="ID")
 @trust_option(TRUST)
 @json_option
-def show(book: Path, number: int, trust: bool, as_json: bool) -> None:
+def show(book: Path, number: int, trust: bool) -> None:
     """Show one orbit by its id; with --json its orbit.json document.
 
     \b
@@ -118,10 +111,10 @@ def show(book: Path, number: int, trust: bool, as_json: bool) -> None:
 
     with Atlas(book, trusted=book.parent if trust else None) as opened:
         document = opened.document(number)
-        if as_json:
-            print_json(document)
-            return
-        names = opened.model.state_names
+        names = None if wants_json() else opened.model.state_names
+    if names is None:
+        print_json(document)
+        return
     click.echo(f"orbit {number} of {book}")
     for key, unit in (("period", "s"), ("energy", "J"), ("action", "J s"), ("closure", ""), ("symmetry", ""),
                       ("stability", "")):  # fmt: skip
@@ -135,9 +128,9 @@ def show(book: Path, number: int, trust: bool, as_json: bool) -> None:
 
 
 @atlas.command()
-@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@BOOK
 @json_option
-def report(book: Path, as_json: bool) -> None:
+def report(book: Path) -> None:
     """Yield of each strategy, failures by reason and an estimate of what remains, over all searches.
 
     \b
@@ -149,20 +142,18 @@ def report(book: Path, as_json: bool) -> None:
 
     with Atlas(book) as opened:
         summary = summarise(opened)
-    if as_json:
-        print_json({"format": "orbitfinder/atlas-report"} | summary.document())
-    else:
-        click.echo(f"{book}: {summary.orbits} distinct certified orbits of {summary.starts} starts")
-        print_summary(summary)
+    text(f"{book}: {summary.orbits} distinct certified orbits of {summary.starts} starts")
+    print_summary(summary)
+    finish("atlas-report", summary.document())
 
 
 @atlas.command()
-@click.argument("book", type=FILES, metavar="FILE.sqlite")
+@BOOK
 @click.option(
     "--to", "kind", type=click.Choice(["json", "csv", "parquet"]), default="json", show_default=True,
     help="What to write.",
 )  # fmt: skip
-@click.option("-o", "--out", type=FILES, default=None, help="File to write; standard output when left out.")
+@out_option("File to write; standard output when left out.")
 @filters
 @trust_option(TRUST)
 def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any) -> None:
@@ -194,8 +185,8 @@ def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any)
 
 
 @atlas.command()
-@click.argument("book", type=FILES, metavar="FILE.sqlite")
-@click.option("-o", "--out", type=FILES, default=Path(), help="Folder for the figures; this one by default.")
+@BOOK
+@out_option("Folder for the figures; this one by default.", default=Path())
 @filters
 def plot(book: Path, out: Path, **options: Any) -> None:
     """Draw energy against period with stability, the histogram of instability and the discovery curve.

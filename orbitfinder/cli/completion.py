@@ -5,24 +5,12 @@ from __future__ import annotations
 import click
 
 SHELLS = ("bash", "zsh", "fish")
-VARIABLE = "_ORBITFINDER_COMPLETE"
-
-
-def script(shell: str, program: str = "orbitfinder") -> str:
-    """Click's completion script of a shell, for the command `orbitfinder`."""
-    from click.shell_completion import get_completion_class
-
-    from orbitfinder.cli.group import cli
-
-    kind = get_completion_class(shell)
-    if kind is None:  # the choices of the command exclude it
-        raise ValueError(shell)
-    return kind(cli, {}, program, VARIABLE).source()
 
 
 @click.command()
 @click.argument("shell", type=click.Choice(SHELLS))
-def completion(shell: str) -> None:
+@click.pass_context
+def completion(context: click.Context, shell: str) -> None:
     """Print the completion script for a SHELL; the shell reads it when it starts.
 
     \b
@@ -31,4 +19,8 @@ def completion(shell: str) -> None:
       orbitfinder completion zsh >> ~/.zshrc
       orbitfinder completion fish > ~/.config/fish/completions/orbitfinder.fish
     """
-    click.echo(script(shell))
+    from click.shell_completion import get_completion_class
+
+    kind = get_completion_class(shell)
+    assert kind is not None
+    click.echo(kind(context.find_root().command, {}, "orbitfinder", "_ORBITFINDER_COMPLETE").source())

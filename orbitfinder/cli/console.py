@@ -1,4 +1,4 @@
-"""What a person watches while orbits are found: a live table on a terminal, plain lines elsewhere.
+"""What a person watches while a command computes: a live table on a terminal, plain lines elsewhere.
 
 The finder captures descriptors 1 and 2 while C++ code runs, so everything here goes to a
 duplicate of descriptor 2 taken before that.
@@ -8,86 +8,97 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
-from orbitfinder._runtime import streams
+import click
+
+from orbitfinder._runtime import interrupt, streams
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from orbitfinder.orbits.find import Progress
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a command has come: one line, and rows of cells for the table on a terminal."""
+
+    line: str
+    rows: Sequence[Sequence[str]] = ()
 
 
 @dataclass
 class Display:
-    """A place to report to: `event(name, progress)` while solving, `say(line)` in between."""
+    """Where a command reports to: `show(progress)` in place of what was shown before, `say(line)` to stay."""
 
-    event: Callable[[str, Progress], None]
+    show: Callable[[Progress], None]
     say: Callable[[str], None]
 
 
+def note(line: str) -> None:
+    """A line on standard error; Ctrl-C is answered here at the latest."""
+    interrupt.check()
+    click.echo(line, err=True)
+
+
 @contextlib.contextmanager
-def display() -> Iterator[Display]:
-    """A Display on the terminal behind descriptor 2, live when it is one."""
+def display(every: float = 0.0, refresh: float = 0.0) -> Iterator[Display]:
+    """A Display on the terminal behind descriptor 2, live when it is one.
+
+    Of what is shown there is no more than one line every so many seconds, or one frame of the live table.
+    """
     with streams.aside() as stream:
-        if stream.isatty() and os.environ.get("TERM") != "dumb":
-            with _live(stream) as shown:
-                yield shown
-        else:
-            yield _plain(stream)
+        if not stream.isatty() or os.environ.get("TERM") == "dumb":
+            yield Display(paced(lambda progress: stream.write(progress.line + "\n"), every),
+                          lambda line: _said(stream.write, line + "\n"))  # fmt: skip
+            return
+        from rich.console import Console
+        from rich.live import Live
+
+        console, cells = Console(file=stream, markup=False, highlight=False), _Cells()
+        quiet: Any = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
+        with Live(cells, console=console, transient=True, **quiet) as live:
+
+            def show(progress: Progress) -> None:
+                cells.rows = progress.rows
+                live.refresh()
+
+            def say(line: str) -> None:
+                cells.rows = ()
+                _said(lambda text: live.console.print(text, soft_wrap=True), line)
+
+            yield Display(paced(show, refresh), say)
 
 
-def _plain(stream: TextIO) -> Display:
-    def say(line: str) -> None:
-        stream.write(line + "\n")
-
-    return Display(lambda name, progress: say(described(name, progress)), say)
+def _said(write: Callable[[str], object], line: str) -> None:
+    interrupt.check()  # CasADi makes a failed search of Ctrl-C
+    write(line)
 
 
-def described(name: str, progress: Progress) -> str:
-    """One event as one line."""
-    return (
-        f"{name}: {progress.stage} {progress.iteration}, defect {progress.defect:.2e}, "
-        f"period {progress.period:.9g} s, {progress.elapsed:.1f} s elapsed"
-    )
+def paced(show: Callable[[Progress], object], every: float) -> Callable[[Progress], None]:
+    """Call `show` no more often than every so many seconds, for the first time after one."""
+    last = [time.monotonic() - every + min(every, 1.0)]
+
+    def call(progress: Progress) -> None:
+        if time.monotonic() - last[0] >= every:
+            last[0] = time.monotonic()
+            show(progress)
+
+    return call
 
 
 @dataclass
-class _Rows:
-    latest: dict[str, Any] = field(default_factory=dict)
+class _Cells:
+    rows: Sequence[Sequence[str]] = field(default_factory=tuple)
 
     def __rich__(self) -> Table:
         from rich.table import Table
 
-        table = Table(box=None, pad_edge=False, show_header=bool(self.latest))
-        for heading in ("problem", "stage", "iteration", "defect", "period (s)", "elapsed (s)"):
-            table.add_column(heading, justify="left" if heading in ("problem", "stage") else "right")
-        for name, event in self.latest.items():
-            table.add_row(
-                name, event.stage, str(event.iteration), f"{event.defect:.2e}",
-                f"{event.period:.9g}", f"{event.elapsed:.1f}",
-            )  # fmt: skip
+        table = Table(box=None, pad_edge=False, show_header=False)
+        for k in range(max(map(len, self.rows), default=0)):
+            table.add_column(justify="right" if k else "left")
+        for row in self.rows:
+            table.add_row(*row)
         return table
-
-
-@contextlib.contextmanager
-def _live(stream: TextIO) -> Iterator[Display]:
-    from rich.console import Console
-    from rich.live import Live
-
-    console = Console(file=stream, markup=False, highlight=False)
-    rows = _Rows()
-    quiet: Any = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
-    with Live(rows, console=console, transient=True, **quiet) as live:
-
-        def event(name: str, progress: Progress) -> None:
-            rows.latest = {name: progress}
-            live.refresh()
-
-        def say(line: str) -> None:
-            rows.latest = {}
-            live.console.print(line, soft_wrap=True)
-
-        yield Display(event, say)

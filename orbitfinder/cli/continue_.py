@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.options import FILES, FINITE, compile_option, trust_option
+from orbitfinder.cli.options import (
+    FILES,
+    FINITE,
+    compile_option,
+    finish,
+    json_option,
+    out_option,
+    text,
+    trust_option,
+)
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.families.point import FamilySettings
     from orbitfinder.families.switching import Branch
     from orbitfinder.loops.problem import Problem
     from orbitfinder.mechanics.model import Model
@@ -23,61 +31,6 @@ if TYPE_CHECKING:
     from orbitfinder.records.orbit import Orbit
 
     Origin = Orbit | Problem | Branch
-
-
-def numbers(text: str) -> tuple[float, ...]:
-    """Values of a comma-separated list; `InputError` names the one that is no number."""
-    found = []
-    for word in filter(None, (part.strip() for part in text.split(","))):
-        try:
-            found.append(float(word))
-        except ValueError as error:
-            raise InputError(f"--at: {word!r} is not a number; give values separated by commas") from error
-        if not math.isfinite(found[-1]):
-            raise InputError(f"--at: {word!r} is not finite; give values that the family can reach")
-    return tuple(found)
-
-
-def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
-    """The Orbit of an orbit.json or FILE#K, the Branch of a family.json, or the Problem of a file, with its model."""
-    from orbitfinder.atlas.store import orbit_of
-    from orbitfinder.problemfile.read import checked_name, load_problem
-    from orbitfinder.records.store import kind_of, member
-
-    single = member(file)[1] is not None
-    if file.suffix != ".json" and not single:
-        if switch is not None:
-            raise InputError("--switch: goes with a family.json; continue the problem first, then switch there")
-        return load_problem(file, trust), None
-    if not single and kind_of(file) == "family":
-        return _branch_of(file, trust, switch, branch), None
-    if switch is not None:
-        raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
-    orbit = orbit_of(file)
-    checked_name(orbit.name, f"{file}: name")
-    return orbit, model_of(orbit.system, file, trust)
-
-
-def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
-    from orbitfinder.families.branches import SWITCHABLE
-    from orbitfinder.families.switching import branches, described
-    from orbitfinder.records.family import load_family
-
-    if switch is None:
-        family = load_family(file)
-        known = [described(family, k) for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
-        raise InputError(f"--switch: missing; give the event to leave {family.name} at: {'; '.join(known) or 'none'}")
-    found = branches(file, switch, model=model_of(load_family(file).system, file, trust))
-    if branch > len(found):
-        raise InputError(f"--branch: {branch} asked for, {len(found)} found at event {switch}; give 1 to {len(found)}")
-    return found[branch - 1]
-
-
-def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
-    """The model of a file's `system`."""
-    from orbitfinder.mechanics.catalogue import build_model
-
-    return build_model(system, file.parent if trust else None)
 
 
 @click.command(name="continue")
@@ -97,11 +50,12 @@ def model_of(system: Mapping[str, Any], file: Path, trust: bool) -> Model:
     help="Follow avoided crossings this narrow instead of stepping over them.  [default: 0.02]",
 )  # fmt: skip
 @click.option("--name", default=None, help="Name of the family; the problem's, orbit's or branch's when left out.")
-@click.option("--out", default="families", show_default=True, type=FILES, help="Folder for DIR/<name>/family.json.")
+@out_option("Folder for DIR/<name>/family.json.", default="families", show_default=True)
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the family.")
 @compile_option
 @trust_option("Execute Python problem files and modules; only what you have read.")
-def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
+@json_option
+def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
@@ -116,26 +70,89 @@ def follow(file: Path, parameter: str, at: str, points: int, out: Path, **chosen
     """
     from orbitfinder.cli.console import display
     from orbitfinder.cli.jobs import check_writable
-    from orbitfinder.families.folder import continue_command
+    from orbitfinder.families.folder import follow_family
+    from orbitfinder.families.point import FamilySettings
+    from orbitfinder.problemfile.read import checked_name
     from orbitfinder.show.family_plot import save_family_figures
 
-    values, settings = numbers(at), _settings(chosen)
+    values = numbers(at)
+    directions = chosen["direction"] or ("both" if chosen["switch"] is None else "away")
+    narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
+    settings = FamilySettings(directions=directions, points=points, **narrowest)
     origin, model = origin_of(file, chosen["trust"], chosen["switch"], chosen["branch"])
-    label = _checked(chosen["name"] or origin.name)
-    check_writable(out / label)
+    name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
+    check_writable(out / name)
     with display() as shown:
-        report = _reporter(shown.say, parameter)
-        family = continue_command(
-            origin, parameter, chosen["until"], values, points, out, report, name=label, settings=settings, model=model
-        )
-    folder = out / family.name
-    drawn = model_in(origin, model, family) if chosen["figures"] else None
-    written = save_family_figures(family, folder, drawn) if chosen["figures"] else []
-    click.echo(f"{folder / 'family.json'}: {family.counts}")
+        family = follow_family(
+            origin, parameter, until=chosen["until"], at=values, settings=settings, out=out, name=name, model=model,
+            progress=_reporter(shown.say, parameter),
+        )  # fmt: skip
+    folder, figures = out / family.name, chosen["figures"]
+    written = save_family_figures(family, folder, model_in(origin, model, family)) if figures else []
+    text(f"{folder / 'family.json'}: {family.counts}")
     for end in family.ends:
-        click.echo(f"  ended: {end.kind} ({end.reason})")
+        text(f"  ended: {end.kind} ({end.reason})")
     if written:
-        click.echo(f"  and {len(written)} figures")
+        text(f"  and {len(written)} figures")
+    finish("continue", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
+
+
+def summary(family: Family) -> dict[str, Any]:
+    """What `--json` says of a family; its points are in family.json."""
+    events = [
+        {"kind": one.kind, "detail": one.detail, family.parameter: one.parameter, "period": one.period,
+         "certified": one.certified} for one in family.events
+    ]  # fmt: skip
+    return {
+        "name": family.name, "parameter": family.parameter, "points": len(family.points),
+        "certified": sum(one.certified for one in family.points), "events": events,
+        "ends": [{"kind": end.kind, "reason": end.reason} for end in family.ends],
+    }  # fmt: skip
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """Values of a comma-separated list; `InputError` names the one that is no number."""
+    found = []
+    for word in filter(None, (part.strip() for part in text.split(","))):
+        try:
+            found.append(float(word))
+        except ValueError as error:
+            raise InputError(f"--at: {word!r} is not a number; give values separated by commas") from error
+        if not math.isfinite(found[-1]):
+            raise InputError(f"--at: {word!r} is not finite; give values that the family can reach")
+    return tuple(found)
+
+
+def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
+    """The Orbit of an orbit.json or FILE#K, the Branch of a family.json, or the Problem of a file, with its model."""
+    from orbitfinder.cli.jobs import named_orbits
+    from orbitfinder.problemfile.read import load_problem
+    from orbitfinder.records.store import kind_of, member
+
+    single = member(file)[1] is not None
+    if file.suffix != ".json" and not single:
+        if switch is not None:
+            raise InputError("--switch: goes with a family.json; continue the problem first, then switch there")
+        return load_problem(file, trust), None
+    if not single and kind_of(file) == "family":
+        return _branch_of(file, trust, switch, branch), None
+    if switch is not None:
+        raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
+    ((_, orbit, model),) = named_orbits([file], trust, pictured=False)
+    return orbit, model
+
+
+def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
+    from orbitfinder.families.branches import SWITCHABLE
+    from orbitfinder.families.switching import described, switch_branch
+    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.records.family import load_family
+
+    family = load_family(file)
+    if switch is None:
+        known = [described(family, k) for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+        raise InputError(f"--switch: missing; give the event to leave {family.name} at: {'; '.join(known) or 'none'}")
+    return switch_branch(file, switch, branch, model=build_model(family.system, file.parent if trust else None))
 
 
 def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
@@ -149,26 +166,6 @@ def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
     return known if known is not None and known.constraint is None else build_model(family.system)
 
 
-def _checked(name: str) -> str:
-    from pydantic_core import PydanticCustomError
-
-    from orbitfinder.problemfile.schema import check_name
-
-    try:
-        return check_name(name)
-    except PydanticCustomError as error:
-        raise InputError(f"name: {error.message()}, got {name!r}; give another --name") from error
-
-
-def _settings(chosen: dict[str, Any]) -> FamilySettings:
-    """Directions and resolution as asked for."""
-    from orbitfinder.families.point import FamilySettings
-
-    directions = chosen["direction"] or ("both" if chosen["switch"] is None else "away")
-    given = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
-    return FamilySettings(directions=directions, **given)
-
-
 def _reporter(say: Callable[[str], None], parameter: str) -> Callable[[Batch], None]:
     """One line an event, one every ten points, one at an end."""
     began, seen = time.monotonic(), [0]
@@ -179,17 +176,12 @@ def _reporter(say: Callable[[str], None], parameter: str) -> Callable[[Batch], N
         for event in batch.events:
             say(f"{event.kind} {event.detail}".rstrip() + f" at {parameter} {event.parameter:.9g}")
         if batch.points and seen[0] % 10 < len(batch.points):
-            say(progress_line(batch, parameter, seen[0], time.monotonic() - began))
+            point = batch.points[-1]
+            say(
+                f"{seen[0]} points, {parameter} {point.value:.6g}, period {point.period:.6g} s, step {point.step:.2g}, "
+                f"{point.stability}, {time.monotonic() - began:.1f} s elapsed"
+            )
         if batch.end:
             say(f"end: {batch.end.reason}")
 
     return report
-
-
-def progress_line(batch: Batch, parameter: str, count: int, elapsed: float) -> str:
-    """One step as one line."""
-    point = batch.points[-1]
-    return (
-        f"{count} points, {parameter} {point.value:.6g}, period {point.period:.6g} s, step {point.step:.2g}, "
-        f"{point.stability}, {elapsed:.1f} s elapsed"
-    )

@@ -14,7 +14,7 @@ from pathlib import Path
 import click
 
 from orbitfinder._runtime import __version__
-from orbitfinder.cli.options import json_option, print_json
+from orbitfinder.cli.options import finish, json_option, text
 
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
@@ -49,7 +49,7 @@ def essential() -> Iterator[Finding]:
     yield Finding("python", OK if fits else BROKEN, platform.python_version(), remedy)
     for name in (
         "casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
-        "platformdirs", "jinja2",
+        "platformdirs", "jinja2", "lazy_loader",
     ):  # fmt: skip
         yield _package(name)
     yield from _plugins()
@@ -193,7 +193,7 @@ def defects() -> Iterator[Finding]:
 
 @click.command()
 @json_option
-def doctor(as_json: bool) -> None:
+def doctor() -> None:
     """Check this installation: packages, CasADi plugins and known defects, compiler, cache, extras.
 
     Finds and certifies one pendulum swing on the way. Exit code 0: usable; 1: something essential is
@@ -206,15 +206,10 @@ def doctor(as_json: bool) -> None:
     """
     findings = examine()
     usable = all(finding.status != BROKEN for finding in findings)
-    if as_json:
-        document = {"format": "orbitfinder/doctor", "version": __version__, "usable": usable}
-        print_json(document | {"findings": [asdict(one) for one in findings]})
-    else:
-        click.echo(f"orbitfinder {__version__} on {platform.platform()}")
-        for finding in findings:
-            click.echo(f"  {finding.status:<8}{finding.name:<28}{finding.detail}")
-            if finding.remedy:
-                click.echo(f"  {'':<36}{finding.remedy}")
-        click.echo("Usable." if usable else "Not usable: see what is marked BROKEN.")
-    if not usable:
-        click.get_current_context().exit(1)
+    text(f"orbitfinder {__version__} on {platform.platform()}")
+    for finding in findings:
+        text(f"  {finding.status:<8}{finding.name:<28}{finding.detail}")
+        if finding.remedy:
+            text(f"  {'':<36}{finding.remedy}")
+    text("Usable." if usable else "Not usable: see what is marked BROKEN.")
+    finish("doctor", {"version": __version__, "usable": usable, "findings": [asdict(one) for one in findings]}, usable)

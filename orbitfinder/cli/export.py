@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from orbitfinder.cli.options import FILES, SYSTEM_TRUST, trust_option
+from orbitfinder.cli.options import SYSTEM_TRUST, orbit_files, out_option, trust_option
 from orbitfinder.errors import InputError
 
 
 @click.command()
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
+@orbit_files
 @click.option("--to", required=True, type=click.Choice(["csv", "auto", "julia", "c"]), help="What to write.")
-@click.option("-o", "--out", default=None, type=FILES, help="Folder for the files; default: beside each ORBIT.json.")
+@out_option("Folder for the files; default: beside each ORBIT.json.")
 @trust_option(SYSTEM_TRUST)
 def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> None:
     """Write each ORBIT.json for another program.
@@ -27,14 +27,12 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
       orbitfinder export orbits/triple-1/orbit.json --to csv
       orbitfinder export orbits/triple-1/orbit.json --to auto -o auto
     """
-    from orbitfinder.cli.jobs import check_writable, orbit_and_model
+    from orbitfinder.cli.jobs import check_writable, named_orbits
     from orbitfinder.exports.write import export_orbit
-    from orbitfinder.problemfile.read import checked_name
 
     seen: dict[str, Path] = {}
-    orbits = [(file, *orbit_and_model(file, trust, pictured=True)) for file in files]
+    orbits = named_orbits(files, trust)
     for file, orbit, _ in orbits:
-        checked_name(orbit.name, f"{file}: name")
         if out is not None and seen.setdefault(orbit.name, file) != file:
             both = f"{seen[orbit.name]} and {file} are both named {orbit.name!r}"
             raise InputError(f"--out: {both}; export one at a time")

@@ -1,43 +1,39 @@
-"""The command line. Heavy modules are imported inside the commands, so that --help is quick.
+"""The command line: the group of all commands, and what becomes of their errors.
 
-Exit codes: 0 everything certified, 1 something did not converge or certify, 2 bad input, 130 Ctrl-C.
+Heavy modules are imported inside the commands, so that --help is quick. Exit codes: 0 everything certified,
+1 something did not converge or certify, 2 bad input, 130 Ctrl-C.
 """
 
 from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from orbitfinder._runtime import __version__, interrupt
-from orbitfinder.cli import atlas as cataloguing
-from orbitfinder.cli import completion, doctor, pictures
-from orbitfinder.cli import continue_ as following
-from orbitfinder.cli import export as exporting
-from orbitfinder.cli import guess as guessing
-from orbitfinder.cli import page as paging
-from orbitfinder.cli import prove as proving
-from orbitfinder.cli import search as searching
-from orbitfinder.cli.options import (
-    FILES,
-    JSON_KEY,
-    compile_option,
-    json_option,
-    limit_option,
-    print_json,
-    trust_option,
-)
+from orbitfinder.cli.atlas import atlas
+from orbitfinder.cli.completion import completion
+from orbitfinder.cli.continue_ import continue_
+from orbitfinder.cli.doctor import doctor
+from orbitfinder.cli.export import export
+from orbitfinder.cli.guess import guess
+from orbitfinder.cli.init import init
+from orbitfinder.cli.options import BAD_INPUT, INTERRUPTED, JSON_KEY, NOT_CERTIFIED, limit_option, print_json
+from orbitfinder.cli.page import page
+from orbitfinder.cli.pictures import animate, plot
+from orbitfinder.cli.prove import prove, refine
+from orbitfinder.cli.reproduce import reproduce
+from orbitfinder.cli.run import run
+from orbitfinder.cli.search import search
+from orbitfinder.cli.simulate import simulate
+from orbitfinder.cli.verify import verify
 from orbitfinder.errors import InputError, OrbitfinderError
-
-if TYPE_CHECKING:
-    from orbitfinder.records.orbit import Certificate
 
 LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0}
 """s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46.
 The others go on for as long as they are let."""
-NOT_CERTIFIED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 
 class Commands(click.Group):
@@ -112,181 +108,8 @@ def cli() -> None:
     """
 
 
-@cli.command()
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="FILE...")
-@click.option("--out", default="orbits", show_default=True, type=FILES, help="Folder for DIR/<name>/orbit.json.")
-@click.option("--jobs", default=1, show_default=True, type=click.IntRange(1, 256), help="Processes side by side.")
-@click.option("--figures/--no-figures", default=True, show_default=True, help="Draw the certified orbits.")
-@compile_option
-@trust_option()
-@json_option
-def run(
-    files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: float | None, trust: bool, as_json: bool
-) -> None:
-    """Find and certify the orbit of each problem FILE.
-
-    Writes DIR/<name>/orbit.json, orbit.npz and figures. A result that fails its certificate is
-    written as rejected.json and named as such. Exit code 0: all certified; 1: some were not.
-
-    \b
-    Examples:
-      orbitfinder run problems/report/triple-1.toml
-      orbitfinder run problems/examples/*.toml --jobs 2 --out orbits --no-figures
-    """
-    from orbitfinder.cli.console import display
-    from orbitfinder.cli.jobs import prepare, run_jobs
-
-    todo = prepare(files, out, figures, trust, limit)
-    outcomes = []
-    with display() as shown:
-        for outcome in run_jobs(todo, jobs, shown):
-            interrupt.check()  # CasADi makes a failed search of Ctrl-C
-            outcomes.append(outcome)
-            shown.say(f"{outcome.name}: {outcome.message}, {outcome.wall_time:.1f} s")
-    if as_json:
-        passed = all(outcome.passed for outcome in outcomes)
-        results = [outcome.document() for outcome in outcomes]
-        print_json({"format": "orbitfinder/run", "passed": passed, "results": results})
-    else:
-        for outcome in outcomes:
-            _print_outcome(outcome)
-    if not all(outcome.passed for outcome in outcomes):
-        click.get_current_context().exit(NOT_CERTIFIED)
-
-
-def _print_outcome(outcome: Any) -> None:
-    if outcome.period is None:
-        click.echo(f"{outcome.name}: {outcome.status}: {outcome.message}")
-        return
-    click.echo(
-        f"{outcome.name}: {outcome.status}, period {outcome.period!r} s, energy {outcome.energy!r} J, "
-        f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
-        + "".join(f", {name} = {value!r}" for name, value in outcome.chosen.items())
-    )
-    if outcome.failures:
-        click.echo(f"  failed checks: {', '.join(outcome.failures)}")
-    click.echo(f"  {outcome.written[0]}" + (f" and {len(outcome.written) - 1} figures" * (len(outcome.written) > 1)))
-
-
-@cli.command()
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
-@click.option("--proof", is_flag=True, help="Replay the recorded proof of each file too (see `orbitfinder prove`).")
-@trust_option()
-@json_option
-def verify(files: tuple[Path, ...], proof: bool, trust: bool, as_json: bool) -> None:
-    """Recompute the certificate of each ORBIT.json from the file alone.
-
-    Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
-    every file passed; 1: some failed, and are named. The equations of a system that a Python module
-    of yours makes are that module's; it is run only with --trust. FILE#K is point K of a family.json,
-    counted from 0, or orbit K of an atlas.
-
-    \b
-    Examples:
-      orbitfinder verify orbits/triple-1/orbit.json
-      orbitfinder verify orbits/*/orbit.json --json
-      orbitfinder verify families/triple-mode-2/family.json#17
-    """
-    from orbitfinder.cli.jobs import verify_file
-    from orbitfinder.records.orbit import certificate_to_document
-
-    results = []
-    for file in files:
-        orbit, certificate = verify_file(file, trust)
-        interrupt.check()
-        results.append({"file": str(file), "name": orbit.name} | certificate_to_document(certificate))
-        if not as_json:
-            _print_certificate(f"{file} ({orbit.name})", certificate)
-        if proof:
-            results[-1]["proof"] = proving.verify_proof(file, trust)
-            if not as_json:
-                click.echo(f"  {results[-1]['proof']['message']}")
-    passed = all(result["passed"] and result.get("proof", result)["passed"] for result in results)
-    if as_json:
-        print_json({"format": "orbitfinder/verify", "passed": passed, "results": results})
-    if not passed:
-        click.get_current_context().exit(NOT_CERTIFIED)
-
-
-def _print_certificate(heading: str, certificate: Certificate) -> None:
-    from orbitfinder.cli.jobs import one_line
-
-    verdict = "certified" if certificate.passed else f"REJECTED by {', '.join(certificate.failures)}"
-    click.echo(f"{one_line(heading)}: {verdict}")
-    click.echo(f"  {'check':<22}{'value':>11}{'allowed':>11}  result  note")
-    for check in certificate.checks:
-        result = "passed" if check.passed else "FAILED"
-        note = one_line(check.note)
-        click.echo(f"  {check.name:<22}{check.value:>11.2e}{check.tolerance:>11.2e}  {result}  {note}".rstrip())
-
-
-@cli.command()
-@click.argument("file", type=FILES)
-@click.option("--duration", type=float, default=None, help="Time in s; default: [simulate] duration or 10.")
-@click.option("--out", default=None, type=FILES, help="Write DIR/<name>/simulation.csv.")
-@trust_option()
-@json_option
-def simulate(file: Path, duration: float | None, out: Path | None, trust: bool, as_json: bool) -> None:
-    """Simulate the system of a problem FILE from its state and report what becomes of the energy.
-
-    \b
-    Examples:
-      orbitfinder simulate problems/report/triple-1.toml --duration 20
-      orbitfinder simulate problems/examples/double.toml --out runs
-    """
-    from orbitfinder.cli.jobs import check_writable
-    from orbitfinder.problemfile.read import load_problem_file
-    from orbitfinder.problemfile.simulate import simulate_file, write_csv
-
-    loaded = load_problem_file(file, trust)
-    if out is not None:
-        check_writable(out)
-        check_writable(out / loaded.name)
-    result = simulate_file(loaded, duration)
-    document = result.document()
-    if out is not None:
-        document["written"] = str(write_csv(result, out / loaded.name / "simulation.csv"))
-    if as_json:
-        print_json({"format": "orbitfinder/simulation"} | document)
-        return
-    click.echo(f"{result.name}: {result.times[-1]:g} s simulated")
-    click.echo(f"  {'energy':<22}{document['energy']:.12g} J")
-    kind, more = ("drift", "") if result.conserved else ("change", ", which this system does not conserve")
-    click.echo(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
-    click.echo(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
-    click.echo(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))
-    if out is not None:
-        click.echo(f"  {document['written']}")
-
-
-@cli.command()
-@click.argument("name")
-def init(name: str) -> None:
-    """Write NAME.toml, a commented problem file to start from.
-
-    \b
-    Example:
-      orbitfinder init my-pendulum && orbitfinder run my-pendulum.toml
-    """
-    from orbitfinder.problemfile.template import write_template
-
-    path = write_template(name.removesuffix(".toml"))
-    click.echo(f"{path}: written; next: orbitfinder run {path}")
-
-
 for command in (
-    pictures.reproduce,
-    pictures.plot,
-    pictures.animate,
-    paging.page,
-    following.follow,
-    guessing.guess,
-    searching.search,
-    cataloguing.atlas,
-    exporting.export,
-    doctor.doctor,
-    completion.completion,
-    proving.prove_command,
-    proving.refine_command,
-):
+    run, verify, simulate, init, guess, continue_, search, atlas, prove, refine, export, plot, animate, page, reproduce,
+    doctor, completion,
+):  # fmt: skip
     cli.add_command(command)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orbitfinder.cli.options import FILES, json_option, print_json, trust_option
+from orbitfinder.cli.options import FILES, finish, json_option, out_option, text, trust_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,13 +22,13 @@ SHOWN = 8
 @click.option("--duration", type=float, default=None, help="Simulate this long for close returns, in s.")
 @click.option("--count", default=8, show_default=True, type=click.IntRange(1, 100), help="Close returns to show.")
 @click.option("--amplitude", default=0.1, show_default=True, type=float, help="Largest angle of the modes in rad.")
-@click.option("--out", default=None, type=FILES, help="Write a problem file with one of them, the others as comments.")
+@out_option("Write a problem file with one of them, the others as comments.")
 @click.option("--pick", default=None, metavar="NAME", help="Which one --out takes, such as mode-2 or return-1.")
 @trust_option()
 @json_option
 def guess(
     file: Path, duration: float | None, count: int, amplitude: float, out: Path | None, pick: str | None,
-    trust: bool, as_json: bool,
+    trust: bool,
 ) -> None:  # fmt: skip
     """Show what the system of a problem FILE offers to start a search from.
 
@@ -40,8 +40,9 @@ def guess(
       orbitfinder guess problems/examples/double-mode-2.toml
       orbitfinder guess my-pendulum.toml --duration 60 --out candidate.toml --pick return-2
     """
-    from orbitfinder.problemfile.proposals import problem_text, propose, write_problem
+    from orbitfinder.problemfile.proposals import propose
     from orbitfinder.problemfile.read import checked_name, load_problem_file
+    from orbitfinder.problemfile.write import problem_text, write_new
 
     if not amplitude > 0:
         raise InputError(f"--amplitude: must be positive, got {amplitude}; give an angle in rad")
@@ -54,25 +55,24 @@ def guess(
         chosen = proposals.named(pick)
         if "csv" in chosen.table and out.parent.resolve() != file.parent.resolve():
             raise InputError(f"--out: {chosen.name} reads {chosen.table['csv']!r} beside {file}; write it there")
-        written = write_problem(problem_text(loaded, proposals, chosen, checked_name(out.stem, "--out")), out)
-    if as_json:
-        document = {"format": "orbitfinder/guesses", "name": proposals.name, "states": list(proposals.state_names),
-                    "guesses": [one.document() for one in proposals.found], "notes": list(proposals.notes),
-                    "written": str(written) if written else None}  # fmt: skip
-        print_json(document)
-        return
+        written = write_new(problem_text(loaded, proposals, chosen, checked_name(out.stem, "--out")), out, "--out")
     _print(proposals)
     if written is not None:
-        click.echo(f"{written}: written; next: orbitfinder run {written}")
+        text(f"{written}: written; next: orbitfinder run {written}")
+    finish("guesses", {
+        "name": proposals.name, "states": list(proposals.state_names),
+        "guesses": [one.document() for one in proposals.found], "notes": list(proposals.notes),
+        "written": str(written) if written else None,
+    })  # fmt: skip
 
 
 def _print(proposals: Proposals) -> None:
-    click.echo(f"{proposals.name}: {len(proposals.found)} starting points")
+    text(f"{proposals.name}: {len(proposals.found)} starting points")
     for one in proposals.found:
-        click.echo(_line(one))
-        click.echo(f"    {_shape(one)}")
+        text(_line(one))
+        text(f"    {_shape(one)}")
     for note in proposals.notes:
-        click.echo(f"  none: {note}")
+        text(f"  none: {note}")
 
 
 def _line(one: Proposal) -> str:

@@ -11,12 +11,13 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orbitfinder._runtime import processes, streams
 from orbitfinder._runtime.limit import limited
+from orbitfinder.cli.console import Progress
 from orbitfinder.errors import InputError, OrbitfinderError
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
     from orbitfinder.cli.console import Display
     from orbitfinder.mechanics.model import Model
+    from orbitfinder.orbits.find import Progress as Iteration
+    from orbitfinder.problemfile.read import ProblemFile
     from orbitfinder.records.orbit import Certificate, Orbit
 
 
@@ -33,7 +36,7 @@ LARGEST_STATE = 1e100
 
 @dataclass(frozen=True)
 class Job:
-    """What to run and where its results go; plain values, so that it travels to a worker."""
+    """What to run and where its results go; without what was read, it travels to a worker."""
 
     file: Path
     name: str
@@ -41,6 +44,8 @@ class Job:
     figures: bool
     trust: bool
     limit: float | None = None
+    loaded: ProblemFile | None = None
+    """the file as read in this process"""
 
 
 @dataclass(frozen=True)
@@ -69,19 +74,20 @@ class Outcome:
 
     def document(self) -> dict[str, Any]:
         """The entry of this outcome in the output of `--json`."""
-        return asdict(self) | {"failures": list(self.failures), "written": list(self.written)}
+        return asdict(self)
 
 
 def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None) -> list[Job]:
     """Jobs for problem files, everything that can be checked before computing checked."""
-    from orbitfinder.problemfile.read import load_problem
+    from orbitfinder.problemfile.read import load_problem_file
 
     jobs: dict[str, Job] = {}
     for file in files:
-        name = load_problem(file, trust).name
+        loaded = load_problem_file(file, trust)
+        name = loaded.wanted.name
         if name in jobs:
             raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
-        jobs[name] = Job(file, name, out, figures, trust, limit)
+        jobs[name] = Job(file, name, out, figures, trust, limit, loaded)
     check_writable(out)
     for name in jobs:
         if (out / name).exists():
@@ -108,10 +114,10 @@ def run_job(job: Job, shown: Display | None = None) -> Outcome:
     from orbitfinder.problemfile.read import load_problem_file
 
     began = time.perf_counter()
-    report = None if shown is None else (lambda progress: shown.event(job.name, progress))
+    report = None if shown is None else (lambda iteration: shown.show(progress(job.name, iteration)))
     try:
         with limited(job.limit):
-            loaded = load_problem_file(job.file, job.trust)
+            loaded = job.loaded or load_problem_file(job.file, job.trust)
             problem = loaded.wanted
             orbit = solve(problem, loaded.starts, loaded.seed, report)
     except InputError:
@@ -124,6 +130,16 @@ def run_job(job: Job, shown: Display | None = None) -> Outcome:
         raise InputError(
             f"--out: cannot write in {job.out / job.name} ({error}); free some space or choose another folder"
         ) from error
+
+
+def progress(name: str, iteration: Iteration) -> Progress:
+    """One step of a search."""
+    at, defect, period = iteration, f"{iteration.defect:.2e}", f"{iteration.period:.9g}"
+    line = f"{name}: {at.stage} {at.iteration}, defect {defect}, period {period} s, {at.elapsed:.1f} s elapsed"
+    return Progress(line, [
+        ("problem", "stage", "iteration", "defect", "period (s)", "elapsed (s)"),
+        (name, at.stage, str(at.iteration), defect, period, f"{at.elapsed:.1f}"),
+    ])  # fmt: skip
 
 
 def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
@@ -202,6 +218,16 @@ def orbit_and_model(file: Path, trust: bool = False, pictured: bool = False) -> 
     return orbit, model
 
 
+def named_orbits(files: Sequence[Path], trust: bool, pictured: bool = True) -> list[tuple[Path, Orbit, Model]]:
+    """What `plot`, `animate` and `export` work on: all read, and named as files may be, before anything is written."""
+    from orbitfinder.problemfile.read import checked_name
+
+    orbits = [(file, *orbit_and_model(file, trust, pictured)) for file in files]
+    for file, orbit, _ in orbits:
+        checked_name(orbit.name, f"{file}: name")
+    return orbits
+
+
 def check_consistent(orbit: Orbit, model: Model) -> None:
     """`InputError` when the entries of an orbit do not belong together; a certificate is about those that do."""
     import numpy as np
@@ -234,7 +260,7 @@ def run_jobs(jobs: Sequence[Job], workers: int, shown: Display) -> Iterator[Outc
                 hand = next((one for one in hands if one not in doing), None) or processes.hired(_serve)
                 hands += [] if hand in hands else [hand]
                 doing[hand] = todo.pop(0)
-                hand.tell(doing[hand])
+                hand.tell(replace(doing[hand], loaded=None))
             for hand in processes.ready(doing):
                 job, answer = doing.pop(hand), hand.answer()
                 if answer is None:

@@ -1,11 +1,11 @@
-"""What the commands share: arguments that are files, --json and its output, --trust, --compile."""
+"""What the commands share: arguments that are files, options, text or JSON as output, the exit code."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,8 @@ from orbitfinder._runtime.limit import limited
 from orbitfinder.records.reading import finite
 
 FILES = click.Path(path_type=Path)
+NOT_CERTIFIED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+"""Exit codes beside 0; the first also means not converged, not proved, not usable"""
 
 
 class Finite(click.types.FloatParamType):
@@ -36,27 +38,51 @@ TRUST = "Execute Python problem files; only for files you have read."
 SYSTEM_TRUST = "Import the Python module that a system was made with; only if you have read it."
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+orbit_files: Decorator = click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
 
 
-def _remember_json(context: click.Context, _: click.Parameter, value: bool) -> bool:
+def _remember_json(context: click.Context, _: click.Parameter, value: bool) -> None:
     context.meta[JSON_KEY] = value
-    return value
 
 
-json_option = click.option(
-    "--json", "as_json", is_flag=True, callback=_remember_json, is_eager=True,
+json_option: Decorator = click.option(
+    "--json", is_flag=True, callback=_remember_json, is_eager=True, expose_value=False,
     help="Print one JSON document on standard output instead of text.",
 )  # fmt: skip
 
 
-def trust_option(text: str = TRUST) -> Decorator:
-    """The option --trust, its help saying what is executed."""
-    return click.option("--trust", is_flag=True, help=text)
+def wants_json() -> bool:
+    """Whether --json was given."""
+    return bool(click.get_current_context().meta.get(JSON_KEY))
+
+
+def text(line: str) -> None:
+    """A line of the answer for people; nothing where --json was given."""
+    if not wants_json():
+        click.echo(line)
+
+
+def finish(kind: str, document: Mapping[str, Any], passed: bool = True) -> None:
+    """The end of a command: its document where --json was given, exit code 1 for what did not pass."""
+    if wants_json():
+        print_json({"format": f"orbitfinder/{kind}"} | dict(document))
+    if not passed:
+        click.get_current_context().exit(NOT_CERTIFIED)
 
 
 def print_json(document: Any) -> None:
     """One JSON document on standard output, null for what JSON has no number for."""
     click.echo(json.dumps(finite(document), indent=1, allow_nan=False))
+
+
+def out_option(what: str, **more: Any) -> Decorator:
+    """The option -o, --out: where the command writes."""
+    return click.option("-o", "--out", type=FILES, help=what, **({"default": None} | more))
+
+
+def trust_option(what: str = TRUST) -> Decorator:
+    """The option --trust, its help saying what is executed."""
+    return click.option("--trust", is_flag=True, help=what)
 
 
 def _remember_compile(context: click.Context, _: click.Parameter, value: str | None) -> None:
@@ -81,6 +107,12 @@ def _remember_compile(context: click.Context, _: click.Parameter, value: str | N
             click.echo(f"--compile on: {reason}; running interpreted", err=True)
 
 
+compile_option: Decorator = click.option(
+    "--compile", "compile_mode", type=click.Choice(("on", "off", "auto")), default=None, expose_value=False,
+    callback=_remember_compile, help="Compiled equations: always, never, or where it pays (auto, the default).",
+)  # fmt: skip
+
+
 def limit_option(default: float | None = None, each: str = "") -> click.Option:
     """The option --limit: of the whole command, or (named by `each`) of each of its parts, which then gets `limit`."""
 
@@ -94,9 +126,3 @@ def limit_option(default: float | None = None, each: str = "") -> click.Option:
         ["--limit"], type=click.FloatRange(0.0, min_open=True), default=default, show_default=default is not None,
         metavar="SECONDS", callback=hold, expose_value=bool(each), help=what,
     )  # fmt: skip
-
-
-compile_option: Decorator = click.option(
-    "--compile", "compile_mode", type=click.Choice(("on", "off", "auto")), default=None, expose_value=False,
-    callback=_remember_compile, help="Compiled equations: always, never, or where it pays (auto, the default).",
-)  # fmt: skip

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import click
 
-from orbitfinder._runtime import interrupt
-from orbitfinder.cli.options import FILES
+from orbitfinder.cli.options import FILES, out_option
 
 
 @click.command()
 @click.argument("paths", nargs=-1, required=True, type=FILES, metavar="PATH...")
-@click.option("-o", "--out", required=True, type=FILES, help="Folder for the site; of it a former page is replaced.")
+@out_option("Folder for the site; of it a former page is replaced.", required=True)
 @click.option("--title", default="Periodic orbits", show_default=True, help="Heading of the gallery.")
 @click.option(
     "--atlas-pages", default=60, show_default=True, type=click.IntRange(0, 10_000),
@@ -34,6 +33,7 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
       orbitfinder page orbits -o site
       orbitfinder page orbits families atlas.sqlite -o site --title "Triple pendulum"
     """
+    from orbitfinder.cli.console import note
     from orbitfinder.site.build import Settings, build_site
     from orbitfinder.site.gather import gather
     from orbitfinder.site.text import plural, size
@@ -41,11 +41,7 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
 
     check_target(out)
 
-    def say(line: str) -> None:
-        interrupt.check()
-        click.echo(line, err=True)
-
-    site, summary = build_site(gather(paths), Settings(title, atlas_pages, verify), say)
+    site, summary = build_site(gather(paths), Settings(title, atlas_pages, verify), note)
     write_site(site.files, out)
     parts = [plural(summary.orbits, "orbit"), plural(summary.families, "family"), plural(summary.atlases, "atlas")]
     click.echo(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")

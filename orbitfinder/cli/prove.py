@@ -9,13 +9,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, json_option, print_json, trust_option
+from orbitfinder.cli.options import (
+    FILES,
+    FINITE,
+    SYSTEM_TRUST,
+    finish,
+    json_option,
+    orbit_files,
+    text,
+    trust_option,
+)
 
 if TYPE_CHECKING:
     from orbitfinder.proof.refine import Refined
     from orbitfinder.proof.theorem import Proof
-
-NOT_PROVED = 1
 
 
 class SymmetryName(click.ParamType):
@@ -33,8 +40,8 @@ class SymmetryName(click.ParamType):
 SYMMETRY: dict[str, Any] = {"type": SymmetryName(), "metavar": "[none|reflection|brake|reversal|brake+reflection]"}
 
 
-@click.command(name="prove")
-@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
+@click.command()
+@orbit_files
 @click.option("--symmetry", **SYMMETRY, default=None,
               help="Prove in this symmetry; default: the recorded one. none: unique among all near.")  # fmt: skip
 @click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
@@ -44,9 +51,9 @@ SYMMETRY: dict[str, Any] = {"type": SymmetryName(), "metavar": "[none|reflection
 @click.option("--record/--no-record", default=True, show_default=True, help="Write the proof into the ORBIT.json.")
 @trust_option(SYSTEM_TRUST)
 @json_option
-def prove_command(
+def prove(
     files: tuple[Path, ...], symmetry: str | None, segments: int | None, order: int | None, bits: int | None,
-    tolerance: float | None, record: bool, trust: bool, as_json: bool,
+    tolerance: float | None, record: bool, trust: bool,
 ) -> None:  # fmt: skip
     """Prove that each ORBIT.json is a periodic orbit, by a theorem in ball arithmetic.
 
@@ -60,9 +67,11 @@ def prove_command(
       orbitfinder prove orbits/*/orbit.json --no-record --json
     """
     from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.cli.console import note
     from orbitfinder.cli.jobs import check_writable
     from orbitfinder.proof.record import checked, entry, write_entry
-    from orbitfinder.proof.theorem import Options, provable_model, prove
+    from orbitfinder.proof.theorem import Options, provable_model
+    from orbitfinder.proof.theorem import prove as proved
 
     given = {"order": order, "bits": bits, "tolerance": tolerance}
     chosen = Options(symmetry=symmetry, segments=segments)
@@ -73,37 +82,24 @@ def prove_command(
         if record:
             check_writable(file.parent, "--record")
         model = provable_model(orbit, file.parent if trust else None)
-        proof = prove(orbit, model, options, lambda line, name=orbit.name: _say(f"{name}: {line}"))  # type: ignore[misc]
+        proof = proved(orbit, model, options, lambda line, name=orbit.name: note(f"{name}: {line}"))  # type: ignore[misc]
         interrupt.check()
         if proof.proved and record and file.exists():
             write_entry(file, proof)
         elif proof.proved and record:
-            _say(f"{file}: the proof is not recorded: one orbit of a file has no entry for it")
+            note(f"{file}: the proof is not recorded: one orbit of a file has no entry for it")
         results.append({"file": str(file), "name": orbit.name} | entry(proof))
-        if not as_json:
-            _print_proof(f"{file} ({orbit.name})", proof)
-    _finish("orbitfinder/proof", results, as_json)
-
-
-def _say(line: str) -> None:
-    interrupt.check()
-    click.echo(line, err=True)
-
-
-def _finish(kind: str, results: list[dict[str, Any]], as_json: bool) -> None:
+        _print_proof(f"{file} ({orbit.name})", proof)
     passed = all(result["proved"] for result in results)
-    if as_json:
-        print_json({"format": kind, "passed": passed, "results": results})
-    if not passed:
-        click.get_current_context().exit(NOT_PROVED)
+    finish("proof", {"passed": passed, "results": results}, passed)
 
 
 def _print_proof(heading: str, proof: Proof) -> None:
     if not proof.proved:
-        click.echo(f"{heading}: not proved: {proof.reason}")
+        text(f"{heading}: not proved: {proof.reason}")
         return
     assert proof.stability is not None
-    click.echo(f"{heading}: proved in {proof.wall_time:.1f} s")
+    text(f"{heading}: proved in {proof.wall_time:.1f} s")
     one = "orbit" if proof.symmetry == "none" else f"{proof.symmetry} orbit"
     rows = (
         ("box", f"exactly one {one} of this energy within {proof.radius:.2g} of the nodes"),
@@ -113,10 +109,10 @@ def _print_proof(heading: str, proof: Proof) -> None:
                         f"order {proof.settings.order}, {proof.settings.bits} bits)"),
         ("stability", f"{proof.stability.verdict}: {proof.stability.reason}"),
     )  # fmt: skip
-    for name, text in rows:
-        click.echo(f"  {name:<12}{text}")
+    for name, said in rows:
+        text(f"  {name:<12}{said}")
     for mu in proof.stability.multipliers:
-        click.echo(f"  {'multiplier':<12}{mu.str(12)}")
+        text(f"  {'multiplier':<12}{mu.str(12)}")
 
 
 def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
@@ -134,7 +130,7 @@ def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
     return {"passed": True, "message": message}
 
 
-@click.command(name="refine")
+@click.command()
 @click.argument("file", type=FILES, metavar="ORBIT.json")
 @click.option("--digits", default=50, show_default=True, type=int, help="Decimal places wanted.")
 @click.option("--order", type=int, default=None, help="Order of the Taylor series; default: by the digits.")
@@ -143,9 +139,8 @@ def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
 @click.option("--enclose/--no-enclose", default=True, show_default=True, help="Prove the digits; slower.")
 @trust_option(SYSTEM_TRUST)
 @json_option
-def refine_command(
+def refine(
     file: Path, digits: int, order: int | None, bits: int | None, symmetry: str | None, enclose: bool, trust: bool,
-    as_json: bool,
 ) -> None:  # fmt: skip
     """Many digits of the period and of a state of an ORBIT.json, at its recorded energy.
 
@@ -158,18 +153,21 @@ def refine_command(
       orbitfinder refine orbits/triple-1/orbit.json --digits 50 --order 80 --bits 300
     """
     from orbitfinder.atlas.store import orbit_of
-    from orbitfinder.proof.refine import refine, settings_for
+    from orbitfinder.cli.console import note
+    from orbitfinder.proof.refine import refine as refined
+    from orbitfinder.proof.refine import settings_for
     from orbitfinder.proof.theorem import provable_model
 
     settings, orbit = settings_for(digits, order, bits), orbit_of(file)
     model = provable_model(orbit, file.parent if trust else None)
-    found = refine(orbit, settings, digits, model, symmetry, enclose, _say)
-    if as_json:
-        print_json(refined_document(found))
-    else:
-        _print_refined(str(file), found)
-    if enclose and not found.enclosed:
-        click.get_current_context().exit(NOT_PROVED)
+    found = refined(orbit, settings, digits, model, symmetry, enclose, note)
+    document = refined_document(found)
+    proved = "enclosed" if found.enclosed else f"not enclosed ({found.reason})"
+    text(f"{file}: {found.digits} digits, {proved}, {found.wall_time:.1f} s")
+    text(f"  {'period':<10}{document['period']['value']} s")
+    for k, one in enumerate(document["state"]):
+        text(f"  {f'x{k + 1}':<10}{one['value']}")
+    finish("refined", document, found.enclosed or not enclose)
 
 
 def refined_document(found: Refined) -> dict[str, Any]:
@@ -180,18 +178,9 @@ def refined_document(found: Refined) -> dict[str, Any]:
     with precision(found.settings.bits):
         places = found.digits + 4
         return {
-            "format": "orbitfinder/refined", "digits": found.digits, "enclosed": found.enclosed,
+            "digits": found.digits, "enclosed": found.enclosed,
             "reason": found.reason, "symmetry": found.symmetry, "energy": enclosure(found.energy, places),
             "period": enclosure(found.period, places), "state": [enclosure(x, places) for x in found.state],
             "phase": float(found.phase), "order": found.settings.order, "bits": found.settings.bits,
             "wall_time": round(found.wall_time, 1),
         }  # fmt: skip
-
-
-def _print_refined(heading: str, found: Refined) -> None:
-    document = refined_document(found)
-    proved = "enclosed" if found.enclosed else f"not enclosed ({found.reason})"
-    click.echo(f"{heading}: {found.digits} digits, {proved}, {found.wall_time:.1f} s")
-    click.echo(f"  {'period':<10}{document['period']['value']} s")
-    for k, one in enumerate(document["state"]):
-        click.echo(f"  {f'x{k + 1}':<10}{one['value']}")

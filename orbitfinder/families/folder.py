@@ -1,7 +1,8 @@
-"""`orbitfinder continue`: a family computed into a folder, resumed where an earlier run stopped."""
+"""Follow a family, in memory or into a folder, where it is resumed when an earlier run was stopped."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import limit, locks
-from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, LimitError
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
@@ -53,40 +53,44 @@ Progress = Callable[[Batch], None]
 Origin = str | Path | Orbit | Problem | Start | Branch
 
 
-@checked
-def continue_command(
+def follow_family(
     origin: Origin,
     parameter: str = "energy",
+    *,
     until: float | None = None,
     at: Sequence[float] = (),
-    points: int = 300,
-    out: str | Path = "families",
-    progress: Progress | None = None,
-    *,
-    name: str | None = None,
     settings: FamilySettings | None = None,
+    out: str | Path | None = None,
+    name: str | None = None,
+    points: int | None = None,
     model: Model | None = None,
+    progress: Progress | None = None,
 ) -> Family:
     """Follow the family of an orbit (path of an orbit.json, Orbit, Problem, branch Start or Branch).
 
-    Writes DIR/<name>/family.json and family.npz and resumes DIR/<name>/family.jsonl when the same was
-    asked before. `at` are values of the parameter at which points are computed exactly, `until` the
-    value to stop at. A branch `Start` needs its `name`, and a system that no file describes its `model`.
-    Raises `InputError`, `ConvergenceError`.
+    `at` are values of the parameter at which points are computed exactly, `until` the value to stop at, `points` the
+    most in each direction (those of the settings if None). With `out` everything goes to DIR/<name>/family.json and
+    family.npz, and DIR/<name>/family.jsonl is resumed when the same was asked before. A branch `Start` needs its
+    `name` there, and a system that no file describes its `model`. Raises `InputError`, `ConvergenceError`.
     """
-    settings = replace(settings or FamilySettings(), parameter=parameter, points=points)
+    settings = replace(settings or FamilySettings(), parameter=parameter)
+    settings = settings if points is None else replace(settings, points=points)
     origin = load_orbit(origin) if isinstance(origin, (str, Path)) else origin
-    label = name or getattr(origin, "name", "")
-    if not label:
+    label = name or str(getattr(origin, "name", ""))
+    if out is not None and not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
-    folder, request = Path(out) / label, _request(origin, settings, until, at)
-    with locks.alone_in(folder):
-        journal = read_journal(folder)
+    folder = None if out is None else Path(out) / label
+    request = _request(origin, settings, until, at)
+    with contextlib.nullcontext() if folder is None else locks.alone_in(folder):
+        journal = None if folder is None else read_journal(folder)
         if journal is None or journal.header.get("request") != request:
             start = _started(origin, settings, model)
-            journal = _fresh(folder, label, start, settings, request, _source(origin))
             curve = start.curve
+            journal = Journal(_header(label, start, settings, request, _source(origin)), ())
+            if folder is not None:
+                start_journal(folder, journal.header)
         else:
+            assert folder is not None
             curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
@@ -156,12 +160,13 @@ def _request(
     return {"origin": plain(head), "settings": chosen, "until": until, "at": [float(value) for value in at]}
 
 
-def _fresh(
-    folder: Path, name: str, start: Start, settings: FamilySettings, request: dict[str, Any], source: dict[str, Any]
-) -> Journal:
+def _header(
+    name: str, start: Start, settings: FamilySettings, request: dict[str, Any], source: dict[str, Any]
+) -> dict[str, Any]:
+    """The first line of a journal: the family's first point and what rebuilds its curve."""
     curve = start.curve
     origin = first_point(start, settings, _independent(curve, settings))
-    header = {
+    header: dict[str, Any] = plain({
         "format": FORMAT, "version": VERSION, "name": name, "system": dict(curve.equations.model.system),
         "parameter": settings.parameter, "request": request, "origin": plain(origin), "source": source,
         "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
@@ -170,11 +175,8 @@ def _fresh(
             "constant": curve.constant, "winding": winding(curve), "weights": curve.weights,
             **entry_of(curve.conditions),
         },
-    }  # fmt: skip
-    start_journal(folder, plain(header))
-    found = read_journal(folder)
-    assert found is not None
-    return found
+    })  # fmt: skip
+    return header
 
 
 def directions(
@@ -199,14 +201,14 @@ def directions(
 
 
 def _finish(
-    folder: Path,
+    folder: Path | None,
     journal: Journal,
     curve: Curve,
     settings: FamilySettings,
     goals: tuple[float | None, tuple[float, ...]],
     progress: Progress | None,
 ) -> Family:
-    """Walk what is left in each direction, journalling every step."""
+    """Follow what is left in each direction, journalling every step where there is a folder."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
     check = _independent(curve, settings)
     batches = list(journal.batches)
@@ -219,20 +221,23 @@ def _finish(
         try:
             for batch in follow(Walk(curve, settings, sign, origin, check, stop, exact), done):
                 batch = batch_certified(curve, batch) if settings.certify else batch
-                append(folder, batch)
+                if folder is not None:
+                    append(folder, batch)
+                    limit.note(f"{len(batches) + 1} steps are kept in {folder}; the same command goes on from there")
                 batches.append(batch)
-                limit.note(f"{len(batches)} steps are kept in {folder}; the same command goes on from there")
                 if progress:
                     progress(batch)
-                if len(batches) % SAVE_EVERY == 0:
+                if folder is not None and len(batches) % SAVE_EVERY == 0:
                     save_family(assemble(Journal(journal.header, tuple(batches))), folder)
         except LimitError:
-            save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+            if folder is not None:
+                save_family(assemble(Journal(journal.header, tuple(batches))), folder)
             raise
     family = assemble(Journal(journal.header, tuple(batches)))
     if settings.certify:
         first, *rest = family.points
         ends = (certified(curve, first), *rest[:-1], *(certified(curve, one) for one in rest[-1:]))
         family = replace(family, points=ends)
-    save_family(family, folder)
+    if folder is not None:
+        save_family(family, folder)
     return family

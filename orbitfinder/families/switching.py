@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branches import SWITCHABLE, switch
 from orbitfinder.families.point import FamilySettings
@@ -18,6 +19,8 @@ from orbitfinder.records.family import Event, Family, load_family
 @dataclass(frozen=True)
 class Branch:
     """The start of a family that leaves another one: which family, which of its events, which of the branches there."""
+
+    __repr__ = brief("name", "event")
 
     start: Start
     family: str
@@ -34,18 +37,37 @@ class Branch:
         }  # fmt: skip
 
 
+def switch_branch(
+    family: Family | str | Path,
+    event: int,
+    branch: int = 1,
+    *,
+    settings: FamilySettings | None = None,
+    model: Model | None = None,
+) -> Branch:
+    """The `branch`-th of the branches that leave a family (or its family.json) at the event with this index.
+
+    `follow_family` follows it. Raises what `branches` raises, and `InputError` where there are fewer branches.
+    """
+    found = branches(family, event, settings, model)
+    if not 1 <= branch <= len(found):
+        raise InputError(f"--branch: {branch} asked for, {len(found)} found at event {event}; give 1 to {len(found)}")
+    return found[branch - 1]
+
+
 def branches(
-    path: str | Path, event: int, settings: FamilySettings | None = None, model: Model | None = None
+    family: Family | str | Path, event: int, settings: FamilySettings | None = None, model: Model | None = None
 ) -> list[Branch]:
-    """Every branch that leaves a family.json at its event with this index, named <family>-<event>-<branch>.
+    """Every branch that leaves a family at its event with this index, named <family>-<event>-<branch>.
 
     `model` is the family's where no file describes it. Raises `InputError` (also for events that nothing
     leaves from, with a list of those that something does) and `ConvergenceError` when no branch was found.
     """
-    family = load_family(path)
-    chosen = _event(family, event, str(path))
+    where = family.name if isinstance(family, Family) else str(family)
+    family = family if isinstance(family, Family) else load_family(family)
+    chosen = _event(family, event, where)
     if not chosen.shooting_nodes.size:
-        raise InputError(f"{path}: family.npz is not beside it; continue the family again to switch from it")
+        raise InputError(f"{where}: family.npz is not beside it; continue the family again to switch from it")
     settings = replace(settings or FamilySettings(), parameter=family.parameter)
     curve = curve_of(family.curve, model or build_model(family.system), settings)
     starts = switch(curve, chosen, settings)

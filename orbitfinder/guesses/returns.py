@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.guesses.modes import normal_mode, normal_modes
 from orbitfinder.integrate.cvodes import build_flow, sample
@@ -28,6 +29,8 @@ NEAR_RETURN = 0.1
 @dataclass(frozen=True)
 class CloseReturn:
     """x(t + period) came within `distance` (relative to the motion's extent) of x(t) = state, t = `time`."""
+
+    __repr__ = brief("time", "period", "distance")
 
     state: np.ndarray
     period: float

@@ -23,6 +23,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.caches import Kept, Same
 from orbitfinder._runtime.limit import alarm
+from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.compiled import interpreted_seconds, mode, with_derivatives
@@ -75,6 +76,8 @@ class Flow:
     `field(t, x, s, free)` -> f; `end(t0, x0, duration, s, free)` -> x(t0 + duration), which
     carries its own Jacobian; `derivatives(t0, x0, duration, s, free)` -> (x, [Phi | dx/ds | dx/dfree]).
     """
+
+    __repr__ = brief("model", "free", "unfolded")
 
     model: Model
     settings: IntegratorSettings

@@ -22,6 +22,7 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.limit import alarm
+from orbitfinder._runtime.notebook import brief
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import (
@@ -86,6 +87,8 @@ class DaeTrajectory:
     `constraint_drift` and `rate_drift` are max |phi| and max |J v| at each time, `energy` T + V in J.
     The algebraic variables are recomputed from the states by their linear system.
     """
+
+    __repr__ = brief("times", "states")
 
     model: Model
     settings: DaeSettings

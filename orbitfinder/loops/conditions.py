@@ -39,11 +39,6 @@ def pin(**quantities: float) -> tuple[Pin, ...]:
     return pins
 
 
-def nearest() -> tuple[Pin, ...]:
-    """No pin: among all orbits, the one at the least weighted distance from the guess."""
-    return ()
-
-
 def boundary_rows(symmetry: Symmetry, start: Any, end: Any, constant: Any) -> Any:
     """The rows (2n) that join the end of the horizon to its start, as expressions (see `Symmetry.rows`)."""
     first, last = (ca.sparsify(ca.DM(matrix)) for matrix in symmetry.rows(start.numel() // 2))

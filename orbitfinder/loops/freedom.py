@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.conditions import quantity
 from orbitfinder.loops.symmetry import Symmetry
@@ -29,6 +30,8 @@ class Variables:
     `variables["theta1"]` is a state component at t = 0; `["period"]`, `["energy"]`, invariants and
     physical parameters are found by name too.
     """
+
+    __repr__ = brief("model", "period", "free")
 
     model: Model
     symmetry: Symmetry

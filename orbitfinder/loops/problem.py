@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.arguments import check, check_fields
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import CountError, InputError, closest
 from orbitfinder.integrate.idas import check_consistent
 from orbitfinder.loops.conditions import Pin, check_pin
@@ -33,6 +34,8 @@ class Guess:
     `times` (k, from 0 to T) and `states` (k x 2n) give the trajectory when there is one;
     without it the start is simulated from `state`. Raises `InputError`.
     """
+
+    __repr__ = brief("state", "period", "times")
 
     state: Any
     period: float
@@ -86,6 +89,8 @@ class Problem:
     of the period, invariants, freed parameters and state components at t = 0; `constraints` any other;
     `phase_condition` an expression to be 0 at t = 0 instead of the hyperplane through the guess.
     """
+
+    __repr__ = brief("name", "model", "guess", "pin", "symmetry", "free")
 
     model: Model
     guess: Guess

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Invariant, Model
@@ -23,6 +24,8 @@ class Symbols:
     and `time` for systems that are forced explicitly, with `forcing_period` (s), which may be
     an expression in the parameters.
     """
+
+    __repr__ = brief("coordinates", "parameter_names")
 
     coordinates: ca.SX
     velocities: ca.SX

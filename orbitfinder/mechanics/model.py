@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 
 
@@ -25,6 +26,8 @@ class Invariant:
     Source: F. J. Muñoz-Almaraz, E. Freire, J. Galán, E. Doedel, A. Vanderbauwhede, "Continuation
     of periodic orbits in conservative and Hamiltonian systems", Physica D 181 (2003) 1-38.
     """
+
+    __repr__ = brief("name")
 
     name: str
     value: ca.Function
@@ -54,6 +57,8 @@ class HolonomicConstraint:
     elimination, Baumgarte terms included; `force_names` are those of lambda. `lift(angles, rates, p)` is the
     state (2n) of a chain or linkage from its link angles and rates.
     """
+
+    __repr__ = brief("force_names", "baumgarte")
 
     phi: ca.Function
     rate: ca.Function
@@ -91,6 +96,8 @@ class Model:
     Under a `constraint` the coordinates are redundant and the energies carry no constraint forces: a is what the
     elimination of the DAE's algebraic variables gives, so that x' has the DAE's flow.
     """
+
+    __repr__ = brief("system", "state_names")
 
     system: Mapping[str, Any]
     state_names: tuple[str, ...]

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder._runtime.arguments import checked
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
@@ -38,6 +39,8 @@ class Refined:
     `marches` and `jacobians` are what it took.
     """
 
+    __repr__ = brief("state", "period")
+
     state: np.ndarray
     period: float
     nodes: np.ndarray
@@ -56,6 +59,8 @@ class Refiner:
     Building it derives and, with a C compiler, compiles (about a second, once; later runs load the library). It needs
     a Problem that its pins make square. Raises `CountError`, `InputError`.
     """
+
+    __repr__ = brief("problem", "segments")
 
     @checked
     def __init__(self, problem: Problem, settings: NewtonSettings | None = None) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -192,51 +190,3 @@ def _proposal(
     state = np.asarray(guess.state, float)
     level = energy(loaded.model, state) if loaded.model.conservative else None
     return Proposal(name, float(guess.period), level, miss, tuple(map(float, state)), table, details)
-
-
-def problem_text(loaded: ProblemFile, proposals: Proposals, chosen: Proposal, name: str) -> str:
-    """A problem file with the chosen `[guess]`, and the others as comments. Raises `InputError` for Python files."""
-    system = loaded.document.get("system")
-    if not isinstance(system, Mapping):
-        raise InputError(f"{loaded.path}: has no [system] table to copy; write its state and period into problem()")
-    lines = [f"name = {json.dumps(name)}", f'source = "orbitfinder guess, {chosen.name}"', "", "[system]"]
-    lines += [f"{key} = {toml(value)}" for key, value in system.items()]
-    lines += ["", f"[guess]  # {said(chosen)}", *_entries(chosen), ""]
-    for one in proposals.found:
-        if one is not chosen:
-            lines += [f"# [guess]  # {said(one)}", *(f"# {line}" for line in _entries(one)), ""]
-    return "\n".join(lines)
-
-
-def said(one: Proposal) -> str:
-    """A proposal in a few words."""
-    missing = "" if one.miss is None else f", misses itself by {one.miss:.2g} of its extent"
-    level = "" if one.energy is None else f", energy {one.energy:.6g} J"
-    return f"{one.name}: period {one.period:.6g} s{level}{missing}"
-
-
-def _entries(one: Proposal) -> list[str]:
-    return [f"{key} = {toml(value)}" for key, value in one.table.items()]
-
-
-def toml(value: Any) -> str:
-    """A plain value in TOML."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {toml(entry)}" for key, entry in value.items()) + " }"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return json.dumps(value) if isinstance(value, str) else repr(value)
-
-
-def write_problem(text: str, path: Path) -> Path:
-    """Write a new problem file; never over an existing one."""
-    try:
-        with path.open("x", encoding="utf-8") as stream:
-            stream.write(text)
-    except FileExistsError as error:
-        raise InputError(f"--out: {path} exists already and is left alone; choose another name") from error
-    except OSError as error:
-        raise InputError(f"--out: cannot write {path} ({error}); choose a folder that you can write to") from error
-    return path

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.problemfile.faults import sentence
 from orbitfinder.problemfile.schema import SYSTEMS, FindTable, ProblemTable, check_name
@@ -42,6 +43,8 @@ class ProblemFile:
     `duration` (s) and `start` (2n) are what `simulate` uses; `starts` and `seed` what a choice among
     separate orbits uses.
     """
+
+    __repr__ = brief("path", "name", "model")
 
     path: Path
     name: str
@@ -198,12 +201,12 @@ def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.nda
     return np.asarray(table.simulate.state, float)
 
 
-def checked_name(name: str, where: str = "name") -> str:
+def checked_name(name: str, where: str = "name", remedy: str = "rename it or give a name") -> str:
     """A name that is safe as a folder, or `InputError`."""
     try:
         return check_name(name)
     except PydanticCustomError as error:
-        raise InputError(f"{where}: {error.message()}, got {name!r}; rename it or give a name") from error
+        raise InputError(f"{where}: {error.message()}, got {name!r}; {remedy}") from error
 
 
 def _load_python(source: Path, trust: bool) -> ProblemFile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 from pydantic import BaseModel
@@ -77,7 +78,7 @@ system = of.chain(3)
 limit = of.Constraint(lambda v: v["length2"] + v["length3"], 1.8, 2.2, name="reach")
 problem = of.Problem(
     system,
-    of.normal_mode(system, 2, 0.9),
+    of.guesses.normal_mode(system, 2, 0.9),
     pin=of.pin(period=1.5),
     symmetry="brake",
     free=("length2", "length3"),
@@ -138,6 +139,4 @@ def _cell(text: str) -> str:
 
 
 if __name__ == "__main__":
-    import click
-
-    click.echo(schema_markdown(), nl=False)
+    sys.stdout.write(schema_markdown())

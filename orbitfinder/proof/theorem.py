@@ -12,6 +12,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.loops.symmetry import Symmetry, named
 from orbitfinder.mechanics.catalogue import build_model
@@ -56,6 +57,8 @@ class Proof:
     `state` (2n, the first node) are enclosures of that orbit; `distance` bounds how far the recorded
     state is from it and `period_distance` (s) the recorded period from the enclosed one.
     """
+
+    __repr__ = brief("proved", "reason", "symmetry", "radius", "contraction")
 
     proved: bool
     reason: str

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.orbit import Orbit, system_at
 from orbitfinder.records.reading import (
@@ -67,6 +68,8 @@ class FamilyPoint(Orbit):
     shooting unknowns. `role`: step | at | end.
     """
 
+    __repr__ = brief("name", "value", "period", "energy", "closure", "stability", "role")
+
     index: int
     arclength: float
     value: float
@@ -96,6 +99,8 @@ class Event:
     says what exactly (of what the fold is, q of the resonance, what changed); `multiplier` is the
     critical multiplier of the root map, `order` the number of periods after which the branch closes.
     """
+
+    __repr__ = brief("kind", "detail", "parameter", "period", "index")
 
     kind: str
     index: int
@@ -127,6 +132,8 @@ class End:
 class Batch:
     """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
 
+    __repr__ = brief("direction", "points", "events", "end")
+
     direction: int
     points: tuple[FamilyPoint, ...] = ()
     events: tuple[Event, ...] = ()
@@ -139,6 +146,8 @@ class Family:
 
     `curve` is what rebuilds the equations (see `start.curve_of`), `source` what the family was started from.
     """
+
+    __repr__ = brief("name", "parameter", "points", "events", "ends")
 
     name: str
     system: Mapping[str, Any]

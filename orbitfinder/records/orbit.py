@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import arrays, content_digest, json_bytes, json_file, write_atomically, write_npz
 
@@ -31,6 +32,8 @@ class Check:
 @dataclass(frozen=True)
 class Certificate:
     """Every check of one orbit; `passed` only when all of them did."""
+
+    __repr__ = brief("passed", "failures", "closure")
 
     checks: tuple[Check, ...]
     scale: float = 1.0
@@ -63,6 +66,8 @@ class Orbit:
     `nodes` (N x 2n) are states at equal times over the period, `times` and `samples` a dense
     picture of it. `system` rebuilds the model.
     """
+
+    __repr__ = brief("name", "period", "energy", "closure", "symmetry", "stability", "certificate")
 
     name: str
     system: Mapping[str, Any]

@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 from scipy.interpolate import CubicHermiteSpline
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
@@ -41,6 +42,8 @@ class AnimationSettings:
 @dataclass(frozen=True)
 class Clip:
     """Polylines to draw: `points` (frames x 2 x k, x down and y right, m) and how long a frame lasts."""
+
+    __repr__ = brief("title", "points", "rate")
 
     points: np.ndarray
     rate: int

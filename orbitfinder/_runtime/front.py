@@ -1,0 +1,41 @@
+"""The front doors: names that load what they need on first use, their functions with checked arguments.
+
+A door's names are in the stub beside it (`__init__.pyi`), once, for type checkers and for `lazy_loader`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from types import FunctionType
+from typing import Any
+
+import lazy_loader
+
+
+def door(
+    package: str, file: str, moved: Mapping[str, str] | None = None
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """`__getattr__`, `__dir__` and `__all__` of a package with a stub; `moved`: what to say of names that have gone."""
+    load, _, names = lazy_loader.attach_stub(package, file)
+    gone, module = moved or {}, sys.modules[package]
+
+    def getattr_(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(gone.get(name) or f"module {package!r} has no attribute {name!r}")
+        value = fronted(load(name), package)
+        setattr(module, name, value)
+        return value
+
+    return getattr_, lambda: sorted({*vars(module), *names}), names
+
+
+def fronted(value: Any, package: str) -> Any:
+    """A function with its arguments checked, under the door's name so that it can be pickled; the rest as it is."""
+    if not isinstance(value, FunctionType):
+        return value
+    from orbitfinder._runtime.arguments import checked
+
+    front = checked(value)
+    front.__module__ = package
+    return front

@@ -1,0 +1,5 @@
+from .modes import normal_mode as normal_mode
+from .modes import normal_modes as normal_modes
+from .returns import close_returns as close_returns
+from .returns import normal_mode_sum as normal_mode_sum
+from .returns import recurrences as recurrences
