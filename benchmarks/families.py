@@ -30,7 +30,8 @@ from peers.auto_family import AUTO, Clock, Run, auto_runs
 
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.run import Walk, first_point
+from orbitfinder.families.run import Run as FamilyRun
+from orbitfinder.families.run import first_point
 from orbitfinder.families.start import Start, begin
 from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.compiled import compiling
@@ -110,12 +111,12 @@ def ours(start: Start, points: int, clock: Clock, events: bool, judge: bool = Fa
     """orbitfinder without the independent check, which is made after the clock has stopped."""
     settings = FamilySettings(events=events, certify=False, points=points)
     origin = first_point(start, settings, None)
-    walk = Walk(start.curve, settings, 1, origin)
-    next(iter(follow(walk)))  # functions of the first mesh are built here
+    run = FamilyRun(start.curve, settings, 1, origin)
+    next(iter(follow(run)))  # functions of the first mesh are built here
     taken = []
     for _ in range(REPEATS):
         began = clock()
-        found = [point for batch in follow(walk) for point in batch.points]
+        found = [point for batch in follow(run) for point in batch.points]
         taken.append(clock() - began)
     seconds = min(taken)
     closure = judged(start.curve.equations.model, found) if judge else float("nan")

@@ -21,10 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.branches import SWITCHABLE
+from orbitfinder.families.branches import SWITCHABLE, branches, described
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.switching import branches, described
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model

@@ -20,8 +20,8 @@ from orbitfinder.families.branches import switch
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
-from orbitfinder.families.run import Walk, first_point
-from orbitfinder.families.stability import matched
+from orbitfinder.families.run import Run, first_point
+from orbitfinder.families.stability import matching
 from orbitfinder.families.start import begin, curve_of
 from orbitfinder.guesses.equilibria import equilibria
 from orbitfinder.guesses.modes import mode_problem, normal_modes, oscillating
@@ -131,7 +131,7 @@ def walked(mode, until):
     start = begin(mode_problem(chain(3), mode), settings)
     check = ClosureCheck(start.curve.equations.model)
     origin = first_point(start, settings, check)
-    batches = list(follow(Walk(start.curve, settings, 1, origin, check, until)))
+    batches = list(follow(Run(start.curve, settings, 1, origin, check, until)))
     points = [origin, *(point for batch in batches for point in batch.points)]
     return start.curve, points, [event for batch in batches for event in batch.events]
 
@@ -142,7 +142,7 @@ def branch_at(start, energy, points=80):
     check = ClosureCheck(start.curve.equations.model)
     origin = first_point(start, settings, check)
     sign = 1 if np.sum(start.curve.weights * origin.tangent * start.direction) > 0 else -1
-    for batch in follow(Walk(start.curve, settings, sign, origin, check, at=(energy,))):
+    for batch in follow(Run(start.curve, settings, sign, origin, check, at=(energy,))):
         for point in batch.points:
             if point.role == "at":
                 return point
@@ -241,7 +241,8 @@ def test_unknown_parameter_is_refused(tmp_path):
 def test_matching_follows_curves_that_cross():
     """Two indices that pass through each other keep their order by where they were heading."""
     before, slope = np.array([1.0 + 0j, 0.9 + 0j]), np.array([-0.2 + 0j, 0.2 + 0j])
-    assert np.array_equal(matched(before, np.array([1.1 + 0j, 0.8 + 0j]), slope), [0.8, 1.1])
+    found = np.array([1.1 + 0j, 0.8 + 0j])
+    assert np.array_equal(found[matching(before + slope, found)], [0.8, 1.1])
 
 
 def test_family_file_round_trip(tmp_path):
@@ -335,9 +336,9 @@ def wild():
     settings = FamilySettings(events=False)
     start = begin(mode_problem(chain(2), 1, 0.5), settings, symmetry="brake+reflection")
     check = ClosureCheck(start.curve.equations.model)
-    walk = Walk(start.curve, settings, 1, first_point(start, settings, check), check, until=19.55)
-    points = [point for batch in follow(walk) for point in batch.points]
-    return walk, points[-1]
+    run = Run(start.curve, settings, 1, first_point(start, settings, check), check, until=19.55)
+    points = [point for batch in follow(run) for point in batch.points]
+    return run, points[-1]
 
 
 def test_very_unstable_orbits_fit_piece_by_piece(wild):
@@ -349,19 +350,19 @@ def test_very_unstable_orbits_fit_piece_by_piece(wild):
 
 def test_broken_piece_is_refused(wild):
     """One node moved by 1e-6: the loop's tolerance would let it pass, the pieces do not."""
-    walk, point = wild
-    place = unknowns_of(walk.curve, point)
+    run, point = wild
+    place = unknowns_of(run.curve, point)
     nodes = place.nodes.copy()
     nodes[1, 0] += 1e-6
-    moved = at_place(walk.curve, replace(place, nodes=nodes))
+    moved = at_place(run.curve, replace(place, nodes=nodes))
     with pytest.raises(ConvergenceError, match="the pieces of the orbit fit only to .* with growth"):
-        make_point(walk.curve, moved, point.tangent, "energy", walk.check, index=0, arclength=0.0, step=0.1)
+        make_point(run.curve, moved, point.tangent, "energy", run.check, index=0, arclength=0.0, step=0.1)
 
 
 def test_no_bifurcations_out_of_round_off(monkeypatch):
     """Where the largest multiplier blurs the stability indices none of their passages is looked for."""
 
-    def probe(index, largest):
+    def sample(index, largest):
         floquet = SimpleNamespace(multipliers=np.array([largest, 1 / largest]))
         about = SimpleNamespace(floquet=floquet, conservative=True)
         return SimpleNamespace(indices=np.array([index + 0j]), about=about)
@@ -370,7 +371,7 @@ def test_no_bifurcations_out_of_round_off(monkeypatch):
         raise LookupError
 
     monkeypatch.setattr(events, "strips", looked)
-    blurred, clear = (SimpleNamespace(first=probe(1.9, size), last=probe(2.1, size)) for size in (1e12, 1e3))
+    blurred, clear = (SimpleNamespace(first=sample(1.9, size), last=sample(2.1, size)) for size in (1e12, 1e3))
     assert events.bifurcations(blurred, 6) == []
     with pytest.raises(LookupError):
         events.bifurcations(clear, 6)

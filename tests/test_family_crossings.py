@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from orbitfinder.families.events import bifurcations
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.samples import Interval, Probe
+from orbitfinder.families.run import Interval, Sample
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.orbits.find import find_orbit
@@ -28,7 +28,7 @@ class Planted(Interval):
 
     family: object = None
 
-    def probed(self, distance):
+    def computed(self, distance):
         return read(self.family, distance, self.first.about.root)
 
 
@@ -36,7 +36,7 @@ def read(family, s, root):
     """What is read at one map."""
     matrix = family(s)
     about = SimpleNamespace(root=root, reduced=matrix, floquet=analyse(matrix, False), conservative=False)
-    return Probe(s, None, None, about, NONE, NONE, {})
+    return Sample(s, None, None, about, NONE, NONE, {})
 
 
 def named(family, length=1.0, root=1):

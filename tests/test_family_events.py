@@ -12,11 +12,10 @@ from scipy.linalg import block_diag, expm
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.events import bifurcations
 from orbitfinder.families.folder import follow_family
-from orbitfinder.families.passages import exchanged, index_levels
+from orbitfinder.families.passages import exchanged, flips, index_levels
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.samples import Interval, Probe
+from orbitfinder.families.run import Interval, Sample
 from orbitfinder.families.stability import _krein, matching
-from orbitfinder.families.strips import flips
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
@@ -33,13 +32,13 @@ class Planted(Interval):
     family: Family | None = None
     start: float = 0.0
 
-    def probed(self, distance: float) -> Probe:
+    def computed(self, distance: float) -> Sample:
         """The map at a distance, its indices matched as those of an orbit are."""
         return read(self.family, self.start + distance, self.indices(distance), distance, self.first.about.root)
 
 
-def read(family: Family, s: float, expected: np.ndarray | None, distance: float, root: int) -> Probe:
-    """A probe of a map: indices, and which multiplier of each has Krein sign +1."""
+def read(family: Family, s: float, expected: np.ndarray | None, distance: float, root: int) -> Sample:
+    """A sample of a map: indices, and which multiplier of each has Krein sign +1."""
     matrix = family(s)
     floquet = analyse(matrix)
     indices = floquet.indices
@@ -48,7 +47,7 @@ def read(family: Family, s: float, expected: np.ndarray | None, distance: float,
     on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2)
     turns = np.where(on_circle, _krein(UNITS[len(matrix) // 2], matrix, upper), 0)
     about = SimpleNamespace(root=root, floquet=floquet, conservative=True)
-    return Probe(distance, None, None, about, indices[order], turns[order], {})
+    return Sample(distance, None, None, about, indices[order], turns[order], {})
 
 
 def one_step(family: Family, low: float, high: float, root: int = 1, trend: np.ndarray | None = None) -> Planted:
@@ -250,7 +249,7 @@ def test_steps_on_which_indices_cannot_be_told_apart_are_refused():
     """Indices matched across each other at a resonance, though they keep apart: a shorter step is asked for."""
     interval = one_step(lambda s: symplectic(0.51 + 0.0 * s, 0.49, 0.002), 0.0, 0.1)
     last = interval.last
-    swapped = Probe(0.1, None, None, last.about, last.indices[::-1], np.zeros(2, int), {})
+    swapped = Sample(0.1, None, None, last.about, last.indices[::-1], np.zeros(2, int), {})
     with pytest.raises(ConvergenceError, match="cannot be told apart"):
         bifurcations(Planted(None, interval.first, swapped, np.zeros(0), np.zeros(0), family=interval.family), 6)
 

@@ -9,9 +9,9 @@ from click.testing import CliRunner
 from scipy.optimize import brentq
 
 from orbitfinder.cli.group import cli
+from orbitfinder.families.branches import branches
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.switching import branches
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange

@@ -11,10 +11,10 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.families.branches import branches
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.start import begin
-from orbitfinder.families.switching import branches
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import family_to_document, load_family
 from orbitfinder.records.store import load_orbit
@@ -104,7 +104,7 @@ def test_family_without_its_nodes_cannot_be_switched(second_mode, tmp_path):
 
 def test_no_branch_is_an_error(second_mode, monkeypatch):
     """When nothing is found at an event, that is said."""
-    monkeypatch.setattr("orbitfinder.families.switching.switch", lambda *_: [])
+    monkeypatch.setattr("orbitfinder.families.branches.switch", lambda *_: [])
     with pytest.raises(ConvergenceError, match="no branch was found at event 2"):
         branches(second_mode, 2)
 

@@ -11,7 +11,7 @@ from orbitfinder.atlas.starts import Bench, Start
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.run import Walk, first_point
+from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import begin
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_from_document
@@ -40,7 +40,7 @@ def followed(one: Bench, orbit: Orbit) -> FamilyPoint:
         raise ConvergenceError("family cannot be followed") from error
     origin = first_point(start, SETTINGS, None)
     towards = 1 if one.target.energy > origin.value else -1
-    for batch in follow(Walk(start.curve, SETTINGS, towards, origin, until=one.target.energy)):
+    for batch in follow(Run(start.curve, SETTINGS, towards, origin, until=one.target.energy)):
         for point in batch.points:
             if point.role == "end":
                 return point

@@ -24,7 +24,7 @@ from orbitfinder.cli.options import (
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.families.switching import Branch
+    from orbitfinder.families.branches import Branch
     from orbitfinder.loops.problem import Problem
     from orbitfinder.mechanics.model import Model
     from orbitfinder.records.family import Batch, Family
@@ -143,8 +143,7 @@ def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 
 
 
 def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
-    from orbitfinder.families.branches import SWITCHABLE
-    from orbitfinder.families.switching import described, switch_branch
+    from orbitfinder.families.branches import SWITCHABLE, described, switch_branch
     from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.records.family import load_family
 
@@ -157,7 +156,7 @@ def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Bran
 
 def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
     """The model that a family's points belong to: a linkage's is minimal."""
-    from orbitfinder.families.switching import Branch
+    from orbitfinder.families.branches import Branch
     from orbitfinder.mechanics.catalogue import build_model
 
     if isinstance(origin, Branch):

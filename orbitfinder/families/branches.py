@@ -11,27 +11,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.events import parameter_slopes
-from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of, winding
-from orbitfinder.families.scale import extent
+from orbitfinder.families.point import FamilySettings, extent, parameter_value, unknowns_of, winding
+from orbitfinder.families.run import parameter_slopes
 from orbitfinder.families.start import (
     Start,
     corrected,
     curve_at,
+    curve_of,
     full_samples,
     reformulated,
+    return_gaps,
     symmetry_of,
     unknown_parameters,
 )
-from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, scaled
-from orbitfinder.loops.loop import Condition, Equations, Unknowns
+from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
+from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, named
-from orbitfinder.records.family import Event
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import Event, Family, load_family
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
@@ -45,7 +51,7 @@ CRITICAL = 1e-3
 
 
 @dataclass(frozen=True)
-class Crossing:
+class Cover:
     """The orbit of an event, q times round, in one formulation, with the directions that leave it."""
 
     curve: Curve
@@ -68,26 +74,26 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
             break
         if len(symmetry.maps) > 1 and event.order % 2 == 0:  # half of an even number of turns is no half turn
             continue
-        crossing = _crossing(curve, event, symmetry, share, settings)
-        if found and len(crossing.directions) > 2:  # a circle, on which only the symmetric ones are isolated
+        cover = _cover(curve, event, symmetry, share, settings)
+        if found and len(cover.directions) > 2:  # a circle, on which only the symmetric ones are isolated
             continue
-        for direction in crossing.directions:
-            start = _branch(crossing, event, direction, settings)
-            if start is not None and not _known(start, found, crossing, event):
+        for direction in cover.directions:
+            start = _branch(cover, event, direction)
+            if start is not None and not _known(start, found, cover, event):
                 found.append(start)
     return found
 
 
-def _known(start: Start, found: list[Start], crossing: Crossing, event: Event) -> bool:
+def _known(start: Start, found: list[Start], cover: Cover, event: Event) -> bool:
     """Whether a branch was found before: by its own symmetry, where it has more than was asked for, or as it is."""
     own = start.curve.equations.symmetry.name
     known = {one.curve.equations.symmetry.name for one in found}
-    if own != crossing.curve.equations.symmetry.name and own in known:
+    if own != cover.curve.equations.symmetry.name and own in known:
         return True
-    return any(_same(start, other, crossing, event) for other in found)
+    return any(_same(start, other, cover, event) for other in found)
 
 
-def _crossing(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Crossing:
+def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Cover:
     """The q-fold orbit in a formulation and the kernel of its Jacobian without the family's own tangent."""
     free, held = unknown_parameters(curve.equations.model, settings)
     place = _repeated(curve, event, symmetry, share)
@@ -102,28 +108,22 @@ def _crossing(curve: Curve, event: Event, symmetry: Symmetry, share: float, sett
     heads = np.stack([place.head_of(row) * np.sqrt(there.weights) for row in kernel])
     size = there.equations.size
     moved = np.concatenate([np.zeros(size), event.tangent[size : size + 1] * event.order, event.tangent[size + 1 :]])
-    own = _own(there, place, heads, moved, curve, event, share)
+    moved[:size] = _start_moved(curve, event, share)
+    own = moved * np.sqrt(there.weights)
     _, _, mixed = np.linalg.svd(np.atleast_2d(np.linalg.lstsq(heads.T, own, rcond=None)[0]))
     across = mixed[1:] @ kernel
-    return Crossing(there, place, tuple(_round(across, event.order)))
+    return Cover(there, place, tuple(_round(across, event.order)))
 
 
-def _own(
-    there: Curve, place: Unknowns, heads: np.ndarray, moved: np.ndarray, curve: Curve, event: Event, share: float
-) -> np.ndarray:
-    """The old family's tangent (weighted head) at the start of this formulation, by differencing its orbits."""
-    step = 1e-4 * _reach(curve, at_place(curve, unknowns_of(curve, event)))
-    normal = curve.weights * event.tangent
+def _start_moved(curve: Curve, event: Event, share: float) -> np.ndarray:
+    """How the state (2n) at a share of the period moves along the old family, by differencing its orbits."""
     base = unknowns_of(curve, event)
-    own = moved.copy()
-    ends = []
+    step, ends = 1e-4 * _reach(curve, at_place(curve, base)), []
     for sign in (-1.0, 1.0):
-        shifted = correct(curve, base, Condition(float(normal @ base.head) + sign * step, normal), base)
-        moment = share * shifted.place.period
+        shifted = correct(curve, base, plane(curve, base, event.tangent, sign * step), base)
         times, states = full_samples(curve, shifted)
-        ends.append(np.array([np.interp(moment, times, column) for column in states.T]))
-    own[: there.equations.size] = (ends[1] - ends[0]) / (2 * step)
-    return np.asarray(own * np.sqrt(there.weights))
+        ends.append(np.array([np.interp(share * shifted.place.period, times, column) for column in states.T]))
+    return np.asarray((ends[1] - ends[0]) / (2 * step))
 
 
 def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
@@ -157,19 +157,19 @@ def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> U
 
 def _reach(curve: Curve, found: Solution) -> float:
     """What distances from an orbit are relative to, in the family's metric: its own extent, of angles at most 1 rad."""
-    size = extent(curve.weights, found.march.states)
+    size = extent(curve, found)
     return min(size, 1.0) if any(curve.equations.model.angles) else size
 
 
-def _branch(crossing: Crossing, event: Event, direction: np.ndarray, settings: FamilySettings) -> Start | None:
+def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
     """The new family in one direction, or None when what is found is the old one or nothing."""
-    curve, place = crossing.curve, crossing.place
+    curve, place = cover.curve, cover.place
     size = curve.equations.size
     moved = direction[: place.nodes.size].reshape(-1, size) ** 2 @ curve.weights[:size]
     direction = direction / np.sqrt(moved.max())  # the start may be where the two families part least
-    normal, reach = curve.weights * place.head_of(direction), _reach(curve, at_place(curve, place))
+    head, reach = place.head_of(direction), _reach(curve, at_place(curve, place))
     for length in (share * reach for share in DISTANCES):
-        aim = Condition(float(normal @ (place.head + length * place.head_of(direction))), normal)
+        aim = plane(curve, place, head, length * float((curve.weights * head) @ head))
         try:
             start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
         except (ConvergenceError, IntegrationError):
@@ -178,17 +178,14 @@ def _branch(crossing: Crossing, event: Event, direction: np.ndarray, settings: F
             continue
         if np.abs(start.found.place.unfolding).max(initial=0.0) > 1e-9:
             continue
-        return _symmetric(_outwards(start, place), settings)
+        return _symmetric(_outwards(start, place))
     return None
 
 
-def _symmetric(start: Start, settings: FamilySettings) -> Start:
+def _symmetric(start: Start) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
-    model = start.curve.equations.model
     try:
-        other = reformulated(
-            start, named(symmetry_of(start.curve, start.found), model), *unknown_parameters(model, settings)
-        )
+        other = reformulated(start, named(symmetry_of(start.curve, start.found), start.curve.equations.model))
     except (ConvergenceError, IntegrationError):
         return start
     slopes = [list(parameter_slopes(one.curve, one.found.place, one.direction).values()) for one in (start, other)]
@@ -200,36 +197,28 @@ def _symmetric(start: Start, settings: FamilySettings) -> Start:
 def _is_cover(start: Start, order: int, length: float) -> bool:
     """Whether the orbit closes already after a part of its period."""
     _, states = full_samples(start.curve, start.found)
-    count = len(states) - 1
-    parts = [k for k in range(2, order + 1) if order % k == 0]
     scale = np.sqrt(start.curve.weights[: states.shape[1]])
-    returns = [np.abs((_mid(states, count / k) - states[0]) * scale).max() for k in parts]
-    return bool(min(returns) < 0.05 * length)
-
-
-def _mid(states: np.ndarray, place: float) -> np.ndarray:
-    low = int(place)
-    return np.asarray(states[low] + (place - low) * (states[min(low + 1, len(states) - 1)] - states[low]))
+    gaps = [return_gaps(states, k) * scale for k in range(2, order + 1) if order % k == 0]
+    return bool(np.min(np.max(gaps, axis=1)) < 0.05 * length)
 
 
 def _outwards(start: Start, origin: Unknowns) -> Start:
     """The same start, directed away from the orbit that it was born from."""
     moved = start.found.place.head - origin.head
-    return start if np.sum(start.curve.weights * moved * start.direction) >= 0 else replace(
-        start, direction=-start.direction
-    )  # fmt: skip
+    same = np.sum(start.curve.weights * moved * start.direction) >= 0
+    return start if same else replace(start, direction=-start.direction)
 
 
-def _same(one: Start, other: Start, crossing: Crossing, event: Event) -> bool:
+def _same(one: Start, other: Start, cover: Cover, event: Event) -> bool:
     """Whether two starts are one branch: the same curve in the space of states, or a mirror image of it."""
     a, b = (_moved(start, event) for start in (one, other))
     if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + 1e-13):
         return True
-    scale = np.sqrt(crossing.curve.weights[: crossing.curve.equations.size])
+    scale = np.sqrt(cover.curve.weights[: cover.curve.equations.size])
     mine, theirs = (full_samples(start.curve, start.found)[1] * scale for start in (one, other))
-    old = full_samples(crossing.curve, at_place(crossing.curve, crossing.place))[1] * scale
+    old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] * scale
     n, size = scale.size // 2, _apart(mine, old)
-    maps = [*USUAL, *declared(crossing.curve.equations.model)]
+    maps = [*USUAL, *declared(cover.curve.equations.model)]
     images = [theirs, *(theirs @ each.matrix(n).T for each in maps)]
     feet = [_foot(image, old) for image in images]  # told apart at the same distance from the old orbit
     images = [foot + size / _apart(image, old) * (image - foot) for image, foot in zip(images, feet, strict=True)]
@@ -260,3 +249,82 @@ def _moved(start: Start, event: Event) -> np.ndarray:
     place = start.found.place
     energy = parameter_value(start.curve, place, "energy") - event.energy
     return np.array([energy, place.period - event.period * event.order, *(place.free - list(event.free.values()))])
+
+
+@dataclass(frozen=True)
+class Branch:
+    """The start of a family that leaves another one: which family, which of its events, which of the branches there."""
+
+    __repr__ = brief("name", "event")
+
+    start: Start
+    family: str
+    event: Event
+    number: int
+    branch: int
+    name: str
+
+    def described(self) -> dict[str, Any]:
+        """The same in plain numbers."""
+        return {
+            "family": self.family, "event": self.number, "branch": self.branch, "kind_of_event": self.event.kind,
+            "order": self.event.order, "energy": self.event.energy, "period": self.event.period,
+        }  # fmt: skip
+
+
+def switch_branch(
+    family: Family | str | Path,
+    event: int,
+    branch: int = 1,
+    *,
+    settings: FamilySettings | None = None,
+    model: Model | None = None,
+) -> Branch:
+    """The `branch`-th of the branches that leave a family (or its family.json) at the event with this index.
+
+    `follow_family` follows it. Raises what `branches` raises, and `InputError` where there are fewer branches.
+    """
+    found = branches(family, event, settings, model)
+    if not 1 <= branch <= len(found):
+        raise InputError(f"--branch: {branch} asked for, {len(found)} found at event {event}; give 1 to {len(found)}")
+    return found[branch - 1]
+
+
+def branches(
+    family: Family | str | Path, event: int, settings: FamilySettings | None = None, model: Model | None = None
+) -> list[Branch]:
+    """Every branch that leaves a family at its event with this index, named <family>-<event>-<branch>.
+
+    `model` is the family's where no file describes it. Raises `InputError` (also for events that nothing
+    leaves from, with a list of those that something does) and `ConvergenceError` when no branch was found.
+    """
+    where = family.name if isinstance(family, Family) else str(family)
+    family = family if isinstance(family, Family) else load_family(family)
+    chosen = _event(family, event, where)
+    if not chosen.shooting_nodes.size:
+        raise InputError(f"{where}: family.npz is not beside it; continue the family again to switch from it")
+    settings = replace(settings or FamilySettings(), parameter=family.parameter)
+    curve = curve_of(family.curve, model or build_model(family.system), settings)
+    starts = switch(curve, chosen, settings)
+    if not starts:
+        raise ConvergenceError(f"{family.name}: no branch was found at event {event} ({described(family, event)})")
+    return [
+        Branch(start, family.name, chosen, event, k, f"{family.name}-{event}-{k}") for k, start in enumerate(starts, 1)
+    ]
+
+
+def _event(family: Family, number: int, where: str) -> Event:
+    if not family.curve:
+        raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
+    known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+    if number in known:
+        return family.events[number]
+    listed = "; ".join(described(family, k) for k in known) or "this family has none"
+    raise InputError(f"--switch: no branch leaves at event {number}; choose one of {listed}")
+
+
+def described(family: Family, number: int) -> str:
+    """An event in a few words."""
+    one = family.events[number]
+    detail = f" {one.detail}" if one.detail else ""
+    return f"{number}: {one.kind}{detail} at {family.parameter} {one.parameter:.6g}"

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
-from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.samples import Interval
-from orbitfinder.families.scale import extents, span
-from orbitfinder.families.start import full_samples
-from orbitfinder.loops.continued import Curve, Solution, at_place, correct, distance
+from orbitfinder.families.point import extents, freed, parameter_value, span
+from orbitfinder.families.run import Interval, Run, Step
+from orbitfinder.families.start import full_samples, return_gaps
+from orbitfinder.loops.continued import Curve, Solution, correct, distance
 from orbitfinder.loops.loop import Condition, Unknowns
 from orbitfinder.loops.symmetry import NONE, REFLECTION, half_period_gaps, recognise
 from orbitfinder.records.family import End, FamilyPoint
@@ -51,68 +47,52 @@ HOMOCLINIC_STEP = 1e-2
 """Steps of a nearly homoclinic family are not made shorter than this."""
 
 
-@dataclass(frozen=True)
-class Energies:
-    """Energy (J) at a family's start and its last two points, log ratio of their periods, largest multiplier."""
-
-    start: float
-    before: float
-    after: float
-    stretch: float
-    largest: float
-
-    @property
-    def settled(self) -> bool:
-        """Whether the period grows without the energy changing any more, beyond what can be decided."""
-        change = abs(self.after - self.before) / max(self.stretch, 1e-300)
-        return self.largest > UNDECIDED and self.stretch > 0 and change < SETTLED * abs(self.after - self.start)
-
-
-def energies_of(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> Energies:
-    """What `end_after` reads of three points."""
-    stretch = float(np.log(after.period / before.period))
-    return Energies(origin.energy, before.energy, after.energy, stretch, after.scale)
-
-
-def end_after(
-    curve: Curve,
-    found: Solution,
-    settings: FamilySettings,
-    shortest_period: float,
-    failure: str,
-    before: Solution | None = None,
-    energies: Energies | None = None,
-) -> End | None:
-    """The reason to stop after a step (or after a failed one), or None."""
+def end_at(run: Run, before: Step, after: Step) -> End | None:
+    """The reason to stop after a step, or None."""
+    curve, found = run.curve, after.found
     share, state = slowness(curve, found)
-    grown = found.place.period / shortest_period
-    if failure:
-        if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and near_saddle(curve, found, state):
-            return _homoclinic(curve, found, state, grown, f"; then {failure}")
-        free = dict(zip(curve.equations.free, map(float, found.place.free), strict=True))
-        dead = dead_point(curve.equations.model.system, found.march.states, free)
-        if dead:
-            return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
-        return _singular(curve, found, failure) or End("step underflow", failure)
-    if before is not None and collapsed(curve, before, found):
-        where = np.array2string(centre(curve, before), precision=6)
-        reason = f"the orbits shrink to the equilibrium at q = {where}, period {before.place.period:.9g} s"
-        return End("equilibrium", reason)
+    if collapsed(curve, before.found, found):
+        where = np.array2string(centre(curve, before.found), precision=6)
+        period = before.point.period
+        return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s")
     if share <= SLOW_SHARE:
         return None
-    if grown > settings.longest_period and near_saddle(curve, found, state):
-        return _homoclinic(curve, found, state, grown, "")
-    if energies is not None and energies.settled and not curve.equations.free and near_saddle(curve, found, state):
-        return _homoclinic(curve, found, state, grown, f", multiplier {energies.largest:.2g}, beyond what can be told")
-    return None
+    grown, more = found.place.period / after.shortest_period, None
+    if grown > run.settings.longest_period:
+        more = ""
+    elif not curve.equations.free and _settled(run.origin, before.point, after.point):
+        more = f", multiplier {after.point.scale:.2g}, beyond what can be told"
+    saddle = more is not None and near_saddle(curve, found, state)
+    return _homoclinic(curve, found, state, grown, str(more)) if saddle else None
 
 
-def shortest_step(curve: Curve, found: Solution, settings: FamilySettings, shortest_period: float) -> float:
-    """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
-    if not found.place.period > UNDERFLOW_GROWTH * shortest_period:
-        return settings.shortest_step
+def end_of_failure(run: Run, step: Step, failure: str) -> End:
+    """The reason why no further step could be taken."""
+    curve, found = run.curve, step.found
     share, state = slowness(curve, found)
-    return HOMOCLINIC_STEP if share > SLOW_SHARE and near_saddle(curve, found, state) else settings.shortest_step
+    grown = found.place.period / step.shortest_period
+    if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and near_saddle(curve, found, state):
+        return _homoclinic(curve, found, state, grown, f"; then {failure}")
+    dead = dead_point(curve.equations.model.system, found.march.states, freed(curve, found.place))
+    if dead:
+        return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
+    return _singular(curve, found, failure) or End("step underflow", failure)
+
+
+def shortest_step(run: Run, step: Step) -> float:
+    """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
+    curve, found, usual = run.curve, step.found, run.settings.shortest_step
+    if not found.place.period > UNDERFLOW_GROWTH * step.shortest_period:
+        return usual
+    share, state = slowness(curve, found)
+    return HOMOCLINIC_STEP if share > SLOW_SHARE and near_saddle(curve, found, state) else usual
+
+
+def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bool:
+    """Whether the period grows without the energy changing any more, beyond what can be decided."""
+    stretch = float(np.log(after.period / before.period))
+    change = abs(after.energy - before.energy) / max(stretch, 1e-300)
+    return after.scale > UNDECIDED and stretch > 0 and change < SETTLED * abs(after.energy - origin.energy)
 
 
 def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
@@ -159,9 +139,8 @@ def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
 
 
 def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
-    energy = float(curve.equations.quantities_at(found.place.nodes[0], found.place.free)[0][curve.equations.energy])
-    n = state.size // 2
-    where = np.array2string(state[:n], precision=4, suppress_small=True)
+    energy = parameter_value(curve, found.place, "energy")
+    where = np.array2string(state[: state.size // 2], precision=4, suppress_small=True)
     return End(
         "homoclinic",
         f"the period blows up ({found.place.period:.6g} s, {grown:.3g} times the shortest) at energy {energy:.9g} J, "
@@ -200,34 +179,28 @@ def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
     return bool(np.sum(weights * one * other) < 0 and size < 3 * moved)
 
 
-def returned(
-    curve: Curve, before: Solution, found: Solution, heads: Sequence[np.ndarray], arclength: float
-) -> End | None:
+def returned(curve: Curve, before: Step, after: Step) -> End | None:
     """The end of a closed family: the last step passed an earlier one again, going the same way.
 
-    `heads` are the steps up to `before`. What looks near is confirmed by an orbit on the family in the
-    plane through the earlier one: it must be the same orbit.
+    What looks near is confirmed by an orbit on the family in the plane through the earlier one: it must be the same.
     """
-    a, step = before.place.head, found.place.head - before.place.head
+    one, other, heads = before.found.place, after.found.place, np.asarray(before.heads)
     if len(heads) < FEWEST_STEPS:
         return None
-    unit = span(curve.equations.model.angles, curve.weights, found.march.states)
-    past = np.asarray(heads[: 1 - FEWEST_STEPS])
-    ahead = np.diff(np.asarray(heads[: 2 - FEWEST_STEPS]), axis=0)
+    step, past, ahead = other.head - one.head, heads[: 1 - FEWEST_STEPS], np.diff(heads[: 2 - FEWEST_STEPS], axis=0)
     normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
-    shares = (past - a) @ normal / square
-    aside = np.sqrt(np.maximum(((past - a) ** 2) @ curve.weights - shares**2 * square, 0.0))
+    shares = (past - one.head) @ normal / square
+    aside = np.sqrt(np.maximum(((past - one.head) ** 2) @ curve.weights - shares**2 * square, 0.0))
     near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ normal > 0)
     for k in np.flatnonzero(near):
-        guess = before.place.blended(found.place, float(shares[k]))
+        guess, aim = one.blended(other, float(shares[k])), Condition(float(normal @ past[k]), normal)
         try:
-            aim = Condition(float(normal @ past[k]), normal)
-            again = correct(curve, guess, aim, before.place, slope=before.jacobian)
+            again = correct(curve, guess, aim, one, slope=before.found.jacobian)
         except (ConvergenceError, IntegrationError):
             continue
-        if distance(curve, again.place.head, past[k]) < SAME * unit:
-            where = "its start" if k == 0 else f"its step {k}"
-            return End("returned", f"a closed family: back at {where} after an arclength of {abs(arclength):.6g}")
+        if distance(curve, again.place.head, past[k]) < SAME * span(curve, after.found):
+            where, length = "its start" if k == 0 else f"its step {k}", abs(after.point.arclength)
+            return End("returned", f"a closed family: back at {where} after an arclength of {length:.6g}")
     return None
 
 
@@ -239,9 +212,8 @@ def mirrored(interval: Interval, at: float) -> bool:
     """
 
     def read(distance: float) -> np.ndarray:
-        place = interval.probe(distance).found.place
-        equations = interval.curve.equations
-        return np.array([equations.quantities_at(place.nodes[0], place.free)[0][equations.energy], place.period])
+        place = interval.sample(distance).found.place
+        return np.array([parameter_value(interval.curve, place, "energy"), place.period])
 
     turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
     near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
@@ -252,30 +224,25 @@ def mirrored(interval: Interval, at: float) -> bool:
     return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
 
 
-def merged(curve: Curve, place: Unknowns, interval: Interval, at: float) -> End | None:
-    """At a fold in energy: whether the family joins there one of more symmetry or of a shorter period.
+def merged(interval: Interval, at: float) -> End | None:
+    """At a fold in energy so far into a step: whether the family joins one of more symmetry or of a shorter period.
 
     A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
     """
-    found = at_place(curve, place)
-    energy = float(curve.equations.quantities_at(place.nodes[0], place.free)[0][curve.equations.energy])
-    where = f"at energy {energy:.9g} J, period {place.period:.9g} s"
+    curve, found = interval.curve, interval.sample(at).found
+    model, symmetry = curve.equations.model, curve.equations.symmetry
     times, states = full_samples(curve, found)
-    angles, symmetry = np.asarray(curve.equations.model.angles), curve.equations.symmetry
-    name = recognise(times, states, curve.equations.model)
-    extent, count = float(np.ptp(states, axis=0).max()), len(states) - 1
-    returns = [np.abs(_between(states, count / k) - states[0]).max() for k in range(2, MOST_COVERS + 1)]
-    covers = [k for k, gap in enumerate(returns, 2) if gap < JOINED * extent]
+    name, extent = recognise(times, states, model), float(np.ptp(states, axis=0).max())
+    covers = [k for k in range(2, MOST_COVERS + 1) if return_gaps(states, k).max() < JOINED * extent]
     what = ""
     if covers:
         what = f"of period T/{max(covers)}"
     elif name not in (NONE.name, symmetry.name):
         what = f"of symmetry {name}"
-    elif symmetry.forward is None and half_period_gaps(REFLECTION.maps[0], states, angles).max() < JOINED * extent:
-        what = "that is its own mirror image"
-    return End("merged", f"joins a family {what} {where}") if what and mirrored(interval, at) else None
-
-
-def _between(states: np.ndarray, place: float) -> np.ndarray:
-    low = int(place)
-    return np.asarray(states[low] + (place - low) * (states[min(low + 1, len(states) - 1)] - states[low]))
+    elif symmetry.forward is None:
+        gaps = half_period_gaps(REFLECTION.maps[0], states, model.angular)
+        what = "that is its own mirror image" if gaps.max() < JOINED * extent else ""
+    if not what or not mirrored(interval, at):
+        return None
+    energy, period = parameter_value(curve, found.place, "energy"), found.place.period
+    return End("merged", f"joins a family {what} at energy {energy:.9g} J, period {period:.9g} s")

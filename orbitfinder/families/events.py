@@ -17,16 +17,20 @@ from itertools import pairwise
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.collisions import collisions, look, meeting
-from orbitfinder.families.crossings import crossings
-from orbitfinder.families.passages import Measure, Test, located, passages
-from orbitfinder.families.point import FamilySettings, parameter_value
-from orbitfinder.families.samples import Interval as Interval
-from orbitfinder.families.samples import Probe as Probe
-from orbitfinder.families.samples import make_interval as make_interval
-from orbitfinder.families.samples import make_probe as make_probe
-from orbitfinder.families.samples import parameter_slopes as parameter_slopes
-from orbitfinder.families.strips import strips
+from orbitfinder.families.passages import (
+    UNTOLD,
+    Measure,
+    Test,
+    collisions,
+    located,
+    look,
+    meeting,
+    passages,
+    strips,
+    twice,
+)
+from orbitfinder.families.point import FamilySettings, freed, parameter_value
+from orbitfinder.families.run import Interval, Sample, is_real
 from orbitfinder.loops.continued import Curve
 from orbitfinder.orbits.floquet import ERROR_FLOOR
 from orbitfinder.records.family import Event
@@ -41,13 +45,13 @@ BLURRED = 1e-6
 """Uncertainty of the stability indices beyond which none of their passages can be told from round-off."""
 
 
-def blur(probe: Probe) -> float:
+def blur(sample: Sample) -> float:
     """What round-off in the largest multiplier leaves uncertain in every stability index."""
-    return float(np.finfo(float).eps * np.abs(probe.about.floquet.multipliers).max(initial=1.0))
+    return float(np.finfo(float).eps * np.abs(sample.about.floquet.multipliers).max(initial=1.0))
 
 
 def _slope(name: str) -> Measure:
-    return lambda probe: probe.slopes[name]
+    return lambda sample: sample.slopes[name]
 
 
 def folds(interval: Interval) -> Iterator[Test]:
@@ -58,7 +62,7 @@ def folds(interval: Interval) -> Iterator[Test]:
             yield Test("fold", name, _slope(name))
 
 
-def bifurcations(interval: Interval, most: int) -> list[tuple[Probe, Test]]:
+def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
     """Collisions, bifurcations and resonances up to order `most` of an interval, each with the orbit there.
 
     Raises `ConvergenceError` when they cannot be told apart within so long a step.
@@ -71,27 +75,28 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Probe, Test]]:
         return crossings(interval)
     if not interval.first.indices.size:
         return []
-    touched = [(interval.probe(place), test) for test, place in strips(interval)]
+    touched = [(interval.sample(place), test) for test, place in strips(interval)]
     look(interval)
     for _ in range(ROUNDS):
         brackets = collisions(interval)
         met = [located(interval, meeting, low, high) for low, high in brackets]
         passed = passages(interval, most, met)
         if len(collisions(interval)) == len(brackets):  # nothing that was seen meanwhile says otherwise
-            return touched + [(probe, Test("collision", "", meeting)) for probe in met] + passed
+            return touched + [(sample, Test("collision", "", meeting)) for sample in met] + passed
     raise ConvergenceError("collisions of multipliers cannot be told apart within one step")
 
 
-def find_events(interval: Interval, settings: FamilySettings, arclength: float) -> list[tuple[float, Event]]:
-    """Events of an interval with their distance into it, in order along the family."""
+def find_events(interval: Interval, settings: FamilySettings) -> list[Event]:
+    """Events of an interval in order, their arclength the distance into it."""
     found = [(located(interval, test.measure, 0.0, interval.length), test) for test in folds(interval)]
     found += bifurcations(interval, settings.resonances)
     found.sort(key=lambda pair: pair[0].distance)
-    turns = [probe.distance for probe, test in found if test.kind == "fold" and test.detail != "period"]
+    turns = [sample.distance for sample, test in found if test.kind == "fold" and test.detail != "period"]
     found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns, interval.unit))]
     found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
-    events = [(p.distance, _event(interval.curve, p, test, settings, arclength)) for p, test in found]
-    return sorted(events + _changes(interval, found, settings, arclength), key=lambda pair: pair[0])
+    found += _changes(interval, found)
+    events = [_event(interval.curve, sample, test, settings.parameter) for sample, test in found]
+    return sorted(events, key=lambda event: event.arclength)
 
 
 def _told(interval: Interval) -> bool:
@@ -99,7 +104,7 @@ def _told(interval: Interval) -> bool:
     ends = (interval.first, interval.last)
     if not interval.first.about.conservative or not interval.first.indices.size:
         return True
-    margins = [np.abs(np.asarray(probe.indices).real) - 2.0 for probe in ends]
+    margins = [np.abs(np.asarray(sample.indices).real) - 2.0 for sample in ends]
     first, last = (np.sort(np.where(np.abs(one) > ERROR_FLOOR, np.sign(one), 0.0)) for one in margins)
     return not (np.any(first == 0.0) and np.array_equal(first, last))
 
@@ -109,13 +114,13 @@ def _near(distance: float, places: list[float], unit: float) -> bool:
     return any(abs(distance - other) < 1e-5 * unit for other in places)
 
 
-def _event(curve: Curve, probe: Probe, test: Test, settings: FamilySettings, arclength: float) -> Event:
-    place = probe.found.place
+def _event(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
+    place = sample.found.place
     return Event(
         kind=test.kind,
         index=-1,
-        arclength=arclength + probe.distance,
-        parameter=parameter_value(curve, place, settings.parameter),
+        arclength=sample.distance,
+        parameter=parameter_value(curve, place, parameter),
         state=place.nodes[0],
         period=place.period,
         energy=parameter_value(curve, place, "energy"),
@@ -124,15 +129,13 @@ def _event(curve: Curve, probe: Probe, test: Test, settings: FamilySettings, arc
         multiplier=test.multiplier,
         shooting_nodes=place.nodes,
         mesh=place.mesh,
-        tangent=place.head_of(probe.whole),
+        tangent=sample.head,
         symmetry=curve.equations.symmetry.name,
-        free=dict(zip(curve.equations.free, map(float, place.free), strict=True)),
+        free=freed(curve, place),
     )
 
 
-def _changes(
-    interval: Interval, found: list[tuple[Probe, Test]], settings: FamilySettings, arclength: float
-) -> list[tuple[float, Event]]:
+def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple[Sample, Test]]:
     """The located events at which the verdict changes, read halfway to their neighbours."""
     critical = [(p, t) for p, t in found if t.kind in (*CRITICAL, "collision", "fold")]
     a, b = (p.about.floquet.stability == "unstable" for p in (interval.first, interval.last))
@@ -141,13 +144,100 @@ def _changes(
     edges = [0.0, *(p.distance for p, _ in critical), interval.length]
     verdicts = [a]
     for before, after in pairwise(edges[1:-1]):
-        inner = interval.probe(0.5 * (before + after)) if after - before > 1e-7 * interval.unit else None
+        inner = interval.sample(0.5 * (before + after)) if after - before > 1e-7 * interval.unit else None
         verdicts.append(verdicts[-1] if inner is None else inner.about.floquet.stability == "unstable")
     verdicts.append(b)
-    changes = []
-    for k, (probe, _) in enumerate(critical):
-        if verdicts[k] != verdicts[k + 1]:
-            detail = "becomes unstable" if verdicts[k + 1] else "becomes stable"
-            test = Test("stability_change", detail, lambda p: 0.0)
-            changes.append((probe.distance, _event(interval.curve, probe, test, settings, arclength)))
-    return changes
+    details = ("becomes stable", "becomes unstable")
+    tests = [Test("stability_change", details[late], lambda p: 0.0) for late in verdicts[1:]]
+    turned = [early != late for early, late in pairwise(verdicts)]
+    return [(sample, test) for (sample, _), test, one in zip(critical, tests, turned, strict=True) if one]
+
+
+# Bifurcations of families that conserve no energy: multipliers that pass through the unit circle.
+# Sorted by size, the moduli are continuous along the family, whatever meets what: each that passes 1 is an event, and
+# the multiplier that does so says which, +1 (fold or branch point), -1 (period doubling) or a complex pair (torus, the
+# Neimark-Sacker bifurcation). A neutral saddle, two real multipliers of product 1, passes nothing.
+# Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), sections 5.3 and 10.2.
+
+
+GRAZED = 0.1
+"""A modulus within this share of 1 at one of the two points may have passed it and come back."""
+DEEPEST = 6
+"""How often a part of a step is halved until the events in it account for what changes across it."""
+
+
+def multipliers(sample: Sample) -> np.ndarray:
+    """Multipliers of the root map, the largest modulus first."""
+    values = np.linalg.eigvals(sample.about.reduced).astype(complex)
+    return values[np.argsort(-np.abs(values), kind="stable")]
+
+
+def modulus(rank: int) -> Measure:
+    """The logarithm of the modulus of this rank."""
+    return lambda sample: float(np.log(np.maximum(np.abs(multipliers(sample)[rank]), 1e-300)))
+
+
+def crossings(interval: Interval) -> list[tuple[Sample, Test]]:
+    """Every passage of a multiplier through the unit circle, with the orbit there.
+
+    Raises `ConvergenceError` where they cannot be told apart within so long a step.
+    """
+    for rank in range(len(interval.first.about.reduced)):
+        ends = [modulus(rank)(sample) for sample in (interval.first, interval.last)]
+        if ends[0] * ends[1] > 0 and min(np.abs(ends)) < GRAZED:
+            twice(interval, modulus(rank))
+    parts = [(a.distance, b.distance) for a, b in pairwise(interval.known())]
+    return [one for low, high in parts for one in _between(interval, low, high, DEEPEST)]
+
+
+def _between(interval: Interval, low: float, high: float, depth: int) -> list[tuple[Sample, Test]]:
+    """The passages of a part of an interval, halved until they explain what is beyond +1 and -1 at its ends."""
+    a, b = interval.sample(low), interval.sample(high)
+    found = _passed(interval, a, b)
+    if all(_parity(found, sign) == (_beyond(a, sign) + _beyond(b, sign)) % 2 for sign in (1, -1)):
+        return found
+    if depth == 0:
+        if interval.share > UNTOLD:
+            raise ConvergenceError("multipliers on the unit circle cannot be told apart within one step")
+        return found
+    middle = 0.5 * (low + high)
+    return _between(interval, low, middle, depth - 1) + _between(interval, middle, high, depth - 1)
+
+
+def _passed(interval: Interval, a: Sample, b: Sample) -> list[tuple[Sample, Test]]:
+    """One passage for each modulus that is on another side of 1; the two of a complex pair are one passage."""
+    found: list[tuple[Sample, Test]] = []
+    rank, count = 0, len(a.about.reduced)
+    while rank < count:
+        measure = modulus(rank)
+        rank += 1
+        if (measure(a) < 0) == (measure(b) < 0):
+            continue
+        sample = located(interval, measure, a.distance, b.distance)
+        test = _named(sample, rank - 1)
+        rank += test.kind == "torus"
+        found.append((sample, test))
+    return found
+
+
+def _named(sample: Sample, rank: int) -> Test:
+    """What the multiplier of this rank does on the unit circle."""
+    mu = complex(multipliers(sample)[rank])
+    if not is_real(mu):
+        return Test("torus", "", modulus(rank), 0, complex(mu.real, abs(mu.imag)))
+    if mu.real > 0:
+        return Test("branch_point", "", modulus(rank))
+    if sample.about.root == 2:
+        return Test("branch_point", "", modulus(rank), 1, -1.0 + 0.0j)
+    return Test("period_doubling", "", modulus(rank), 2, -1.0 + 0.0j)
+
+
+def _beyond(sample: Sample, sign: int) -> int:
+    """How many real multipliers are beyond +1 or -1."""
+    values = multipliers(sample)
+    return sum(is_real(mu) and sign * mu.real > 1 for mu in values)
+
+
+def _parity(found: list[tuple[Sample, Test]], sign: int) -> int:
+    """Whether an odd number of passages is through +1 or -1."""
+    return sum(test.kind != "torus" and test.multiplier.real * sign > 0 for _, test in found) % 2

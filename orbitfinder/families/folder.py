@@ -12,12 +12,12 @@ import numpy as np
 
 from orbitfinder._runtime import limit, locks
 from orbitfinder.errors import InputError, LimitError
+from orbitfinder.families.branches import Branch
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings, winding
-from orbitfinder.families.run import Walk, first_point
+from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import Start, begin, curve_of, entry_of
-from orbitfinder.families.switching import Branch
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
@@ -182,7 +182,7 @@ def _header(
 def directions(
     origin: FamilyPoint, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]], away: int = 1
 ) -> Iterator[tuple[int, float | None, tuple[float, ...]]]:
-    """(direction, stop, exact values) of every walk that is wanted: as set, or from "both" towards the goals."""
+    """(direction, stop, exact values) of every run that is wanted: as set, or from "both" towards the goals."""
     until, at = goals
     if settings.directions != "both" or (until is None and not at):
         signs = {"both": (1, -1), "forward": (1,), "backward": (-1,), "away": (away,)}.get(settings.directions)
@@ -219,7 +219,7 @@ def _finish(
         if any(one.end is not None and one.end.kind == "returned" for one in batches):
             break  # a closed family has one direction
         try:
-            for batch in follow(Walk(curve, settings, sign, origin, check, stop, exact), done):
+            for batch in follow(Run(curve, settings, sign, origin, check, stop, exact), done):
                 batch = batch_certified(curve, batch) if settings.certify else batch
                 if folder is not None:
                     append(folder, batch)

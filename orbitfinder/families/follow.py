@@ -8,24 +8,22 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.ends import end_after, energies_of, merged, returned, shortest_step
-from orbitfinder.families.events import Interval, Probe, find_events, make_interval, make_probe
-from orbitfinder.families.exact import exact_points
-from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
-from orbitfinder.families.run import Stand, Walk, stand_at, trend_of
-from orbitfinder.families.scale import span
+from orbitfinder.families.ends import end_at, end_of_failure, merged, returned, shortest_step
+from orbitfinder.families.events import find_events
+from orbitfinder.families.passages import avoided
+from orbitfinder.families.point import FamilySettings, make_point, parameter_value, span
+from orbitfinder.families.run import Interval, Run, Sample, Step, make_interval, make_sample, step_at, trend_of
 from orbitfinder.families.stability import Spectrum
-from orbitfinder.families.strips import avoided
-from orbitfinder.loops.continued import Curve, Solution, advanced, bend, correct, distance, tangent
-from orbitfinder.loops.loop import Condition
+from orbitfinder.loops.continued import Solution, advanced, bend, correct, distance, plane, tangent
 from orbitfinder.loops.mesh import refined, regraded, settled
+from orbitfinder.loops.square import pinned
 from orbitfinder.records.family import Batch, End, Event, FamilyPoint
 
 SHORTEST_SEARCH = 1e-3
@@ -36,113 +34,99 @@ REFINEMENTS = 2
 """How often the mesh of an orbit that does not close is made finer before its step is made shorter."""
 ECHO = 1e-2
 """Arclength before a junction of two families within which nothing else is reported."""
+LEAST_STRETCHED = 1e-4
+"""A step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end."""
+Member = TypeVar("Member", FamilyPoint, Event)
 
 
-def follow(walk: Walk, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
+def follow(run: Run, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
     """Batches of points and events in one direction until the family ends.
 
-    `done` are the steps already taken in this direction (from a journal); the walk goes on after them.
+    `done` are the steps already taken in this direction (from a journal); the run goes on after them.
     """
-    stand = stand_at(walk, [walk.origin, *done])
+    step = step_at(run, [run.origin, *done])
     while True:
-        if stand.point.index >= walk.settings.points:
-            yield Batch(walk.direction, end=End("point limit", f"{walk.settings.points} points were asked for"))
+        if step.point.index >= run.settings.points:
+            yield Batch(run.direction, end=End("point limit", f"{run.settings.points} points were asked for"))
             return
         try:
-            stand, batch = stride(walk, stand)
+            step, batch = next_step(run, step)
         except (ConvergenceError, IntegrationError) as error:
-            end = end_after(walk.curve, stand.found, walk.settings, stand.shortest_period, str(error))
-            yield Batch(walk.direction, end=end)
+            yield Batch(run.direction, end=end_of_failure(run, step, str(error)))
             return
         yield batch
         if batch.end is not None:
             return
 
 
-LEAST_STRETCHED = 1e-4
-"""A step as short as this may change the period by more than `longest_stretch`: the saddle is reached in the end."""
-
-
-def stride(walk: Walk, stand: Stand) -> tuple[Stand, Batch]:
+def next_step(run: Run, before: Step) -> tuple[Step, Batch]:
     """The next point, by as short a step as it takes. Raises the last error when the step underflows."""
-    length = stand.point.step
+    length = before.point.step
     while True:
         try:
-            return _attempt(walk, stand, length)
+            return _attempt(run, before, length)
         except (ConvergenceError, IntegrationError) as error:
             length *= 0.5
-            least = shortest_step(walk.curve, stand.found, walk.settings, stand.shortest_period)
-            least *= _span(walk.curve, stand.found)
+            least = shortest_step(run, before) * span(run.curve, before.found)
             if length < least:
                 raise ConvergenceError(f"step below {least:g}: {error}") from error
 
 
-def _attempt(walk: Walk, stand: Stand, length: float) -> tuple[Stand, Batch]:
+def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     began = time.perf_counter()
-    curve, place, unit = walk.curve, stand.found.place, _span(walk.curve, stand.found)
-    head = place.head_of(stand.whole)
-    guess = advanced(place, stand.whole, length, stand.curvature)
-    normal = curve.weights * head
-    aim = Condition(float(normal @ place.head) + length, normal)
-    slope = stand.found.jacobian if stand.drift is None else stand.found.jacobian + length * stand.drift
-    raw = correct(curve, guess, aim, place, reach=0.5 * length + 1e-9 * unit, slope=slope, fit=regraded)
+    curve, settings, sample, place = run.curve, run.settings, before.sample, before.found.place
+    unit, head = span(curve, before.found), sample.head
+    guess = advanced(place, sample.whole, length, before.curvature)
+    slope = before.found.jacobian if before.drift is None else before.found.jacobian + length * before.drift
+    aim, reach = plane(curve, place, head, length), 0.5 * length + 1e-9 * unit
+    raw = correct(curve, guess, aim, place, reach=reach, slope=slope, fit=regraded)
     whole = tangent(curve, raw, head)
-    turn = _angle(curve, head, raw.place.head_of(whole))
-    if turn > walk.settings.sharpest_turn:
+    turn = float(np.arccos(np.clip(np.sum(curve.weights * head * raw.place.head_of(whole)), -1.0, 1.0)))
+    if turn > settings.sharpest_turn:
         raise ConvergenceError(f"the family turns by {turn:.2g} rad within one step")
     stretch = abs(raw.place.period / place.period - 1.0)
-    if stretch > walk.settings.longest_stretch and length > LEAST_STRETCHED * unit:
+    if stretch > settings.longest_stretch and length > LEAST_STRETCHED * unit:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
-    found = settled(curve, raw, curve.weights * raw.place.head_of(whole))
-    if found is not raw:
-        whole = tangent(curve, found, raw.place.head_of(whole))
-    last = make_probe(curve, length, raw, tangent(curve, raw, head) if found is not raw else whole,
-                      stand.point.indices + stand.trend)  # fmt: skip
-    if length > walk.settings.narrowest * unit and avoided(stand.probe, last):
+    found = settled(curve, raw, raw.place.head_of(whole))
+    last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
+    if length > settings.narrowest * unit and avoided(sample, last):
         raise ConvergenceError("two families may avoid each other within one step")
     missed = distance(curve, guess.head, raw.place.head)
     where: dict[str, Any] = {
-        "index": stand.point.index + 1,
-        "arclength": stand.point.arclength + walk.direction * length,
-        "step": unit * _next_step(walk.settings, length / unit, missed / unit, (turn, stretch)),
+        "index": before.point.index + 1,
+        "arclength": before.point.arclength + run.direction * length,
+        "step": unit * _next_length(settings, length / unit, missed / unit, (turn, stretch)),
         "indices": last.indices,
     }
-    point, found = _checked_point(walk, found, whole, where, last.about if found is raw else None)
+    if found is not raw:
+        whole = tangent(curve, found, last.head)
+    point, found = _checked_point(run, found, whole, where, last.about if found is raw else None)
     point = replace(point, wall_time=time.perf_counter() - began)
-    probe = replace(last, distance=0.0) if found is raw else make_probe(curve, 0.0, found, whole, last.indices)
-    after = Stand(
-        point, found, whole, bend(curve, found.place, whole, place), trend_of(stand.point, point),
-        min(stand.shortest_period, point.period), probe, (*stand.heads, found.place.head),
-        (raw.jacobian - stand.found.jacobian) / length if found is raw else None,
+    here = replace(last, distance=0.0) if found is raw else make_sample(curve, 0.0, found, whole, last.indices)
+    after = Step(
+        point, here, bend(curve, found.place, whole, place), trend_of(before.point, point),
+        min(before.shortest_period, point.period), (*before.heads, found.place.head),
+        (raw.jacobian - before.found.jacobian) / length if found is raw else None,
     )  # fmt: skip
-    return after, _batch(walk, stand, after, last)
+    return after, _batch(run, before, after, last)
 
 
 def _checked_point(
-    walk: Walk, found: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
+    run: Run, found: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
 ) -> tuple[FamilyPoint, Solution]:
     """The point of a corrected place, on a finer mesh where it does not close on this one."""
-    head, name = found.place.head_of(whole), walk.settings.parameter
+    head, name = found.place.head_of(whole), run.settings.parameter
     for trial in range(REFINEMENTS + 1):
         try:
-            return make_point(walk.curve, found, head, name, walk.check, about=about, **where)[0], found
+            return make_point(run.curve, found, head, name, run.check, about=about, **where), found
         except ConvergenceError:
             if trial == REFINEMENTS:
                 raise
-            found, about = refined(walk.curve, found, walk.curve.weights * head), None
+            found, about = refined(run.curve, found, head), None
     raise AssertionError("unreachable")
 
 
-def _span(curve: Curve, found: Solution) -> float:
-    """What lengths along the family are relative to here."""
-    return span(curve.equations.model.angles, curve.weights, found.march.states)
-
-
-def _angle(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:
-    return float(np.arccos(np.clip(np.sum(curve.weights * one * other), -1.0, 1.0)))
-
-
-def _next_step(settings: FamilySettings, length: float, missed: float, changes: tuple[float, float]) -> float:
+def _next_length(settings: FamilySettings, length: float, missed: float, changes: tuple[float, float]) -> float:
     """Longer after a good prediction (its error goes with the third power), shorter after a bad one or large changes.
 
     `changes` are the turn (rad) and the relative change of the period; all lengths are relative to the motion.
@@ -153,49 +137,41 @@ def _next_step(settings: FamilySettings, length: float, missed: float, changes: 
     return float(min(settings.longest_step, length * min(ease, max(0.5, bendable))))
 
 
-def _batch(walk: Walk, stand: Stand, after: Stand, last: Probe) -> Batch:
+def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     """Everything between two points, in order: events, points asked for, and the end if there is one."""
-    curve, settings = walk.curve, walk.settings
-    interval = make_interval(curve, stand.probe, last)
-    events = _events(interval, settings)
-    where = stand.point.arclength
-    named = tuple(_placed(event, at, walk, stand) for at, event in events)
-    folds = [at for at, event in events if event.kind == "fold" and event.detail == settings.parameter]
-    wanted = tuple(value for value in walk.at if value != walk.origin.value)
-    extras = [exact_points(walk, stand, interval, value, folds, "at") for value in wanted]
-    if walk.until is not None:
-        final = exact_points(walk, stand, interval, walk.until, folds, "end")
-        if final:
-            end = End("target", f"reached {settings.parameter} = {walk.until!r}")
-            reach = abs(final[0].arclength - where)
-            kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
-            before = tuple(event for event in named if abs(event.arclength - where) <= reach)
-            return Batch(walk.direction, _ordered([*kept, final[0]]), before, end)
-    about = energies_of(walk.origin, stand.point, after.point)
-    found = end_after(curve, after.found, settings, after.shortest_period, "", stand.found, about)
-    if found is not None and found.kind == "equilibrium":
-        return Batch(walk.direction, (), (), found)
-    for event in named:
-        turned = (event.kind, event.detail) == ("fold", "energy")
-        at = abs(event.arclength - where)
-        joined = merged(curve, unknowns_of(curve, event), interval, at) if turned else None
+    settings, origin = run.settings, before.point
+    interval = make_interval(run.curve, before.sample, last)
+    found = _events(interval, settings)
+    events = [_placed(event, run, origin) for event in found]
+    folds = [event.arclength for event in found if (event.kind, event.detail) == ("fold", settings.parameter)]
+    wanted = (value for value in run.at if value != run.origin.value)
+    points = [point for value in wanted for point in exact_points(run, before, interval, value, folds, "at")]
+    final = [] if run.until is None else exact_points(run, before, interval, run.until, folds, "end")
+    if final:
+        end = End("target", f"reached {settings.parameter} = {run.until!r}")
+        reach = abs(final[0].arclength - origin.arclength)
+        kept = [*_within(points, origin, reach), final[0]]
+        return Batch(run.direction, _ordered(kept), tuple(_within(events, origin, reach)), end)
+    ended = end_at(run, before, after)
+    if ended is not None and ended.kind == "equilibrium":
+        return Batch(run.direction, (), (), ended)
+    for event, one in zip(events, found, strict=True):
+        joined = merged(interval, one.arclength) if (one.kind, one.detail) == ("fold", "energy") else None
         if joined is not None:
-            reach = abs(event.arclength - where)
-            kept = [point for group in extras for point in group if abs(point.arclength - where) <= reach]
+            reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
-            clear = [one for one in named if abs(one.arclength - where) < reach - ECHO * interval.unit]
-            return Batch(walk.direction, _ordered(kept), (*clear, event), joined)
-    found = found or returned(curve, stand.found, after.found, stand.heads, after.point.arclength)
-    points = [point for group in extras for point in group]
-    return Batch(walk.direction, (*_ordered(points), after.point), named, found)
+            clear = _within(events, origin, reach - ECHO * interval.unit)
+            return Batch(run.direction, _ordered(_within(points, origin, reach)), (*clear, event), joined)
+    ended = ended or returned(run.curve, before, after)
+    return Batch(run.direction, (*_ordered(points), after.point), tuple(events), ended)
 
 
-def _events(interval: Interval, settings: FamilySettings) -> list[tuple[float, Event]]:
+def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
     """Located events; a step over one that cannot be located is repeated shorter, and at last taken without it."""
     if not settings.events:
         return []
     try:
-        return find_events(interval, settings, 0.0)
+        return find_events(interval, settings)
     except (ConvergenceError, IntegrationError) as error:
         if interval.share > SHORTEST_SEARCH:
             raise
@@ -203,9 +179,48 @@ def _events(interval: Interval, settings: FamilySettings) -> list[tuple[float, E
         return []
 
 
+def _placed(event: Event, run: Run, origin: FamilyPoint) -> Event:
+    """An event of the interval after a point, where it is on the family."""
+    return replace(event, index=origin.index, arclength=origin.arclength + run.direction * event.arclength)
+
+
+def _within(members: Iterable[Member], origin: FamilyPoint, reach: float) -> list[Member]:
+    """The points or events no further than `reach` along the family from a point."""
+    return [one for one in members if abs(one.arclength - origin.arclength) <= reach]
+
+
 def _ordered(points: list[FamilyPoint]) -> tuple[FamilyPoint, ...]:
     return tuple(sorted(points, key=lambda point: abs(point.arclength)))
 
 
-def _placed(event: Event, at: float, walk: Walk, stand: Stand) -> Event:
-    return replace(event, index=stand.point.index, arclength=stand.point.arclength + walk.direction * at)
+def exact_points(
+    run: Run, before: Step, interval: Interval, value: float, folds: list[float], role: str
+) -> list[FamilyPoint]:
+    """The points of an interval at which the parameter has exactly this value."""
+    curve, name, first = run.curve, run.settings.parameter, interval.first
+    edges = [0.0, *folds, interval.length]
+    levels = [parameter_value(curve, interval.guess(edge), name) for edge in edges]
+    points = []
+    for a, b, low, high in zip(edges[:-1], edges[1:], levels[:-1], levels[1:], strict=True):
+        if (low - value) * (high - value) > 0 or low in (value, high):
+            continue
+        found = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
+        whole = tangent(curve, found, first.head)
+        along = float((curve.weights * first.head) @ (found.place.head - first.found.place.head))
+        sample = make_sample(curve, along, found, whole, interval.indices(along))
+        where: dict[str, Any] = {
+            "index": before.point.index, "arclength": before.point.arclength + run.direction * along,
+            "step": before.point.step, "role": role, "indices": sample.indices,
+        }  # fmt: skip
+        points.append(make_point(curve, found, sample.head, name, run.check, about=sample.about, **where))
+    return points
+
+
+def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Solution:
+    """The orbit at a given value of the parameter near a distance into an interval, on a mesh that satisfies it."""
+    curve, first, reach = run.curve, interval.first.found, interval.length
+    aim = pinned(curve.equations, run.settings.parameter, value)
+    found = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=first.jacobian)
+    if distance(curve, found.place.head, first.place.head) > 2 * reach:
+        raise ConvergenceError("the exact value was found on another part of the family")
+    return found

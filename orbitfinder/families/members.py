@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
@@ -35,14 +34,6 @@ class Motion:
     point: FamilyPoint
     states: np.ndarray
     joints: np.ndarray | None
-
-
-def at_values(model: Model, free: Mapping[str, float]) -> Model:
-    """The same equations at other values of some parameters."""
-    numbers = model.parameter_values.copy()
-    for name, value in free.items():
-        numbers[model.parameter_index(name)] = value
-    return replace(model, parameter_values=numbers)
 
 
 def whole(orbit: Orbit, model: Model) -> Orbit:
@@ -101,6 +92,6 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
     found = []
     for k in chosen:
         states = full_samples(curve, at_place(curve, unknowns_of(curve, points[k])), MOTION)[1]
-        there = at_values(model, points[k].free)
+        there = with_parameters(model, points[k].free)
         found.append(Motion(points[k], states, positions(there, states) if model.points is not None else None))
     return found

@@ -1,6 +1,6 @@
 """Passages of stability indices kappa = mu + 1/mu through the values at which families branch.
 
-They are counted on stretches between collisions, on which every index stays real or stays complex, so that
+They are counted on subintervals between collisions, on which every index stays real or stays complex, so that
 what an index does before it meets another one is told apart from what it does afterwards.
 """
 
@@ -12,10 +12,10 @@ from itertools import pairwise
 from math import gcd
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
-from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.samples import Interval, Probe, is_real, real_indices
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.run import Interval, Sample, is_real, real_indices
 from orbitfinder.families.stability import matching
 
 LOCATION = 2e-11
@@ -25,7 +25,7 @@ TOLD_APART = 1e-4
 UNTOLD = 1e-3
 """Steps longer than this are repeated shorter when indices cannot be told apart."""
 
-Measure = Callable[[Probe], float]
+Measure = Callable[[Sample], float]
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ def passage(level: float) -> Measure:
     It changes sign where one index passes, whichever that is.
     """
 
-    def measure(probe: Probe) -> float:
-        gaps = probe.indices - level
-        below = int(np.sum(gaps[real_indices(probe)].real < 0))
+    def measure(sample: Sample) -> float:
+        gaps = sample.indices - level
+        below = int(np.sum(gaps[real_indices(sample)].real < 0))
         return float((-1.0) ** below * np.abs(gaps).min())
 
     return measure
@@ -76,24 +76,24 @@ def level_tests(root: int, most: int) -> list[tuple[Test, float]]:
     ]
 
 
-def located(interval: Interval, measure: Measure, low: float, high: float) -> Probe:
+def located(interval: Interval, measure: Measure, low: float, high: float) -> Sample:
     """The orbit at which a measure vanishes, by Brent's method between two distances."""
     if low == high:
-        return interval.probe(low)
+        return interval.sample(low)
 
     def value(distance: float) -> float:
-        return measure(interval.probe(distance))
+        return measure(interval.sample(distance))
 
     ends = [value(low), value(high)]
     if ends[0] * ends[1] >= 0:  # within round-off of one end
-        return interval.probe((low, high)[int(abs(ends[1]) < abs(ends[0]))])
+        return interval.sample((low, high)[int(abs(ends[1]) < abs(ends[0]))])
     # round-off may keep the last bracket wider than asked for
     tight = {"xtol": LOCATION * interval.unit, "rtol": 1e-14, "maxiter": 60, "disp": False}
-    return interval.probe(float(brentq(value, low, high, **tight)))
+    return interval.sample(float(brentq(value, low, high, **tight)))
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Subinterval:
     """A part of an interval without a collision inside: its ends, and the indices there in one order."""
 
     low: float
@@ -107,11 +107,11 @@ class Stretch:
         pairs = zip(self.before, self.after, strict=True)
         return np.array([is_real(a) and is_real(b) for a, b in pairs], bool)
 
-    def read(self, probe: Probe) -> np.ndarray:
+    def read(self, sample: Sample) -> np.ndarray:
         """The indices of an orbit on the stretch in the order of its ends."""
-        share = (probe.distance - self.low) / (self.high - self.low)
-        expected, found = (1 - share) * self.before + share * self.after, probe.indices
-        kind, seen = self.real, real_indices(probe)
+        share = (sample.distance - self.low) / (self.high - self.low)
+        expected, found = (1 - share) * self.before + share * self.after, sample.indices
+        kind, seen = self.real, real_indices(sample)
         if kind.sum() != seen.sum():
             return np.asarray(found[matching(expected, found)])
         values = np.empty_like(found)
@@ -120,13 +120,13 @@ class Stretch:
         return values
 
 
-def stretches(interval: Interval, met: Sequence[Probe]) -> list[Stretch]:
+def subintervals(interval: Interval, met: Sequence[Sample]) -> list[Subinterval]:
     """The interval cut at the collisions `met` and at every orbit that was looked at in between."""
-    knots = {probe.distance: (probe.indices, probe.turns) for probe in interval.known()}
-    knots |= {probe.distance: (joined(probe), np.zeros_like(probe.turns)) for probe in met}
+    knots = {sample.distance: (sample.indices, sample.turns) for sample in interval.known()}
+    knots |= {sample.distance: (joined(sample), np.zeros_like(sample.turns)) for sample in met}
     found = []
     for (low, before), (high, after) in pairwise(sorted(knots.items())):
-        found.append(Stretch(low, high, before[0], after[0][_continued(*before, *after)]))
+        found.append(Subinterval(low, high, before[0], after[0][_continued(*before, *after)]))
     return found
 
 
@@ -157,26 +157,26 @@ def exchanged(before: np.ndarray, turns: np.ndarray, after: np.ndarray, later: n
     return found
 
 
-def joined(probe: Probe) -> np.ndarray:
+def joined(sample: Sample) -> np.ndarray:
     """The indices at a collision, where two are one: their mean in place of the two nearest ones."""
-    values = probe.indices.copy()
+    values = sample.indices.copy()
     gaps = np.abs(values[:, None] - values[None, :]) + np.diag(np.full(values.size, np.inf))
     i, j = np.unravel_index(int(gaps.argmin()), gaps.shape)
     values[[i, j]] = 0.5 * (values[i] + values[j]).real
     return values
 
 
-def passages(interval: Interval, most: int, met: Sequence[Probe] = ()) -> list[tuple[Probe, Test]]:
+def passages(interval: Interval, most: int, met: Sequence[Sample] = ()) -> list[tuple[Sample, Test]]:
     """Every passage of an index through a level of resonances up to order `most`, with the orbit there.
 
     Raises `ConvergenceError` where two indices cannot be told apart within so long a step.
     """
     levels = level_tests(interval.first.about.root, most)
-    parts = stretches(interval, met)
-    return [(probe, test) for part in parts for test, level in levels for probe in _passed(interval, part, level)]
+    parts = subintervals(interval, met)
+    return [(sample, test) for part in parts for test, level in levels for sample in _passed(interval, part, level)]
 
 
-def _passed(interval: Interval, part: Stretch, level: float) -> list[Probe]:
+def _passed(interval: Interval, part: Subinterval, level: float) -> list[Sample]:
     """The orbits of a stretch at which an index passes a level."""
     real = part.real
     before, after = part.before[real].real, part.after[real].real
@@ -189,21 +189,176 @@ def _passed(interval: Interval, part: Stretch, level: float) -> list[Probe]:
     return [located(interval, _ranked(part, int(rank), level), part.low, part.high) for rank in ranks]
 
 
-def _ranked(part: Stretch, rank: int, level: float) -> Measure:
+def _ranked(part: Subinterval, rank: int, level: float) -> Measure:
     """One of the real indices of a stretch, by its rank, above a level."""
-    return lambda probe: float(np.sort(part.read(probe)[part.real].real)[rank] - level)
+    return lambda sample: float(np.sort(part.read(sample)[part.real].real)[rank] - level)
 
 
-def _each(interval: Interval, part: Stretch, level: float, positions: np.ndarray) -> list[Probe]:
+def _each(interval: Interval, part: Subinterval, level: float, positions: np.ndarray) -> list[Sample]:
     found = []
     for j in positions:
 
-        def course(probe: Probe, j: int = int(j)) -> float:
-            return float(part.read(probe)[j].real - level)
+        def course(sample: Sample, j: int = int(j)) -> float:
+            return float(part.read(sample)[j].real - level)
 
-        probe = located(interval, course, part.low, part.high)
-        if abs(course(probe)) <= TOLD_APART:
-            found.append(probe)
+        sample = located(interval, course, part.low, part.high)
+        if abs(course(sample)) <= TOLD_APART:
+            found.append(sample)
         elif interval.share > UNTOLD:
             raise ConvergenceError(f"two stability indices near {level:.4g} cannot be told apart within one step")
     return found
+
+
+# Collisions: two stability indices meet and leave the real axis together, or come back to it.
+# Both the place where this happens and pairs of such places within one step are looked for. On the unit
+# circle only multipliers of opposite Krein signature do so; equal ones pass through each other.
+
+
+NEAR_MEETING = 0.3
+"""Indices nearer than this at one end of a step may have met twice inside it."""
+SEARCH = 1e-3
+"""The extremum of a measure is located to this share of the step."""
+
+Bracket = tuple[float, float]
+
+
+def meeting(sample: Sample) -> float:
+    """The least |kappa_i - kappa_j|^2 of indices that may collide, its sign changed by every complex pair."""
+    values, turns = sample.indices, sample.turns
+    unlike = (turns[:, None] == 0) | (turns[:, None] != turns[None, :])
+    gaps = np.where(np.triu(unlike, 1), np.abs(values[:, None] - values[None, :]) ** 2, np.inf)
+    return float((-1.0) ** complex_pairs(sample) * min(gaps.min(initial=np.inf), 1e300))
+
+
+def complex_pairs(sample: Sample) -> int:
+    """Pairs of indices off the real axis."""
+    return int(np.sum(~real_indices(sample))) // 2
+
+
+def look(interval: Interval) -> None:
+    """Looks between the ends where indices may have met twice, so that an orbit between the two meetings is seen."""
+    a, b = interval.first, interval.last
+    if complex_pairs(a) != complex_pairs(b):
+        return
+    exchanged = _exchanged(a, b)
+    if exchanged or min(abs(meeting(a)), abs(meeting(b))) < NEAR_MEETING**2:
+        twice(interval, meeting, exchanged)
+
+
+def collisions(interval: Interval) -> list[Bracket]:
+    """(low, high) of every collision between orbits that were seen. Raises `ConvergenceError` where two are in one."""
+    found = []
+    for before, after in pairwise(interval.known()):
+        change = complex_pairs(after) - complex_pairs(before)
+        if abs(change) > 1:
+            raise ConvergenceError("two pairs of stability indices meet within one step")
+        if change:
+            found.append((before.distance, after.distance))
+    return found
+
+
+def twice(interval: Interval, measure: Measure, thorough: bool = False) -> float | None:
+    """A distance between two zeros of a measure that has one sign at both ends; None where it keeps it.
+
+    Looked for at the vertex of a parabola, or `thorough`ly by minimising.
+    """
+    sign = float(np.sign(measure(interval.first)))
+
+    def height(distance: float) -> float:
+        return sign * measure(interval.sample(distance))
+
+    place = (_lowest if thorough else _vertex)(height, interval.length)
+    return place if height(place) < 0 else None
+
+
+def _vertex(height: Callable[[float], float], length: float) -> float:
+    """The middle, or where the parabola through the ends and the middle is lowest."""
+    a, m, b = height(0.0), height(0.5 * length), height(length)
+    bend, slope = 2 * (a - 2 * m + b), -3 * a + 4 * m - b
+    share = -0.5 * slope / bend if bend > 0 else 0.5
+    low = a + share * slope + share**2 * bend
+    return share * length if m >= 0 and 0 < share < 1 and low < 0.2 * min(a, b) else 0.5 * length
+
+
+def _lowest(height: Callable[[float], float], length: float) -> float:
+    options = {"xatol": SEARCH * length, "maxiter": 25}
+    return float(minimize_scalar(height, bounds=(0.0, length), method="bounded", options=options).x)
+
+
+def _exchanged(a: Sample, b: Sample) -> bool:
+    """Whether indices of opposite signature on the unit circle stand in another order."""
+    first, last = ([int(t) for t in one.turns[np.argsort(one.indices.real)] if t] for one in (a, b))
+    return len(first) == len(last) and sum(first) == sum(last) and first != last
+
+
+# Multipliers that pass through +1 or -1 between two points: thin strips of instability, and avoided crossings.
+# A pair of multipliers on the unit circle turns one way, which its Krein signature tells. Where the
+# signature says that the pair has gone through +-1 although its stability index is inside (-2, 2) at both
+# points, either the index was outside for a short stretch between two bifurcations, or the step went across
+# an avoided crossing of two families (an internal resonance), which are different curves on the two sides.
+
+
+NEAR = 0.5
+"""How near to +-2 an index must be at one of the two points to have gone through it."""
+GRAZED = 0.05
+"""An index nearer than this to +-2 at one of the two points may have been beyond it and come back the same way."""
+
+
+@dataclass(frozen=True)
+class Flip:
+    """An index (its position) whose multipliers went through the level/2 on the unit circle within a step."""
+
+    position: int
+    level: float
+
+
+def flips(before: Sample, after: Sample) -> list[Flip]:
+    """Every index that was turned over between two samples."""
+    if before.indices.shape != after.indices.shape or before.about.root != after.about.root:
+        return []
+    found = []
+    passed = {k for pair in exchanged(before.indices, before.turns, after.indices, after.turns) for k in pair}
+    for j, (a, b) in enumerate(zip(before.indices, after.indices, strict=True)):
+        inside = is_real(a) and is_real(b) and abs(a.real) < 2 and abs(b.real) < 2 and a.real * b.real > 0
+        turned = before.turns[j] * after.turns[j] < 0 and j not in passed
+        if inside and turned and max(abs(a.real), abs(b.real)) > 2 - NEAR:
+            found.append(Flip(j, 2.0 * float(np.sign(a.real))))
+    return found
+
+
+def avoided(before: Sample, after: Sample) -> bool:
+    """Whether the step may have gone across an avoided crossing: multipliers met at +1 of the formulation's map."""
+    return any(flip.level > 0 for flip in flips(before, after))
+
+
+def strips(interval: Interval) -> list[tuple[Test, float]]:
+    """Looks inside every strip, so that its two bifurcations lie between orbits that were seen.
+
+    What is returned are the places at which multipliers touch without a strip: avoided crossings.
+    """
+    turned = flips(interval.first, interval.last)
+    found = [one for flip in turned for one in _strip(interval, flip)]
+    for level in {2.0, -2.0} - {flip.level for flip in turned}:
+        ends = [passage(level)(sample) for sample in (interval.first, interval.last)]
+        if ends[0] * ends[1] > 0 and min(np.abs(ends)) < GRAZED:
+            twice(interval, passage(level))
+    return found
+
+
+def _strip(interval: Interval, flip: Flip) -> list[tuple[Test, float]]:
+    sign, j = np.sign(flip.level), flip.position
+
+    def below(distance: float) -> float:
+        return float(2.0 - sign * interval.sample(distance).indices[j].real)
+
+    options = {"xatol": SEARCH * interval.length, "maxiter": 25}
+    try:
+        best = minimize_scalar(below, bounds=(0.0, interval.length), method="bounded", options=options)
+        place, least = float(best.x), float(best.fun)
+    except (ConvergenceError, IntegrationError):  # the families have turned away on both sides
+        ends = [float(2.0 - sign * sample.indices[j].real) for sample in (interval.first, interval.last)]
+        place, least = (0.0, interval.length)[int(ends[1] < ends[0])], min(ends)
+    if least < 0:
+        return []
+    what = f"at {flip.level / 2:+.0f}: an avoided crossing stepped over within an arclength of {interval.length:.1g}"
+    return [(Test("collision", what, passage(flip.level), multiplier=complex(sign)), place)]

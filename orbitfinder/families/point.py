@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.scale import extents
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
@@ -18,6 +17,8 @@ from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
 
+LEAST = 1e-3
+"""Share of a motion's distance from the origin that its extent counts as at least: it is known to round-off of that."""
 PIECEWISE = 1e3
 """Growth of errors beyond which an orbit is checked piece by piece as well."""
 
@@ -51,9 +52,6 @@ class FamilySettings:
     certify: bool = True
 
 
-Check = ClosureCheck
-
-
 def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:
     """The number that the family's parameter has at a place."""
     p = curve.equations
@@ -71,10 +69,10 @@ def make_point(
     found: Solution,
     along: np.ndarray,
     parameter: str,
-    check: Check | None,
+    check: ClosureCheck | None,
     about: Spectrum | None = None,
     **where: Any,
-) -> tuple[FamilyPoint, Spectrum]:
+) -> FamilyPoint:
     """The FamilyPoint of a corrected place; `where` gives index, arclength, step, role, indices.
 
     Raises `ConvergenceError` when the independent closure is above what double precision can hold.
@@ -85,8 +83,7 @@ def make_point(
     parts = list(found.march.transitions * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
-    free = dict(zip(p.free, map(float, place.free), strict=True))
-    turned = winding(curve)
+    free, turned = freed(curve, place), winding(curve)
     closure = 0.0 if check is None else check(place.nodes[0], place.period, np.array(turned), allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
@@ -96,7 +93,7 @@ def make_point(
         if not defect <= CLOSURE * growth:
             raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
     where.setdefault("indices", about.indices)
-    point = FamilyPoint(
+    return FamilyPoint(
         name="",
         system=system_at(p.model.system, free),
         winding=turned,
@@ -125,10 +122,11 @@ def make_point(
         tangent=along,
         **where,
     )
-    return point, about
 
 
-def piecewise_defect(curve: Curve, found: Solution, check: Check, free: Mapping[str, float]) -> tuple[float, float]:
+def piecewise_defect(
+    curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]
+) -> tuple[float, float]:
     """The largest gap between the pieces of an orbit, the boundary's included, and the largest growth.
 
     Both relative to the motion; the growth of a piece is the 2-norm of its state-transition matrix.
@@ -154,3 +152,34 @@ def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:
     free = np.array(list(member.free.values()))
     w = curve.equations.unknowns(member.shooting_nodes, member.period, member.mesh, free)
     return replace(w, unfolding=np.array(member.unfolding)) if isinstance(member, FamilyPoint) else w
+
+
+def freed(curve: Curve, place: Unknowns) -> dict[str, float]:
+    """The values of the freed parameters by name."""
+    return dict(zip(curve.equations.free, map(float, place.free), strict=True))
+
+
+def length(angles: Sequence[bool], states: np.ndarray) -> float:
+    """What coordinates are measured in: rad and m where there are angles, else the largest extent of a motion."""
+    return 1.0 if any(angles) else max(float(np.ptp(np.split(states, 2, axis=1)[0], axis=0).max()), 1e-300)
+
+
+def extents(states: np.ndarray) -> np.ndarray:
+    """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
+    halves = np.split(states, 2, axis=1)
+    sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in halves]
+    return np.repeat(sizes, states.shape[1] // 2)
+
+
+def extent(curve: Curve, found: Solution) -> float:
+    """How far the configurations of an orbit are apart in a family's metric."""
+    n = curve.equations.size // 2
+    return max(float(np.sqrt(curve.weights[:n] @ np.ptp(found.march.states[:, :n], axis=0) ** 2)), 1e-300)
+
+
+def span(curve: Curve, found: Solution) -> float:
+    """What lengths along a family are relative to at an orbit: angles have the radian, others the motion's extent.
+
+    So a family told in millimetres, or one of small orbits, is followed by the same steps as any other.
+    """
+    return 1.0 if any(curve.equations.model.angles) else extent(curve, found)

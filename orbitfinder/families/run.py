@@ -1,78 +1,208 @@
-"""Where a walk along a family stands: what is asked, the last point and what the next step is predicted from."""
+"""A run along a family: what is asked of it, its last step, and the interval between two steps as a curve to sample."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from orbitfinder.families.events import Probe, make_probe, parameter_slopes
-from orbitfinder.families.point import Check, FamilySettings, make_point, unknowns_of
-from orbitfinder.families.scale import span
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.point import FamilySettings, make_point, span, unknowns_of
+from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
-from orbitfinder.loops.continued import Curve, Solution, at_place, bend, tangent
+from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, bend, correct, plane, tangent
+from orbitfinder.loops.loop import Unknowns
+from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import FamilyPoint
+
+REAL = 1e-7
+"""An index counts as real when its imaginary part is below this, relative to its size."""
 
 
 @dataclass(frozen=True)
-class Walk:
+class Run:
     """One direction of a family: its curve, where it began and what is asked of it."""
 
     curve: Curve
     settings: FamilySettings
     direction: int
     origin: FamilyPoint
-    check: Check | None = None
+    check: ClosureCheck | None = None
     until: float | None = None
     at: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
-class Stand:
-    """Where the walk stands: the last point, its integration, the tangent over w, the parabola, the trend.
+class Sample:
+    """A corrected orbit between two points: distance from the first, tangent (over w), indices, their turns."""
 
-    `probe` is what the tests read there, `heads` every step so far, and `drift` the change of the
-    Jacobian with arclength, where two orbits in a row have one mesh.
+    distance: float
+    found: Solution
+    whole: np.ndarray
+    about: Spectrum
+    indices: np.ndarray
+    turns: np.ndarray
+    slopes: dict[str, float]
+
+    @property
+    def head(self) -> np.ndarray:
+        """The tangent over the head."""
+        return self.found.place.head_of(self.whole)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The part of a family between two corrected places on the same mesh.
+
+    `seen` keeps every orbit that was computed inside it, by distance.
+    """
+
+    curve: Curve
+    first: Sample
+    last: Sample
+    curvature: np.ndarray
+    twist: np.ndarray
+    seen: dict[float, Sample] = field(default_factory=dict, compare=False, repr=False)
+    unit: float = 1.0
+    """what arclengths are relative to (see `scale.span`)"""
+
+    @property
+    def length(self) -> float:
+        """Arclength (measured along the first tangent)."""
+        return self.last.distance
+
+    @property
+    def share(self) -> float:
+        """The length relative to the motion."""
+        return self.length / self.unit
+
+    def sample(self, distance: float) -> Sample:
+        """The orbit at a distance (along the first tangent) into the interval, corrected once."""
+        if distance in (0.0, self.length):
+            return self.last if distance else self.first
+        if distance not in self.seen:
+            self.seen[distance] = self.computed(distance)
+        return self.seen[distance]
+
+    def known(self) -> list[Sample]:
+        """Every orbit that was computed, in order along the interval."""
+        return [self.first, *(self.seen[distance] for distance in sorted(self.seen)), self.last]
+
+    def computed(self, distance: float) -> Sample:
+        """The same, computed."""
+        first, curve, place = self.first, self.curve, self.first.found.place
+        reach = max(0.5 * self.length, 1e-6 * self.unit)
+        aim = plane(curve, place, first.head, distance)
+        found = correct(curve, self.guess(distance), aim, place, reach, self.slope(distance))
+        whole = tangent(curve, found, first.head)
+        sample = make_sample(curve, distance, found, whole, self.indices(distance))
+        if sample.indices.shape != first.indices.shape:
+            raise ConvergenceError("the orbit is a relative equilibrium, whose flow is one of its symmetries")
+        return sample
+
+    def guess(self, distance: float) -> Unknowns:
+        """The cubic through both ends with both tangents."""
+        if distance == self.length:
+            return self.last.found.place
+        bent = self.curvature + (distance - self.length) * self.twist
+        return advanced(self.first.found.place, self.first.whole, distance, bent)
+
+    def slope(self, distance: float) -> np.ndarray | None:
+        """The Jacobian between those of the ends."""
+        share, (a, b) = distance / self.length, (self.first.found.jacobian, self.last.found.jacobian)
+        return np.asarray((1 - share) * a + share * b) if a.shape == b.shape else None
+
+    def indices(self, distance: float) -> np.ndarray:
+        """Indices between those of the ends."""
+        share = distance / self.length
+        return np.asarray((1 - share) * self.first.indices + share * self.last.indices)
+
+
+def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[str, float]:
+    """d/ds of energy, period and every freed parameter along a direction over the head."""
+    p, size = curve.equations, curve.equations.size
+    _, slope, free = p.quantities_at(place.nodes[0], place.free)
+    energy = float(slope[-1] @ head[:size] + free[-1] @ head[size + 1 :])
+    slopes = {"energy": energy, "period": float(head[size])}
+    slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.free)}
+    return slopes | {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
+
+
+def make_sample(curve: Curve, distance: float, found: Solution, whole: np.ndarray, expected: np.ndarray) -> Sample:
+    """Everything that the tests read, at one corrected place."""
+    about = spectrum(curve, found)
+    slopes = parameter_slopes(curve, found.place, found.place.head_of(whole))
+    order = matching(expected, about.indices)
+    return Sample(distance, found, whole, about, about.indices[order], about.turns[order], slopes)
+
+
+def make_interval(curve: Curve, first: Sample, last: Sample) -> Interval:
+    """The interval between two samples on one mesh.
+
+    With w(d) = w0 + d t + d^2 c + d^2 (d - D) e, w(D) fixes c and the last tangent, taken per unit of d, fixes e.
+    """
+    curvature = bend(curve, first.found.place, first.whole, last.found.place)
+    twist, length = np.zeros_like(curvature), last.distance
+    along = float((curve.weights * first.head) @ last.head)
+    if last.whole.shape == first.whole.shape and along > 0.5:
+        twist = (last.whole / along - first.whole - 2 * length * curvature) / length**2
+    return Interval(curve, first, last, curvature, twist, unit=span(curve, first.found))
+
+
+def is_real(value: complex) -> bool:
+    """Whether an index counts as real."""
+    return abs(value.imag) <= REAL * max(1.0, abs(value))
+
+
+def real_indices(sample: Sample) -> np.ndarray:
+    """Which indices count as real."""
+    return np.array([is_real(one) for one in sample.indices], bool)
+
+
+@dataclass(frozen=True)
+class Step:
+    """The last step of a run: its point, what is read there, the parabola, the trend of the indices.
+
+    `heads` are those of every step so far, and `drift` is the change of the Jacobian with arclength, where two orbits
+    in a row have one mesh.
     """
 
     point: FamilyPoint
-    found: Solution
-    whole: np.ndarray
+    sample: Sample
     curvature: np.ndarray
     trend: np.ndarray
     shortest_period: float
-    probe: Probe
     heads: tuple[np.ndarray, ...]
     drift: np.ndarray | None = None
 
+    @property
+    def found(self) -> Solution:
+        """The orbit of the point."""
+        return self.sample.found
 
-def first_point(start: Start, settings: FamilySettings, check: Check | None) -> FamilyPoint:
+
+def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | None) -> FamilyPoint:
     """The point that a family starts from, its tangent towards a larger value of the parameter."""
-    head = start.direction
-    if parameter_slopes(start.curve, start.found.place, head)[settings.parameter] < 0:
+    head, curve = start.direction, start.curve
+    if parameter_slopes(curve, start.found.place, head)[settings.parameter] < 0:
         head = -head
-    unit = span(start.curve.equations.model.angles, start.curve.weights, start.found.march.states)
-    where: dict[str, Any] = {"index": 0, "arclength": 0.0, "step": settings.first_step * unit}
-    return make_point(start.curve, start.found, head, settings.parameter, check, **where)[0]
+    step = settings.first_step * span(curve, start.found)
+    return make_point(curve, start.found, head, settings.parameter, check, index=0, arclength=0.0, step=step)
 
 
-def stand_at(walk: Walk, points: Sequence[FamilyPoint]) -> Stand:
-    """The state of the walk after its last point; everything follows from the points themselves."""
-    last = points[-1]
-    found = at_place(walk.curve, unknowns_of(walk.curve, last))
-    sign = walk.direction if len(points) == 1 else 1
-    whole = tangent(walk.curve, found, sign * last.tangent)
+def step_at(run: Run, points: Sequence[FamilyPoint]) -> Step:
+    """The last step of a run over these points, from which everything follows."""
+    last, curve = points[-1], run.curve
+    found = at_place(curve, unknowns_of(curve, last))
+    whole = tangent(curve, found, last.tangent if len(points) > 1 else run.direction * last.tangent)
     curvature, trend = np.zeros_like(whole), np.zeros_like(last.indices)
     if len(points) > 1:
-        before = points[-2]
-        curvature = bend(walk.curve, found.place, whole, unknowns_of(walk.curve, before))
-        trend = trend_of(before, last)
-    shortest = min(point.period for point in points)
-    probe = make_probe(walk.curve, 0.0, found, whole, last.indices)
-    heads = tuple(unknowns_of(walk.curve, point).head for point in points)
-    return Stand(last, found, whole, curvature, trend, shortest, probe, heads)
+        curvature = bend(curve, found.place, whole, unknowns_of(curve, points[-2]))
+        trend = trend_of(points[-2], last)
+    sample = make_sample(curve, 0.0, found, whole, last.indices)
+    heads = tuple(unknowns_of(curve, point).head for point in points)
+    return Step(last, sample, curvature, trend, min(point.period for point in points), heads)
 
 
 def trend_of(before: FamilyPoint, last: FamilyPoint) -> np.ndarray:

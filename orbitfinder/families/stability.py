@@ -35,7 +35,6 @@ class Spectrum:
     turns: np.ndarray
     krein: tuple[int, ...]
     reduced: np.ndarray
-    basis: np.ndarray
     conservative: bool = True
 
 
@@ -52,12 +51,13 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     krein: tuple[int, ...] = ()
     turns = np.zeros(indices.size, int)
     if conservative:
-        form = _form(curve, place.nodes[0], place.free, basis)
+        lift = p.momentum_slopes(place.nodes[0], place.free) @ basis
+        form = np.asarray(lift.T @ symplectic_unit(p.size // 2) @ lift)
         krein = _krein(form, whole, floquet.multipliers)
         upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
         on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
         turns = np.where(on_circle, _krein(form, reduced, upper), 0)
-    return Spectrum(floquet, root, indices, turns, krein, reduced, basis, conservative)
+    return Spectrum(floquet, root, indices, turns, krein, reduced, conservative)
 
 
 def _resolved(floquet: Floquet) -> Floquet:
@@ -108,12 +108,6 @@ def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     return p.quantities_at(x, place.free)[1][: p.energy], np.vstack([rate, generated(p.model, x)])
 
 
-def _form(curve: Curve, x: np.ndarray, free: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """The symplectic form J, in canonical coordinates, on the space that a basis spans."""
-    lift = curve.equations.momentum_slopes(x, free) @ basis
-    return np.asarray(lift.T @ symplectic_unit(len(lift) // 2) @ lift)
-
-
 def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:
     """Sign of i u^* J u for each eigenvector u of a map, 0 off the unit circle.
 
@@ -130,15 +124,14 @@ def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int
     return tuple(signs)
 
 
-def matching(previous: np.ndarray, found: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
-    """The order in which `found` continues `previous` (complex arrays), so that curves along a family do not swap.
+def matching(expected: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """The order in which `found` continues what is `expected` (complex arrays), so that curves do not swap.
 
-    The assignment of least total distance from where each curve is heading (`slope`, its last change); of equal
-    ones, and moving together makes them equal, the one that keeps the order.
+    The assignment of least total distance; of equal ones, and moving together makes them equal, the one that keeps
+    the order.
     """
-    if previous.shape != found.shape:
+    if expected.shape != found.shape:
         return np.arange(found.size)
-    expected = previous if slope is None else previous + slope
     gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
     return np.asarray(linear_sum_assignment(gaps + CONVEX * gaps**2)[1])
 

@@ -12,8 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.point import FamilySettings
-from orbitfinder.families.scale import length
+from orbitfinder.families.point import FamilySettings, length, parameter_value
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
@@ -59,25 +58,25 @@ def begin(
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest"
-    start = (_found_first if chosen else _tried)(base, free, held)
+    start = (_found_first if chosen else _tried)(base, free)
     if symmetry == "auto":
         wanted = symmetry_of(start.curve, start.found)
-    return reformulated(start, named(wanted, problem.model), free, held)
+    return reformulated(start, named(wanted, problem.model))
 
 
-def _tried(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
     """Newton from the guess itself, or else from the orbit that the guess leads to."""
     try:
-        return _start(problem, free, held)
+        return _start(problem, free)
     except (ConvergenceError, IntegrationError):
-        return _found_first(problem, free, held)
+        return _found_first(problem, free)
 
 
-def _found_first(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+def _found_first(problem: Problem, free: tuple[str, ...]) -> Start:
     """From the orbit that `find_orbit` finds, at the values it gives to parameters that the Problem frees."""
     orbit = find_orbit(problem)
     model = with_parameters(problem.model, orbit.provenance.get("free", {})) if problem.free else problem.model
-    return _start(as_problem(orbit, model), free, held)
+    return _start(as_problem(orbit, model), free)
 
 
 def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
@@ -123,15 +122,16 @@ def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
     equations = Equations(model, old.equations.symmetry, free, action=True)
     place = replace(place, free=equations.numbers)
     curve = replace(curve_at(equations, place, held), constant=old.constant)
-    return corrected(curve, place, pinned(equations, free[0], float(place.free[0])))
+    return corrected(curve, place, _own_aim(curve, place))
 
 
-def _start(problem: Problem, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     equations = Equations(problem.model, problem.boundary, free, action=True)
     fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
-    curve = curve_at(equations, place, held, problem.turns)
-    return corrected(curve, place, _first_aim(curve, place, problem, free))
+    curve = curve_at(equations, place, turns=problem.turns)
+    pin = None if free or not problem.pin else problem.pin[0]
+    return corrected(curve, place, pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place))
 
 
 def curve_at(
@@ -191,15 +191,10 @@ class CurveEntry:
     period: float | None
 
 
-def _first_aim(curve: Curve, place: Unknowns, problem: Problem, free: tuple[str, ...]) -> Condition:
-    """Where on the family to begin: the freed parameter's own value, the pin, else the guess's energy."""
-    equations = curve.equations
-    if free:
-        return pinned(equations, free[0], float(place.free[0]))
-    if problem.pin:
-        return pinned(equations, problem.pin[0].name, problem.pin[0].value)
-    energy = float(equations.quantities_at(place.nodes[0], place.free)[0][equations.energy])
-    return pinned(equations, "energy", energy)
+def _own_aim(curve: Curve, place: Unknowns) -> Condition:
+    """The first freed parameter, or else the energy, at the value that it has at a place."""
+    name = next(iter(curve.equations.free), "energy")
+    return pinned(curve.equations, name, parameter_value(curve, place, name))
 
 
 def corrected(
@@ -260,7 +255,14 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     return times, CubicHermiteSpline(mesh * place.period, states, p.march.rates(states, place.tail))(times)
 
 
-def reformulated(start: Start, symmetry: Symmetry, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
+def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:
+    """|x(T / parts) - x(0)| (2n) of states at equal times over a period T."""
+    low, share = divmod((len(states) - 1) / parts, 1.0)
+    before, after = states[int(low)], states[int(low) + 1]
+    return np.asarray(np.abs(before + share * (after - before) - states[0]))
+
+
+def reformulated(start: Start, symmetry: Symmetry) -> Start:
     """The same orbit in the formulation of another symmetry, started at a brake instant where that needs one."""
     old, place = start.curve, start.found.place
     if symmetry == old.equations.symmetry:
@@ -268,7 +270,7 @@ def reformulated(start: Start, symmetry: Symmetry, free: tuple[str, ...], held: 
     model = old.equations.model
     times, states = full_samples(old, start.found)
     first = _symmetric_state(old, times, states, symmetry) if symmetry.reverses else states[0]
-    equations = Equations(model, symmetry, free, action=True)
+    equations = Equations(model, symmetry, old.equations.free, action=True)
     fresh = equations.unknowns(first[None], place.period, np.zeros(0), place.free)
     if len(place.nodes) > 1:  # too unstable to shoot over the horizon in one piece: nodes from the samples
         shifted = np.vstack([states[:-1], states])
@@ -279,7 +281,4 @@ def reformulated(start: Start, symmetry: Symmetry, free: tuple[str, ...], held: 
     curve = replace(curve_at(equations, fresh), conditions=old.conditions, weights=old.weights)
     steps = max(8, int(FIRST_STEPS * equations.symmetry.fraction / len(fresh.nodes)))
     fresh = replace(fresh, mesh=uniform(equations.symmetry.fraction, len(fresh.nodes), steps))
-    if free:
-        return corrected(curve, fresh, pinned(equations, free[0], float(place.free[0])))
-    energy = float(old.equations.quantities_at(place.nodes[0], place.free)[0][old.equations.energy])
-    return corrected(curve, fresh, pinned(equations, "energy", energy))
+    return corrected(curve, fresh, _own_aim(old, place))

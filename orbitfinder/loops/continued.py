@@ -156,6 +156,12 @@ def correct(
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
 
 
+def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> Condition:
+    """The aim in the hyperplane through w, or so far ahead of it, normal to a direction over the head."""
+    normal = curve.weights * along
+    return Condition(float(normal @ w.head) + ahead, normal)
+
+
 def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
     w, size = found.place, curve.equations.size

@@ -9,8 +9,8 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.loops.continued import Curve, Solution, correct
-from orbitfinder.loops.loop import Condition, Unknowns
+from orbitfinder.loops.continued import Curve, Solution, correct, plane
+from orbitfinder.loops.loop import Unknowns
 
 STEP_ERROR = 5e-13
 """Estimated relative error of a Runge-Kutta step on a fresh mesh; the true one is some 100 times smaller."""
@@ -129,7 +129,7 @@ def regraded(curve: Curve, found: Solution) -> np.ndarray:
     return np.append(np.concatenate(pieces), place.mesh[-1])
 
 
-def refined(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
+def refined(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
     """The same orbit with half as many steps again in every segment, for one whose shear amplifies their errors."""
     place = found.place
     count = len(place.nodes)
@@ -137,18 +137,18 @@ def refined(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
     more = 4 * int(np.ceil(1.5 * steps / 4))
     old, new = np.arange(place.mesh.size), np.linspace(0.0, place.mesh.size - 1, count * more + 1)
     finer = replace(place, mesh=np.interp(new, old, place.mesh))
-    return correct(curve, finer, Condition(float(normal @ place.head), normal), place)
+    return correct(curve, finer, plane(curve, place, along), place)
 
 
-def settled(curve: Curve, found: Solution, normal: np.ndarray) -> Solution:
-    """The same orbit on a fitting mesh, held in the hyperplane through it with this normal.
+def settled(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
+    """The same orbit on a fitting mesh, held in the hyperplane through it normal to a direction over the head.
 
     Segments stay where they are if they can, for the predictor of the next orbit looks back over them.
     """
     for _ in range(4):
         if not needs_mesh(curve, found):
             break
-        aim, mesh = Condition(float(normal @ found.place.head), normal), found.place.mesh
+        aim, mesh = plane(curve, found.place, along), found.place.mesh
         if _growths(curve, found).max() <= STEEPEST:
             mesh = regraded(curve, found)
         place = remeshed(curve, found) if mesh is found.place.mesh else replace(found.place, mesh=mesh)
