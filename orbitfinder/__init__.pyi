@@ -14,9 +14,9 @@ from .exports.write import export_orbit as export_orbit
 from .families.folder import follow_family as follow_family
 from .families.point import FamilySettings as FamilySettings
 from .families.switching import switch_branch as switch_branch
-from .loops.conditions import pin as pin
 from .loops.conditions import Constraint as Constraint
 from .loops.conditions import Variables as Variables
+from .loops.conditions import pin as pin
 from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem
