@@ -23,7 +23,7 @@ from orbitfinder.families.run import Interval, Run, Sample, Step, make_interval,
 from orbitfinder.families.stability import Spectrum
 from orbitfinder.loops.continued import Solution, advanced, bend, correct, distance, plane, tangent
 from orbitfinder.loops.mesh import refined, regraded, settled
-from orbitfinder.loops.square import pinned
+from orbitfinder.loops.problem import pinned
 from orbitfinder.records.family import Batch, End, Event, FamilyPoint
 
 SHORTEST_SEARCH = 1e-3
