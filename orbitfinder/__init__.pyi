@@ -11,9 +11,9 @@ from .atlas.choose import least_unstable as least_unstable
 from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
 from .exports.write import export_orbit as export_orbit
+from .families.branches import switch_branch as switch_branch
 from .families.folder import follow_family as follow_family
 from .families.point import FamilySettings as FamilySettings
-from .families.switching import switch_branch as switch_branch
 from .loops.conditions import Constraint as Constraint
 from .loops.conditions import Variables as Variables
 from .loops.conditions import pin as pin

@@ -233,7 +233,7 @@ def _apart(points: np.ndarray, curve: np.ndarray) -> float:
 def _foot(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
     """The nearest points (k x 2n) of the polygon through others."""
     nearest = cKDTree(curve).query(points)[1]
-    found = curve[nearest].copy()
+    found: np.ndarray = curve[nearest].copy()
     for shift in (-1, 0):
         low = np.clip(nearest + shift, 0, len(curve) - 2)
         along = curve[low + 1] - curve[low]

@@ -108,7 +108,7 @@ class Subinterval:
         return np.array([is_real(a) and is_real(b) for a, b in pairs], bool)
 
     def read(self, sample: Sample) -> np.ndarray:
-        """The indices of an orbit on the stretch in the order of its ends."""
+        """The indices of an orbit there in the order of its ends."""
         share = (sample.distance - self.low) / (self.high - self.low)
         expected, found = (1 - share) * self.before + share * self.after, sample.indices
         kind, seen = self.real, real_indices(sample)
@@ -177,7 +177,7 @@ def passages(interval: Interval, most: int, met: Sequence[Sample] = ()) -> list[
 
 
 def _passed(interval: Interval, part: Subinterval, level: float) -> list[Sample]:
-    """The orbits of a stretch at which an index passes a level."""
+    """The orbits of a subinterval at which an index passes a level."""
     real = part.real
     before, after = part.before[real].real, part.after[real].real
     rises = (after >= level).astype(int) - (before >= level)
@@ -190,7 +190,7 @@ def _passed(interval: Interval, part: Subinterval, level: float) -> list[Sample]
 
 
 def _ranked(part: Subinterval, rank: int, level: float) -> Measure:
-    """One of the real indices of a stretch, by its rank, above a level."""
+    """One of the real indices of a subinterval, by its rank, above a level."""
     return lambda sample: float(np.sort(part.read(sample)[part.real].real)[rank] - level)
 
 

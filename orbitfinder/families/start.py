@@ -241,7 +241,7 @@ def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmet
     speed = (first @ (slopes[k] * clock))[:n]
     moment = times[k] - float(away[k] @ speed) / max(float(speed @ speed), 1e-300)
     state = np.asarray(CubicHermiteSpline(times, states, slopes)(moment % times[-1]))
-    return state - np.linalg.pinv(first[:n]) @ off_centre(one, state[None], model.angles)[0]
+    return np.asarray(state - np.linalg.pinv(first[:n]) @ off_centre(one, state[None], model.angles)[0])
 
 
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:

@@ -74,7 +74,7 @@ def _row_units(curve: Curve, w: Unknowns, aim: Condition) -> np.ndarray:
     boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
     units = [np.tile(unit, len(w.nodes) - 1), boundary, np.linalg.norm(curve.normals * unit, axis=1)]
     units.append(np.linalg.norm(curve.slopes(w, (*curve.conditions, aim)) * head, axis=1))
-    return np.maximum(np.concatenate(units), 1e-300)
+    return np.asarray(np.maximum(np.concatenate(units), 1e-300))
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition) -> np.ndarray:

@@ -73,7 +73,8 @@ def wanted_steps(curve: Curve, found: Solution, errors: np.ndarray) -> np.ndarra
     place, units = found.place, 1.0 / np.sqrt(curve.weights[: curve.equations.size])
     asked = np.arange(0, errors.size, SAMPLED)
     varied = curve.equations.march.variation_errors(found.march.states, place.mesh, place.tail, units, asked)
-    return np.maximum(_density(errors), np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size])
+    variations = np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size]
+    return np.asarray(np.maximum(_density(errors), variations))
 
 
 def _spread(density: np.ndarray) -> np.ndarray:
