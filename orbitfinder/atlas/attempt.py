@@ -22,8 +22,7 @@ from orbitfinder.families.start import begin
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.square import segments_needed
+from orbitfinder.loops.problem import Guess, Problem, segments_needed
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.orbits.certify import certified, return_distances
 from orbitfinder.orbits.floquet import analyse, reduce_monodromy
@@ -79,6 +78,12 @@ class ClosedLoop:
         """Energy, period and |action|, which images of a loop share."""
         return self.problem.pin[0].value, self.w.period, abs(self.action)
 
+    @property
+    def signature(self) -> Signature:
+        """What it is recognised by."""
+        angles = tuple(map(bool, self.problem.model.angular))
+        return Signature(*self.numbers, resampled(self.times, self.states), angles)
+
 
 def attempt(
     context: Context,
@@ -121,27 +126,16 @@ def continuation(context: Context, index: int, source: Mapping[str, Any]) -> Sta
 def finished(context: Context, seed: int, start: Start, known: ArrayLike | None) -> Attempt:
     """The attempt that a start becomes; `ConvergenceError` or `IntegrationError` when it leads nowhere."""
     loop = minimal(context, converged(context, start))
-    signature = loop_signature(context, loop)
+    signature = loop.signature
     if known is not None and among(known, loop.numbers):
         return Attempt(start.index, start.strategy, signature)
-    orbit = replace(measured(context, loop), provenance=origin(seed, start), name=name_of(context, seed, start))
+    name = f"e{context.target.energy:g}-s{seed}-n{start.index}".replace("+", "")  # unique, and good for a folder
+    orbit = replace(measured(context, loop), provenance=origin(seed, start), name=name)
     orbit = certified(orbit, context.model)
     if orbit.certificate is not None and not orbit.certificate.passed:
         failed = ", ".join(orbit.certificate.failures)
         return Attempt(start.index, start.strategy, reason=f"not certified: {failed}")
     return Attempt(start.index, start.strategy, signature, orbit)
-
-
-def name_of(context: Context, seed: int, start: Start) -> str:
-    """A name that is unique in an atlas, and good for a folder: energy, seed, number of the start."""
-    return f"e{context.target.energy:g}-s{seed}-n{start.index}".replace("+", "")
-
-
-def loop_signature(context: Context, loop: ClosedLoop) -> Signature:
-    """The signature of a loop that is not measured yet."""
-    energy, period, action = loop.numbers
-    angles = tuple(map(bool, context.model.angular))
-    return Signature(energy, period, action, resampled(loop.times, loop.states), angles)
 
 
 def converged(context: Context, start: Start) -> ClosedLoop:
@@ -208,7 +202,7 @@ def whole_period(context: Context, problem: Problem, w: Unknowns) -> tuple[np.nd
 
 
 def measured(context: Context, loop: ClosedLoop) -> Orbit:
-    """The Orbit of a loop, as `periodic.measure` makes it, by the compiled march."""
+    """The Orbit of a loop, as `measure` makes it, by the compiled march."""
     problem, march = loop.problem, context.equations[NONE.name].march
     period, mesh = loop.w.period, loop.times / loop.times[-1]
     tail, monodromy = np.append(period, np.zeros(march.unfolding)), np.eye(2 * context.model.degrees_of_freedom)

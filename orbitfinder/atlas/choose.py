@@ -122,7 +122,6 @@ def _own(problem: Problem, found: list[Candidate]) -> None:
 
 
 def _add(found: list[Candidate], signature: Signature, orbit: Orbit | None) -> None:
-
     for k, each in enumerate(found):
         if same_orbit(each.signature, signature):
             found[k] = replace(each, found=each.found + 1)
