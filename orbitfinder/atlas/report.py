@@ -1,4 +1,11 @@
-"""What searches found, read from the atlas: yield of each strategy, failures by reason, how many may remain."""
+"""What searches found, read from the atlas: yield of each strategy, failures by reason, how many may remain.
+
+A start that imposes a symmetry meets only orbits that have it, so orbits are counted apart by energy and symmetry:
+over such strata the lower bound of Chao adds up, and it is never less than that of all counts in one heap. It is a
+bound in expectation and silent on orbits that starts rarely meet. What can be said of those: K starts miss an orbit
+that each meets with probability p with probability (1 - p)^K, which is above 5 % for p < 3 / K (the rule of three:
+J. A. Hanley, A. Lippman-Hand, JAMA 249 (1983) 1743-1745).
+"""
 
 from __future__ import annotations
 
@@ -24,6 +31,25 @@ class Yield:
     hits: int
     new: int
     seconds: float
+
+
+@dataclass(frozen=True)
+class Stratum:
+    """Orbits of one energy (J) and symmetry: how many were met, `once` and in all, and by how many starts.
+
+    `starts` counts those that can meet such an orbit, `least` is Chao's lower bound with its standard error, and
+    `coverage` the part of further hits that would be known orbits (Good and Turing), None without hits.
+    """
+
+    energy: float
+    symmetry: str
+    orbits: int
+    once: int
+    hits: int
+    starts: int
+    least: float
+    standard_error: float
+    coverage: float | None
 
 
 @dataclass(frozen=True)
@@ -60,7 +86,9 @@ class Summary:
     def remarks(self) -> tuple[str, ...]:
         """The estimate and what it does not cover, a sentence each."""
         begun = sum(one.starts for one in self.yields if one.strategy == "mirror")
-        return (*remarks(self.strata, self.stalled), *(mirrored(one, begun) for one in self.mirrors))
+        unseen = "was imposed by no start, and images under it count apart"
+        mirrored = (f"the system's mirror {one} {unseen}; {begun} began on it" for one in self.mirrors)
+        return (*remarks(self.strata, self.stalled), *mirrored)
 
     def document(self) -> dict[str, Any]:
         """The same for `--json`; no standard error where nothing was met only once: there is nothing to judge by."""
@@ -86,7 +114,7 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
         values,
     )
     methods = atlas.select([str], f"SELECT method FROM searches WHERE {where.replace('search ', 'id ')}", values)
-    yields = tuple(Yield(name, starts, hits, new, seconds) for name, starts, hits, new, seconds in counted)
+    yields = tuple(Yield(*row) for row in counted)
     return Summary(
         orbits=len(atlas),
         starts=sum(one.starts for one in yields),
@@ -145,34 +173,6 @@ def discovery(atlas: Atlas, search: int) -> tuple[np.ndarray, np.ndarray, np.nda
     return np.cumsum([seconds for *_, seconds in rows]), np.array(distinct, int), np.array(estimates)
 
 
-# --------------------------------------------------------------------------------------------------
-# How many orbits there are at least, and what the starts of a search could not see.
-# A start that imposes a symmetry meets only orbits that have it, so orbits are counted apart by energy and symmetry:
-# over such strata the lower bound of Chao adds up, and it is never less than that of all counts in one heap. It is a
-# bound in expectation and silent on orbits that starts rarely meet. What can be said of those: K starts miss an orbit
-# that each meets with probability p with probability (1 - p)^K, which is above 5 % for p < 3 / K (the rule of three:
-# J. A. Hanley, A. Lippman-Hand, JAMA 249 (1983) 1743-1745).
-
-
-@dataclass(frozen=True)
-class Stratum:
-    """Orbits of one energy (J) and symmetry: how many were met, `once` and in all, and by how many starts.
-
-    `starts` counts those that can meet such an orbit, `least` is Chao's lower bound with its standard error, and
-    `coverage` the part of further hits that would be known orbits (Good and Turing), None without hits.
-    """
-
-    energy: float
-    symmetry: str
-    orbits: int
-    once: int
-    hits: int
-    starts: int
-    least: float
-    standard_error: float
-    coverage: float | None
-
-
 def stratum(energy: float, symmetry: str, counts: np.ndarray, made: Mapping[str, int]) -> Stratum:
     """The stratum in which orbits were met so often (k), after so many starts of each strategy at its energy."""
     hits, once = int(counts.sum()), int(np.sum(counts == 1))
@@ -213,11 +213,6 @@ def unseen(one: Stratum) -> str:
     if one.starts < 6:
         return f"{sought}: too few to say how many there are"
     return f"{sought} only: what fewer than 1 in {one.starts // 3} of these would meet may be missing"
-
-
-def mirrored(mirror: str, begun: int) -> str:
-    """What the starts know of a mirror that is no coordinate symmetry with a name."""
-    return f"the system's mirror {mirror} was imposed by no start, and images under it count apart; {begun} began on it"
 
 
 def chao1(counts: np.ndarray) -> tuple[float, float]:
