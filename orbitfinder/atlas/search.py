@@ -112,7 +112,7 @@ def sources(atlas: Atlas, search: int) -> list[int]:
 
 
 class Search:
-    """The state of one run of a search; `run` is all that one calls."""
+    """One run of a search; `run` is all that one calls."""
 
     def __init__(
         self, atlas: Atlas, request: Request, context: Context, limits: Limits,

@@ -63,7 +63,7 @@ ROUND_OFF = 3e-13
 
 
 class Stalled(ConvergenceError):
-    """Newton's method came near an orbit that is nearly degenerate, and no nearer; `w` is where it stands."""
+    """Newton's method came near an orbit that is nearly degenerate, and no nearer; `w` is where it ended."""
 
     def __init__(self, w: Unknowns) -> None:
         super().__init__("stalled near a degenerate orbit")
