@@ -13,7 +13,12 @@ class OrbitfinderError(Exception):
 
 
 class InputError(OrbitfinderError, ValueError):
-    """What the user gave is not usable (command line: exit code 2)."""
+    """What the user gave is not usable (command line: exit code 2); its message starts with what it is about."""
+
+    @property
+    def field(self) -> str:
+        """What the message is about: the argument, key or file before its first colon."""
+        return str(self).partition(":")[0]
 
 
 class CountError(InputError):

@@ -28,6 +28,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions, vector_field
 from orbitfinder.problemfile.read import load_problem
+from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.records.store import load_orbit
@@ -36,7 +37,6 @@ from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.explorers import span, spread
 from orbitfinder.site.gather import evenly, gather
 from orbitfinder.site.motion import Films, histories, packed, resampled
-from orbitfinder.site.recipe import problem_name, problem_text, toml
 from orbitfinder.site.text import PAGES, coordinate, mechanism, number, plural, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
 
@@ -562,7 +562,7 @@ def test_problem_text_loads_as_the_same_problem(file, tmp_path):
         "winding": list(problem.turns),
         "provenance": {"pin": {one.name: one.value for one in problem.pin}},
     }
-    (tmp_path / "again.toml").write_text(problem_text(about), encoding="utf-8")
+    (tmp_path / "again.toml").write_text(orbit_text(about), encoding="utf-8")
     again = load_problem(tmp_path / "again.toml")
     assert dict(again.model.system) == dict(problem.model.system)
     assert np.array_equal(again.guess.state, problem.guess.state) and again.guess.period == problem.guess.period
@@ -571,7 +571,7 @@ def test_problem_text_loads_as_the_same_problem(file, tmp_path):
 
 def test_problem_text_finds_the_orbit_again(tmp_path):
     """The command on the page, with the file on the page, ends at the orbit on the page."""
-    (tmp_path / "triple-1.toml").write_text(problem_text(document()))
+    (tmp_path / "triple-1.toml").write_text(orbit_text(document()))
     runner = CliRunner()
     result = runner.invoke(cli, ["run", str(tmp_path / "triple-1.toml"), "--out", str(tmp_path), "--no-figures"])
     assert result.exit_code == 0, result.output
@@ -583,21 +583,21 @@ def test_downloaded_orbit_is_the_file(site):
     assert json.loads(payload["json"]) == document()
 
 
-def test_pins_of_a_problem_text():
+def test_pins_of_a_orbit_text():
     bare = {key: value for key, value in document().items() if key != "provenance"}
-    assert tomllib.loads(problem_text(bare))["find"]["pin"] == {"energy": bare["energy"]}
+    assert tomllib.loads(orbit_text(bare))["find"]["pin"] == {"energy": bare["energy"]}
     isolated = bare | {"provenance": {"invariants": []}}
-    assert "pin" not in tomllib.loads(problem_text(isolated))["find"]
-    assert problem_text(bare | {"system": {"kind": "custom"}}) is None
-    assert problem_text(bare | {"system": {"kind": "chain", "length": [None]}}) is None
-    nasty = tomllib.loads(problem_text(bare | {"name": NASTY, "title": NASTY}))
+    assert "pin" not in tomllib.loads(orbit_text(isolated))["find"]
+    assert orbit_text(bare | {"system": {"kind": "custom"}}) is None
+    assert orbit_text(bare | {"system": {"kind": "chain", "length": [None]}}) is None
+    nasty = tomllib.loads(orbit_text(bare | {"name": NASTY, "title": NASTY}))
     assert nasty["title"] == NASTY.replace("\u2028", " ")
 
 
 def test_toml_values():
     made = {"a": True, "b": [1, 2.5], "c": {"x y": 'q"\\\x7f'}, "d": {}}
     assert tomllib.loads(f"v = {toml(made)}")["v"] == made
-    assert problem_name({"name": "../..//a b"}) == "a-b" and problem_name({"name": "%%%"}) == "orbit"
+    assert orbit_name({"name": "../..//a b"}) == "a-b" and orbit_name({"name": "%%%"}) == "orbit"
 
 
 def test_words_and_numbers():

@@ -473,7 +473,7 @@ def save_family(family: Family, folder: Path) -> Path:
     dense: dict[str, np.ndarray] = {}
     for kind, members in (("point", family.points), ("event", family.events)):
         for name, here in DENSE.items():
-            pieces = [np.asarray(getattr(one, here), float).ravel() for one in members]  # type: ignore[attr-defined]
+            pieces = [np.asarray(getattr(one, here), float).ravel() for one in members]
             dense[f"{kind}_{name}"] = np.concatenate(pieces) if pieces else np.zeros(0)
             dense[f"{kind}_{name}_sizes"] = np.array([piece.size for piece in pieces], int)
     write_npz(folder / "family.npz", dense)

@@ -11,11 +11,10 @@ from typing import Any
 from orbitfinder._runtime import __version__
 from orbitfinder.records.family import Family
 from orbitfinder.site.explorers import atlas_data, atlas_values, choices, family_data, family_values
-from orbitfinder.site.gather import AtlasFile, Gathered, evenly
+from orbitfinder.site.gather import AtlasFile, Gathered, Judge, evenly
 from orbitfinder.site.motion import Films, packed
 from orbitfinder.site.orbits import Entry, orbit_data, orbit_values
 from orbitfinder.site.text import ASSETS, mechanism, number, plural, rendered, script_data, size, slug_maker
-from orbitfinder.site.verdicts import Judge
 from orbitfinder.site.writing import MARK, mark
 
 WEIGHT = "@@WEIGHT@@"

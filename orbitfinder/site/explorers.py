@@ -12,7 +12,7 @@ from orbitfinder.records.orbit import system_at
 from orbitfinder.site.gather import evenly
 from orbitfinder.site.motion import Films, packed
 from orbitfinder.site.orbits import Entry
-from orbitfinder.site.text import EVENTS, mechanism, number, plural, symmetry_words
+from orbitfinder.site.text import mechanism, number, plural, symmetry_words
 
 MOST_POINTS = 60
 """Points of a family that can be seen moving; all points are on the plot."""
@@ -44,7 +44,7 @@ def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
 
 def event_words(event: Event) -> str:
     """An event in words: its kind and detail."""
-    return f"{EVENTS.get(event.kind, event.kind)} {event.detail}".strip()
+    return f"{event.kind.replace('_', ' ')} {event.detail}".strip()
 
 
 def _item(point: FamilyPoint, films: Films) -> dict[str, Any]:
