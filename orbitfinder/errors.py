@@ -60,6 +60,12 @@ class LimitError(OrbitfinderError):
     """A time limit was reached; the message says which and how far the work had come."""
 
 
+def shortened(value: object, limit: int = 60) -> str:
+    """The text of a value in a message, cut where it is longer than `limit`."""
+    text = str(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
 def closest(name: str, known: Iterable[str]) -> str:
     """ ", did you mean 'x'?" when a known name is near a misspelt one, else an empty string."""
     found = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)

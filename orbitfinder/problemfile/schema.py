@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
-from orbitfinder.errors import closest
+from orbitfinder.errors import closest, shortened
 
 MOST_LINKS = 2000
 """Chains longer than this are refused: their state-transition matrices alone fill the memory."""
@@ -368,23 +368,18 @@ def sentence(fault: Mapping[str, Any], document: Mapping[str, Any]) -> str:
     if fault["type"] == "kind":
         return f"{where}.kind: {fault['msg']}"
     if fault["type"] == "name":
-        return f"{where}: {fault['msg']}, got {_short(fault['input'])}; choose another name"
+        return f"{where}: {fault['msg']}, got {shortened(repr(fault['input']))}; choose another name"
     if fault["type"] == "period":
         return f"{where}.{fault['msg']}"
     if fault["type"] == "guess" or not description:
         return f"{where}: {fault['msg']}" if names else str(fault["msg"]).replace(" is missing;", ": missing;")
     if fault["type"] == "finite_number":
         rule = fault["msg"] if str(fault["msg"]).startswith("must") else "must be finite"
-        return f"{where}: {rule}, got {_short(fault['input'])}; replace NaN and infinity by numbers"
+        return f"{where}: {rule}, got {shortened(repr(fault['input']))}; replace NaN and infinity by numbers"
     reason = re.sub(r"^(Input|List|String|Dictionary) should", "must", str(fault["msg"]))
     if fault["type"] in ("model_type", "dict_type"):
         reason = "must be a table"
-    return f"{where}: {reason[0].lower() + reason[1:]}, got {_short(fault['input'])}; expected {description}"
-
-
-def _short(value: Any, limit: int = 60) -> str:
-    text = repr(value)
-    return text if len(text) <= limit else text[: limit - 3] + "..."
+    return f"{where}: {reason[0].lower() + reason[1:]}, got {shortened(repr(fault['input']))}; expected {description}"
 
 
 def _table_and_description(names: list[str], document: Mapping[str, Any]) -> tuple[type[BaseModel] | None, str]:

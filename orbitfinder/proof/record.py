@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder._runtime import __version__
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import FLINT, arb, precision
 from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, prove
@@ -146,13 +146,8 @@ def replay(
 def contradictions(found: Mapping[str, Any], fresh: Mapping[str, Any]) -> list[str]:
     """Every claim of a recorded entry that the entry of the proof done again does not bear out."""
     with precision(max(fresh["bits"], 4 * DIGITS)):
-        return [f"{name}: recorded {_brief(found.get(name))}, found {_brief(fresh[name])}"
+        return [f"{name}: recorded {shortened(repr(found.get(name)), 80)}, found {shortened(repr(fresh[name]), 80)}"
                 for name, same in COMPARED.items() if not same(found.get(name), fresh[name])]  # fmt: skip
-
-
-def _brief(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def _close(recorded: Any, fresh: float) -> bool:

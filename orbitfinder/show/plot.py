@@ -167,7 +167,6 @@ MARKERS = {
     "stability_change": "D",
 }  # fmt: skip
 """Marker of each kind of event."""
-UNITS = {"energy": "J", "period": "s"}
 
 
 def save_family_figures(family: Family, folder: str | Path, model: Model | None = None) -> list[Path]:
@@ -292,8 +291,7 @@ def multipliers_along(family: Family) -> Figure:
 
 def axis_name(family: Family) -> str:
     """The parameter with its unit, where that is known."""
-    unit = UNITS.get(family.parameter)
-    return f"{family.parameter} ({unit})" if unit else family.parameter
+    return f"{family.parameter} ({family.unit})" if family.unit else family.parameter
 
 
 KINDS = {"elliptic": (COLOURS[2], "o", "elliptic"), "marginal": (COLOURS[4], "s", "marginal"),

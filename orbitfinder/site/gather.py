@@ -156,14 +156,14 @@ def _orbit(document: Any, where: str) -> OrbitFile:
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
     """The atlas of a JSON list of orbit documents."""
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    orbits.sort(key=_order)
+    orbits.sort(key=lambda one: _order(one.document["energy"], float(one.document["period"])))
     chosen = tuple((k + 1, orbits[k]) for k in evenly(len(orbits), MOST_ITEMS))
     return AtlasFile(file.stem, len(orbits), chosen)
 
 
-def _order(one: OrbitFile) -> tuple[float, float]:
+def _order(energy: float, period: float) -> tuple[float, float]:
     """Energy, its last digits (those of a search at one energy) left out, then period."""
-    return float(f"{one.document['energy']:.9g}"), float(one.document["period"])
+    return float(f"{energy:.9g}"), period
 
 
 def _from_database(file: Path) -> AtlasFile:
@@ -171,13 +171,10 @@ def _from_database(file: Path) -> AtlasFile:
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:
-        rows = sorted(atlas.rows(), key=lambda row: (float(f"{row.energy:.9g}"), row.period))
+        rows = sorted(atlas.rows(), key=lambda row: _order(row.energy, row.period))
         chosen = [(k + 1, rows[k].id) for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((k, _orbit(atlas.document(number), f"{file}: orbit {number}")) for k, number in chosen)
     return AtlasFile(file.stem, len(rows), orbits)
-
-
-NOT_ASKED = "it was not asked for"
 
 
 @dataclass(frozen=True)
@@ -208,23 +205,8 @@ class Verdict:
         return ", ".join(str(check.get("name", "")).replace("_", " ") for check in self.checks if not check["passed"])
 
 
-class Judge:
-    """Gives verdicts, each record once; or none, and says so."""
-
-    def __init__(self, active: bool = True) -> None:
-        self._active = active
-        self._known: dict[str, Verdict] = {}
-
-    def verdict(self, file: OrbitFile) -> Verdict:
-        """The certificate of an orbit, recomputed as `orbitfinder verify` does without --trust."""
-        if not self._active:
-            return recorded(file.document, NOT_ASKED)
-        if file.text not in self._known:
-            self._known[file.text] = _judged(file.document)
-        return self._known[file.text]
-
-
-def _judged(document: Mapping[str, Any]) -> Verdict:
+def judged(document: Mapping[str, Any]) -> Verdict:
+    """The certificate of an orbit, recomputed as `orbitfinder verify` does without --trust."""
     orbit = orbit_from_document(document)
     try:
         model = build_model(orbit.system)
