@@ -52,7 +52,7 @@ class March:
 
     def __init__(self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None) -> None:
         self.field, self.forced, self.integrand = field, forced, integrand
-        self.size, self.unfolding, self.free = field.size1_in(1), field.size1_in(2), field.size1_in(3)
+        self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
         self._lanes = Lanes()
 
     @property
@@ -190,7 +190,7 @@ def rounded(steps: float) -> int:
 
 def doubled(mesh: np.ndarray) -> np.ndarray:
     """The mesh with every step halved."""
-    return np.interp(np.arange(2 * mesh.size - 1) / 2, np.arange(mesh.size), mesh)
+    return np.asarray(np.interp(np.arange(2 * mesh.size - 1) / 2, np.arange(mesh.size), mesh))
 
 
 def _parameters(mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:

@@ -17,13 +17,10 @@ from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
 from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.integrate.threads import one_thread
 from orbitfinder.loops.conditions import Pin
-from orbitfinder.loops.ipopt import Callback as Callback
-from orbitfinder.loops.ipopt import Progress as Progress
-from orbitfinder.loops.ipopt import SolveSettings as SolveSettings
+from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.polish import polish
-from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.problem import Guess, Problem, segments_for
 from orbitfinder.loops.shooting import Shooting, transcribe, units_of
-from orbitfinder.loops.square import segments_for
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified

@@ -15,9 +15,8 @@ from orbitfinder.integrate.cvodes import Flow, end_state
 from orbitfinder.integrate.dop853 import SECOND, integrate_in, vector_field
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.polish import segment, tail_of
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.shooting import boundary_constants, far_end, units_of
-from orbitfinder.loops.square import whole_turns
+from orbitfinder.loops.problem import Guess, Problem, boundary_constants, whole_turns
+from orbitfinder.loops.shooting import far_end, units_of
 from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.records.orbit import Orbit
 
