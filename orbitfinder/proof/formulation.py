@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import SECOND, integrate, vector_field
+from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.symmetry import Symmetry, off_centre
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb
@@ -145,7 +145,7 @@ def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | Non
         raise InputError(f"state: {orbit.state.size} numbers for {n} coordinates; run the problem again")
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(period) and period > 0):
         raise InputError("state: state or period is not a usable number; run the problem again")
-    field = vector_field(_field(model))
+    field = vector_field(accelerations(model))
     times = np.linspace(0.0, period, SCAN + 1)
     states = integrate(field, orbit.state, times, SECOND)
     angles = np.asarray(model.angles)
@@ -156,13 +156,6 @@ def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | Non
     constants = symmetry.constants(angles, path[0], path[-1], orbit.winding) / np.pi
     form = Formulation(symmetry, n, count, tuple(map(round, constants)), tuple(int(k) for k in orbit.winding))
     return Approach(form, path[:-1], period / parts / count, (-begin / period) % 1.0, field(0.0, path[0]))
-
-
-def _field(model: Model) -> ca.Function:
-    n = model.degrees_of_freedom
-    t, x = ca.SX.sym("t"), ca.SX.sym("x", 2 * n)
-    acceleration = model.acceleration(t, x[:n], x[n:], ca.DM(model.parameter_values))
-    return ca.Function("plain", [t, x], [ca.vertcat(x[n:], acceleration)])
 
 
 def default_segments(orbit: Orbit, symmetry: Symmetry) -> int:
