@@ -197,13 +197,13 @@ def _add_atlas(
 def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Link], motions: dict[str, Any]) -> None:
     motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
     counts = plural(len(entries), "orbit") if entries else "No single orbits"
-    summary = counts + (f", {_tally(entries)}." if entries else ".")
+    summary = counts + (f", {_counted(entries)}." if entries else ".")
     about = f"A gallery of {plural(len(entries), 'periodic orbit')} of mechanical systems, each moving in real time."
     values = {"title": site.settings.title, "summary": summary, "entries": entries, "links": links} | choices(entries)
     site.add("gallery", "index.html", values, ("gallery", motions), about)
 
 
-def _tally(entries: Sequence[Entry]) -> str:
+def _counted(entries: Sequence[Entry]) -> str:
     """How many were certified, rejected and not checked when the page was made."""
     verdicts = [entry.verdict.certified for entry in entries]
     named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}

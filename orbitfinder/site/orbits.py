@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.problemfile.write import orbit_name, orbit_text
-from orbitfinder.site.gather import OrbitFile, Verdict
+from orbitfinder.site.gather import OrbitFile, Verdict, evenly
 from orbitfinder.site.motion import Motion, histories, packed
 from orbitfinder.site.text import coordinate, mechanism, number
 
@@ -107,8 +107,7 @@ def shown(motion: Motion) -> list[int]:
     candidates = list(range(n))
     if n > 6 and any(motion.angles) and not all(motion.angles):
         candidates = [k for k in candidates if motion.angles[k]]
-    picks = np.linspace(0, len(candidates) - 1, min(len(candidates), MOST_PORTRAITS)).round().astype(int)
-    return [candidates[k] for k in np.unique(picks)]
+    return [candidates[k] for k in evenly(len(candidates), MOST_PORTRAITS)]
 
 
 def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float, float]]:
