@@ -239,4 +239,6 @@ def positions(model: Model, states: np.ndarray, which: str = "points") -> np.nda
     if function is None:
         raise InputError(f"this system declares no {which}; pass {which}= when you build it")
     q = check_states(model, states).T[: model.degrees_of_freedom]
-    return np.stack([function(column, model.parameter_values).full() for column in q.T])
+    count = q.shape[1]
+    wide = function.map(count)(q, np.tile(model.parameter_values[:, None], (1, count))).full()
+    return np.asarray(wide.reshape(2, count, -1).transpose(1, 0, 2))
