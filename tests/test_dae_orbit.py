@@ -13,8 +13,7 @@ from scipy.special import ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli as main
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.equilibria import linkage_equilibrium
-from orbitfinder.guesses.modes import linkage_mode, linkage_modes
+from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes
 from orbitfinder.guesses.returns import first_return
 from orbitfinder.integrate.cvodes import transition
 from orbitfinder.integrate.dop853 import integrate

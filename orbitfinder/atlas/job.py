@@ -18,7 +18,7 @@ from orbitfinder.atlas.continuing import CONTINUATION, continued
 from orbitfinder.atlas.signature import among
 from orbitfinder.atlas.starts import Bench, Target, bench, strategy_of
 from orbitfinder.errors import LimitError
-from orbitfinder.integrate.threads import one_thread
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.mechanics.catalogue import build_model
 
 LONGEST_START = 120.0

@@ -238,13 +238,13 @@ class DaeFlow(Flow):
     @cached_property
     def plain_end(self) -> ca.Function:
         """IDAS on the DAE, `plain_end(t0, x0, duration, s, free)` -> x(t0 + duration); CasADi's own derivatives."""
-        names, inputs = self._inputs()
+        names, inputs = self.inputs()
         return ca.Function("dae_end", inputs, [self._integrated(inputs)], names, ["xf"])
 
     @cached_property
     def end(self) -> ca.Function:
         """The same integrator with the variational equations as its Jacobian."""
-        names, inputs = self._inputs()
+        names, inputs = self.inputs()
         jacobian = custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
         options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
         return ca.Function("flow_end", inputs, [self._integrated(inputs)], names, ["xf"], options)

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.integrate.threads import one_thread
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents
-from orbitfinder.orbits.evidence import Evidence, constraint_defect, gather, native_closure, second_closure
+from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
-from orbitfinder.orbits.formulations import VARIED
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document
 

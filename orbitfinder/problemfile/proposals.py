@@ -102,8 +102,7 @@ def own(loaded: ProblemFile) -> list[Proposal]:
 
 def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
     """The linear normal modes of the equilibrium at 0, or of a linkage's lowest one, slowest first."""
-    from orbitfinder.guesses.equilibria import linkage_equilibrium
-    from orbitfinder.guesses.modes import linkage_mode, linkage_modes, normal_mode, normal_modes
+    from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes, normal_mode, normal_modes
 
     model = loaded.model
     if model.degrees_of_freedom > MOST_COORDINATES:

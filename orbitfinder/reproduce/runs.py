@@ -10,8 +10,7 @@ import numpy as np
 
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, sample, transition
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
-from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.maximal import chain_dae, maximal_states, minimal_states
+from orbitfinder.mechanics.chain import chain, chain_dae, maximal_states, minimal_states
 from orbitfinder.mechanics.model import Baumgarte, energies
 from orbitfinder.reproduce.facts import FIGURE_OF_METHOD, METHODS, TITLES, TOLERANCE
 from orbitfinder.show.style import dress, new_figure, save_both
