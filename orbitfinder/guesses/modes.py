@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.optimize import minimize, root
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError
@@ -62,8 +64,6 @@ def resting_place(model: Model, energy: float) -> np.ndarray:
 
 def minima(model: Model) -> list[np.ndarray]:
     """Coordinates (n each) of minima of the potential, met going down from places about q = 0."""
-    from scipy.optimize import minimize
-
     reach, random = reach_of(model), np.random.default_rng(0)
     found = [
         minimize(lambda q: float(model.potential(q, model.parameter_values)), reach * random.uniform(-1, 1, reach.size))
@@ -80,8 +80,6 @@ def reach_of(model: Model) -> np.ndarray:
 
 def equilibrium(model: Model) -> np.ndarray:
     """Coordinates (n) of the minimum of the potential nearest to q = 0."""
-    from scipy.optimize import minimize, root
-
     n = model.degrees_of_freedom
 
     def potential(q: np.ndarray) -> float:
@@ -136,7 +134,7 @@ def stationary_terms(model: Model, theta: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
     """Newton's method on grad L = 0, phi = 0."""
-    theta = start.copy()
+    theta: np.ndarray = start.copy()
     for _ in range(NEWTON_STEPS):
         residual, jacobian, hessian, _ = stationary_terms(model, theta)
         corner = np.zeros((len(jacobian), len(jacobian)))
@@ -151,8 +149,6 @@ def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
 
 def _descended(model: Model, start: np.ndarray) -> np.ndarray:
     """Near a minimum of the potential on the constraint, by SLSQP."""
-    from scipy.optimize import minimize
-
     rest = under_constraints(model)
     closure = {
         "type": "eq", "fun": lambda x: rest.first(x)[2].full().ravel(), "jac": lambda x: rest.first(x)[1].full()
@@ -178,8 +174,6 @@ def normal_modes(
     K u = w^2 M u with M = d2T/dv2 and K = d2V/dq2 at the equilibrium (default: q = 0, hanging).
     Source: Goldstein, Classical Mechanics, section 6.2.
     """
-    from scipy.linalg import eigh
-
     n = model.degrees_of_freedom
     place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
     if place.shape != (n,):
@@ -259,8 +253,6 @@ def linkage_modes(
     model: Model, equilibrium: Sequence[float] | np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies (n - 2, rad^2/s^2, slowest first) and shapes (n x n-2) in the link angles."""
-    from scipy.linalg import eigh
-
     theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
     _, jacobian, hessian, mass = stationary_terms(model, theta)
     basis = tangent_basis(jacobian)

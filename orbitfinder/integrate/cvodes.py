@@ -13,9 +13,10 @@ derivative of Phi is wanted too it is integrated likewise,
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -99,12 +100,15 @@ class Flow:
 
     @cached_property
     def end(self) -> ca.Function:
-        """The state integrator with the variational equations as its custom Jacobian."""
+        """The integrator of the state with the variational equations as its custom Jacobian."""
         names, inputs = self.inputs()
         jacobian = custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
         options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
-        end = _plain(self.field, self.settings, inputs, self.units)
-        return ca.Function("flow_end", inputs, [end], names, ["xf"], options)
+        return ca.Function("flow_end", inputs, [self.integrated(inputs)], names, ["xf"], options)
+
+    def integrated(self, inputs: list[ca.MX]) -> ca.MX:
+        """The state at the end, with CasADi's own derivatives."""
+        return _plain(self.field, self.settings, inputs, self.units)
 
     def inputs(self) -> tuple[list[str], list[ca.MX]]:
         """Names and symbols of what its functions are given."""
@@ -244,14 +248,8 @@ def transition(flow: Flow, state: np.ndarray, duration: float, start: float = 0.
 def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float, start: float) -> list[Any]:
     state = check_state(flow.model, state)
     free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
-    error: Exception | None = None
-    with captured() as output, alarm():
-        try:
-            result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
-        except RuntimeError as failure:
-            error = failure
-    if error is not None:
-        raise integration_error(f"{output.text}\n{error}", state, start, duration)
+    with sundials(state, start, duration):
+        result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
     numbers = [value.full().squeeze() if value.shape[1] == 1 else value.full() for value in result]
     if not all(np.all(np.isfinite(number)) for number in numbers):
         raise integration_error("the state is not finite", state, start, duration)
@@ -270,16 +268,22 @@ def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: fl
     steps = dict(flow.settings.options(), max_num_steps=20 * flow.settings.max_steps)
     chosen = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
     packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), ca.vec(chosen))
-    error: Exception | None = None
+    with sundials(state, start, duration):
+        solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
+        return np.asarray(solver(x0=state, p=packed)["xf"].full().T)
+
+
+@contextlib.contextmanager
+def sundials(state: np.ndarray, start: float, duration: float, segment: int | None = None) -> Iterator[None]:
+    """What an integrator prints inside the block is kept back, and its failure becomes one `IntegrationError`."""
+    failure: RuntimeError | None = None
     with captured() as output, alarm():
         try:
-            solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
-            states = solver(x0=state, p=packed)["xf"].full().T
-        except RuntimeError as failure:
-            error = failure
-    if error is not None:
-        raise integration_error(f"{output.text}\n{error}", state, start, duration)
-    return np.asarray(states)
+            yield
+        except RuntimeError as error:
+            failure = error
+    if failure is not None:
+        raise integration_error(f"{output.text}\n{failure}", state, start, duration, segment) from None
 
 
 def integration_error(

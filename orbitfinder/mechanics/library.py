@@ -33,14 +33,17 @@ class _Ingredients:
         """The symbol of one parameter."""
         return self.parameters[list(self.values).index(name)]
 
-    def symbols(self, forcing_period: Any = None) -> Symbols:
-        """The same for `lagrange`."""
-        names, values = tuple(self.values), tuple(self.values.values())
-        return Symbols(self.q, self.v, self.parameters, names, values, self.t, forcing_period)
+    def model(self, function: str, kinetic: ca.SX, potential: ca.SX, *, fixed: Any = None, **parts: Any) -> Model:
+        """The Model of these energies, described so that a file can have it rebuilt.
 
-    def described(self, function: str, **fixed: Any) -> dict[str, Any]:
-        """The `system` entry of a file from which this system is rebuilt."""
-        return {"kind": "python", "module": BUILT_IN, "function": function, "arguments": {**fixed, **self.values}}
+        `fixed` are arguments that are no parameters, `parts` those of `lagrange`; a frequency is the forcing's.
+        """
+        names, values = tuple(self.values), tuple(self.values.values())
+        clock = 2 * np.pi / self["frequency"] if "frequency" in self.values else None
+        symbols = Symbols(self.q, self.v, self.parameters, names, values, self.t, clock)
+        arguments = {**(fixed or {}), **self.values}
+        system = {"kind": "python", "module": BUILT_IN, "function": function, "arguments": arguments}
+        return lagrange(kinetic, potential, symbols, system=system, **parts)
 
 
 def _ingredients(
@@ -75,23 +78,14 @@ def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
     made = _ingredients(1, signed={"stiffness": stiffness, "cubic": cubic})
     q, v = made.q, made.v
     potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
-    return lagrange(
-        v**2 / 2, potential, made.symbols(), names=["x"], points=_slider(made), system=made.described("duffing")
-    )
+    return made.model("duffing", v**2 / 2, potential, names=["x"], points=_slider(made))
 
 
 def double_well(depth: float = 0.25, distance: float = 1.0) -> Model:
     """Unit mass in V = depth ((x / distance)^2 - 1)^2: minima at +-distance, barrier `depth` J at 0."""
     made = _ingredients(1, positive={"depth": depth, "distance": distance})
     potential = made["depth"] * ((made.q / made["distance"]) ** 2 - 1) ** 2
-    return lagrange(
-        made.v**2 / 2,
-        potential,
-        made.symbols(),
-        names=["x"],
-        points=_slider(made),
-        system=made.described("double_well"),
-    )
+    return made.model("double_well", made.v**2 / 2, potential, names=["x"], points=_slider(made))
 
 
 def van_der_pol(damping: float = 1.0) -> Model:
@@ -101,14 +95,8 @@ def van_der_pol(damping: float = 1.0) -> Model:
     """
     made = _ingredients(1, signed={"damping": damping})
     q, v = made.q, made.v
-    return lagrange(
-        v**2 / 2,
-        q**2 / 2,
-        made.symbols(),
-        forces=made["damping"] * (1 - q**2) * v,
-        names=["x"],
-        points=_slider(made),
-        system=made.described("van_der_pol"),
+    return made.model(
+        "van_der_pol", v**2 / 2, q**2 / 2, forces=made["damping"] * (1 - q**2) * v, names=["x"], points=_slider(made)
     )
 
 
@@ -126,15 +114,7 @@ def forced_duffing(
     q, v = made.q, made.v
     potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
     push = made["force"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
-    return lagrange(
-        v**2 / 2,
-        potential,
-        made.symbols(2 * np.pi / made["frequency"]),
-        forces=push,
-        names=["x"],
-        points=_slider(made),
-        system=made.described("forced_duffing"),
-    )
+    return made.model("forced_duffing", v**2 / 2, potential, forces=push, names=["x"], points=_slider(made))
 
 
 def forced_pendulum(
@@ -154,15 +134,8 @@ def forced_pendulum(
     q, v, arm = made.q, made.v, made["length"]
     kinetic, potential = made["mass"] * (arm * v) ** 2 / 2, -made["mass"] * made["gravity"] * arm * ca.cos(q)
     drive = made["torque"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
-    return lagrange(
-        kinetic,
-        potential,
-        made.symbols(2 * np.pi / made["frequency"]),
-        forces=drive,
-        names=["theta"],
-        angles=[True],
-        points=_rod(made),
-        system=made.described("forced_pendulum"),
+    return made.model(
+        "forced_pendulum", kinetic, potential, forces=drive, names=["theta"], angles=[True], points=_rod(made)
     )
 
 
@@ -187,16 +160,10 @@ def vibrated_pendulum(
     pivot = made["amplitude"] * ca.cos(made["frequency"] * made.t)
     place = ca.vertcat(pivot + arm * ca.cos(q), arm * ca.sin(q))
     velocity = ca.jtimes(place, q, v) + ca.jacobian(place, made.t)
-    return lagrange(
-        ca.sumsqr(velocity) / 2,
-        -made["gravity"] * place[0],
-        made.symbols(2 * np.pi / made["frequency"]),
-        forces=-made["damping"] * v,
-        names=["theta"],
-        angles=[True],
-        points=_rod(made),
-        system=made.described("vibrated_pendulum"),
-    )
+    return made.model(
+        "vibrated_pendulum", ca.sumsqr(velocity) / 2, -made["gravity"] * place[0], forces=-made["damping"] * v,
+        names=["theta"], angles=[True], points=_rod(made),
+    )  # fmt: skip
 
 
 def rotating_hoop(radius: float = 1.0, mass: float = 1.0, gravity: float = 9.8, spin: float = 4.0) -> Model:
@@ -209,15 +176,10 @@ def rotating_hoop(radius: float = 1.0, mass: float = 1.0, gravity: float = 9.8, 
     q, v, r = made.q, made.v, made["radius"]
     kinetic = made["mass"] * r**2 * (v**2 + (made["spin"] * ca.sin(q)) ** 2) / 2
     weight = -made["mass"] * made["gravity"] * r * ca.cos(q)
-    return lagrange(
-        kinetic,
-        weight,
-        made.symbols(),
-        names=["theta"],
-        angles=[True],
-        points=r * ca.horzcat(ca.SX.zeros(2), ca.vertcat(ca.cos(q), ca.sin(q))),
-        system=made.described("rotating_hoop"),
-    )
+    return made.model(
+        "rotating_hoop", kinetic, weight, names=["theta"], angles=[True], points=r * ca.horzcat(ca.SX.zeros(2),
+        ca.vertcat(ca.cos(q), ca.sin(q))),
+    )  # fmt: skip
 
 
 def _slider(made: _Ingredients) -> ca.SX:
@@ -242,15 +204,10 @@ def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     q, v = made.q, made.v
     stretch = ca.norm_2(q) - made["length"]
     potential = made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * q[0]
-    return lagrange(
-        made["mass"] * ca.sumsqr(v) / 2,
-        potential,
-        made.symbols(),
-        names=["x", "y"],
-        points=ca.horzcat(ca.SX.zeros(2), q),
-        centres=q,
-        system=made.described("spring_pendulum"),
-    )
+    return made.model(
+        "spring_pendulum", made["mass"] * ca.sumsqr(v) / 2, potential, names=["x", "y"],
+        points=ca.horzcat(ca.SX.zeros(2), q), centres=q,
+    )  # fmt: skip
 
 
 def pendulum_on_cart(
@@ -269,15 +226,10 @@ def pendulum_on_cart(
     potential = -made["mass"] * made["gravity"] * bob[0]
     if tied:
         potential += made["stiffness"] * q[0] ** 2 / 2
-    return lagrange(
-        kinetic,
-        potential,
-        made.symbols(),
-        names=["y", "theta"],
-        angles=[False, True],
+    return made.model(
+        "pendulum_on_cart", kinetic, potential, names=["y", "theta"], angles=[False, True],
         points=ca.horzcat(ca.vertcat(0, q[0]), bob),
-        system=made.described("pendulum_on_cart"),
-    )
+    )  # fmt: skip
 
 
 def cart_chain(
@@ -296,14 +248,10 @@ def cart_chain(
         made["stiffness"] * stretch**2 / 2 + made["quadratic"] * stretch**3 / 3 + made["cubic"] * stretch**4 / 4
     )
     places = ca.vertcat(0, q, 0) + ca.SX(range(count + 2))
-    return lagrange(
-        made["mass"] * ca.sumsqr(made.v) / 2,
-        potential,
-        made.symbols(),
-        names=[f"y{i + 1}" for i in range(count)],
-        points=ca.horzcat(ca.SX.zeros(count + 2), places).T,
-        system=made.described("cart_chain", carts=count),
-    )
+    return made.model(
+        "cart_chain", made["mass"] * ca.sumsqr(made.v) / 2, potential, names=[f"y{i + 1}" for i in range(count)],
+        points=ca.horzcat(ca.SX.zeros(count + 2), places).T, fixed={"carts": count},
+    )  # fmt: skip
 
 
 def henon_heiles(coupling: float = 1.0) -> Model:
@@ -314,15 +262,10 @@ def henon_heiles(coupling: float = 1.0) -> Model:
     made = _ingredients(2, signed={"coupling": coupling})
     x, y = made.q[0], made.q[1]
     potential = ca.sumsqr(made.q) / 2 + made["coupling"] * (x**2 * y - y**3 / 3)
-    return lagrange(
-        ca.sumsqr(made.v) / 2,
-        potential,
-        made.symbols(),
-        names=["x", "y"],
-        points=ca.vertcat(-y, x),
+    return made.model(
+        "henon_heiles", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x),
         centres=ca.vertcat(-y, x),
-        system=made.described("henon_heiles"),
-    )
+    )  # fmt: skip
 
 
 def restricted_three_body(ratio: float = 0.012277471) -> Model:
@@ -337,14 +280,7 @@ def restricted_three_body(ratio: float = 0.012277471) -> Model:
     (x, y), (u, w), small = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["ratio"]
     kinetic = ((u - y) ** 2 + (w + x) ** 2) / 2
     potential = -(1 - small) / ca.sqrt((x + small) ** 2 + y**2) - small / ca.sqrt((x - 1 + small) ** 2 + y**2)
-    model = lagrange(
-        kinetic,
-        potential,
-        made.symbols(),
-        names=["x", "y"],
-        points=ca.vertcat(-y, x),
-        system=made.described("restricted_three_body"),
-    )
+    model = made.model("restricted_three_body", kinetic, potential, names=["x", "y"], points=ca.vertcat(-y, x))
     return replace(model, symmetries=(("mirror", -1, (1, -1)),))
 
 
@@ -353,14 +289,7 @@ def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quarti
     made = _ingredients(2, {"stiffness_x": stiffness_x, "stiffness_y": stiffness_y}, {"quartic": quartic})
     x, y = made.q[0], made.q[1]
     potential = (made["stiffness_x"] * x**2 + made["stiffness_y"] * y**2) / 2 + made["quartic"] * (x * y) ** 2
-    return lagrange(
-        ca.sumsqr(made.v) / 2,
-        potential,
-        made.symbols(),
-        names=["x", "y"],
-        points=ca.vertcat(-y, x),
-        system=made.described("planar_oscillator"),
-    )
+    return made.model("planar_oscillator", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x))
 
 
 FUNCTIONS: dict[str, Callable[..., Model]] = {

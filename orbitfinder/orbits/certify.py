@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.evaluate import one_thread
@@ -228,8 +230,6 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
 
     States between samples come from a periodic spline of the deviation; the certificate integrates to T/k.
     """
-    from scipy.interpolate import CubicHermiteSpline
-
     n = states.shape[1] // 2
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     moments = times[-1] / np.asarray(covers, float)
@@ -299,8 +299,6 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     """Largest relative distance between recorded and recomputed multipliers, matched one to one."""
-    from scipy.optimize import linear_sum_assignment
-
     recorded, found = orbit.floquet_multipliers, floquet.multipliers
     if recorded.shape != found.shape:
         return float("inf")

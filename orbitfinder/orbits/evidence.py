@@ -358,8 +358,8 @@ def constraint_defect(model: Model, state: np.ndarray, units: np.ndarray) -> flo
     q, v = state[:n], state[n:]
     phi, rate = constraint.phi(q, p).full(), constraint.rate(q, v, p).full()
     length = float(np.abs(q[~model.angular]).max(initial=0.0)) or 1.0
-    slopes = np.abs(constraint.jacobian(q, p).full()).max()
-    return max(float(np.abs(phi).max()) / length, float(np.abs(rate).max()) / (slopes * units[n:].max()))
+    fastest = float(np.abs(constraint.jacobian(q, p).full()).max() * units[n:].max())
+    return max(float(np.abs(phi).max()) / length, float(np.abs(rate).max()) / fastest)
 
 
 class ClosureCheck:
@@ -400,4 +400,4 @@ class ClosureCheck:
             self._equations = Hamiltonian(with_parameters(self._model, self._at))
         start, span = self._equations.start(state), np.array([0.0, duration])
         path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
-        return self._equations.states(path[-1:])[0]
+        return np.asarray(self._equations.states(path[-1:])[0])

@@ -38,7 +38,7 @@ from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import extents_of, gap
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance
-from orbitfinder.orbits.objectives import chosen
+from orbitfinder.orbits.objectives import chosen, guessed_nodes
 from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
@@ -255,7 +255,7 @@ def acting(flow: Flow, nodes: np.ndarray, unfolding: np.ndarray) -> np.ndarray:
     sizes = np.linalg.norm(forces, axis=0)
     sizes[sizes == 0] = 1.0
     scaled = forces / sizes
-    return np.asarray(np.linalg.pinv(scaled, rcond=DEPENDENT) @ (scaled @ (sizes * unfolding))) / sizes
+    return np.asarray(np.linalg.pinv(scaled, rcond=DEPENDENT) @ (scaled @ (sizes * unfolding)) / sizes)
 
 
 def _shot(
@@ -307,13 +307,12 @@ def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.n
     """Node states (N x 2n) of the guess: sampled from its trajectory, else simulated from its state."""
     guess, horizon = problem.guess, problem.boundary.fraction * problem.guess.period
     count = problem.segments or _segments_needed(problem, flow, horizon, settings)
-    moments = np.arange(count) * horizon / count
     if guess.times is not None and guess.states is not None:
-        return np.stack([np.interp(moments, guess.times, column) for column in guess.states.T], axis=1)
+        return guessed_nodes(problem, count)
     nodes = [np.asarray(guess.state, float)]
     for k in range(1, count):
         try:
-            nodes.append(end_state(flow, nodes[-1], horizon / count, moments[k - 1]))
+            nodes.append(end_state(flow, nodes[-1], horizon / count, (k - 1) * horizon / count))
         except IntegrationError as error:
             raise IntegrationError(error.reason, segment=k - 1, time=error.time, state=nodes[-1]) from None
     return np.asarray(nodes)
