@@ -14,9 +14,10 @@ from .exports.write import export_orbit as export_orbit
 from .families.folder import follow_family as follow_family
 from .families.point import FamilySettings as FamilySettings
 from .families.switching import switch_branch as switch_branch
+from .loops.conditions import Constraint as Constraint
+from .loops.conditions import Variables as Variables
 from .loops.conditions import pin as pin
-from .loops.freedom import Constraint as Constraint
-from .loops.freedom import Variables as Variables
+from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem
 from .mechanics.chain import chain as chain
@@ -32,7 +33,6 @@ from .mechanics.model import energies as energies
 from .mechanics.model import energy as energy
 from .mechanics.model import positions as positions
 from .orbits.certify import certify as certify
-from .orbits.find import SolveSettings as SolveSettings
 from .orbits.find import find_orbit as find_orbit
 from .orbits.refine import Refiner as Refiner
 from .orbits.simulate import simulate as simulate

@@ -135,7 +135,7 @@ def test_nobody_takes_what_is_anothers_own():
         for alias in node.names
         if alias.asname == alias.name
     ]
-    assert not private and len(again) == 8, again
+    assert not private and len(again) <= 5, again
 
 
 def test_symmetries_are_spelled_in_two_files():

@@ -7,11 +7,12 @@ import pytest
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.failure import explain, worst_defects
+from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.shooting import transcribe
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.orbits.find import SolveSettings, find_orbit
+from orbitfinder.orbits.find import find_orbit
 from orbitfinder.systems import FUNCTIONS
 
 

@@ -12,13 +12,14 @@ from scipy.special import ellipk
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.ipopt import Progress, SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify
-from orbitfinder.orbits.find import Progress, SolveSettings, find_orbit, initial_nodes
+from orbitfinder.orbits.find import find_orbit, initial_nodes
 from orbitfinder.problemfile.read import load_problem
 
 PROBLEMS = Path(__file__).parents[1] / "problems"

@@ -11,7 +11,7 @@ import casadi as ca
 import pytest
 
 import orbitfinder
-from orbitfinder.loops.freedom import Variables
+from orbitfinder.loops.conditions import Variables
 from orbitfinder.problemfile.read import load_problem_file
 
 ROOT = Path(__file__).parents[1]

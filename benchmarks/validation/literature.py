@@ -9,8 +9,7 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.validation.comparison import Comparison, Section, attempted, number
-from orbitfinder.loops.conditions import pin
-from orbitfinder.loops.freedom import Constraint
+from orbitfinder.loops.conditions import Constraint, pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Invariant, Model

@@ -18,8 +18,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.square import segments_needed
+from orbitfinder.loops.problem import Guess, Problem, segments_needed
 from orbitfinder.orbits.certify import certified, return_distances
 from orbitfinder.orbits.floquet import analyse, reduce_monodromy
 from orbitfinder.orbits.measure import action, frame, full_period, recorded

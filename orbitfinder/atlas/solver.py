@@ -14,8 +14,7 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
-from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.square import loop_of
+from orbitfinder.loops.problem import Problem, loop_of
 
 FINER = 3
 """The polish begins with steps shorter than the cheap stage's by this factor."""

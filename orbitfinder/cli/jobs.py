@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from orbitfinder.cli.console import Display
+    from orbitfinder.loops.ipopt import Progress as Iteration
     from orbitfinder.mechanics.model import Model
-    from orbitfinder.orbits.find import Progress as Iteration
     from orbitfinder.problemfile.read import ProblemFile
     from orbitfinder.records.orbit import Certificate, Orbit
 

@@ -10,7 +10,7 @@ from orbitfinder.families.point import make_point, parameter_value
 from orbitfinder.families.run import Stand, Walk
 from orbitfinder.loops.continued import Solution, correct, distance, tangent
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.square import pinned
+from orbitfinder.loops.problem import pinned
 from orbitfinder.records.family import FamilyPoint
 
 

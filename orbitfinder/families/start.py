@@ -19,8 +19,7 @@ from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import remeshed, settled
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.square import pinned
+from orbitfinder.loops.problem import Guess, Problem, pinned
 from orbitfinder.loops.symmetry import NONE, Symmetry, named, off_centre, recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model

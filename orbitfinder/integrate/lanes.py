@@ -77,14 +77,14 @@ class Lanes:
         return np.concatenate(_shared(filled, lanes, len(begins)))[:count]
 
 
-def _along(step: ca.Function, steps: int, segments: int, path: bool, lane: int) -> Buffered:
+def _along(step: ca.Function, steps: int, segments: int, path: bool, _lane: int) -> Buffered:
     """All steps of some segments in one call, for one lane."""
     if steps > 1:
         step = step.mapaccum("march", steps) if path else step.fold(steps)
     return Buffered(step if segments == 1 else step.map(segments))
 
 
-def _across(function: ca.Function, width: int, lane: int) -> Buffered:
+def _across(function: ca.Function, width: int, _lane: int) -> Buffered:
     return Buffered(function.map(width))
 
 

@@ -49,7 +49,7 @@ class March:
 
     def __init__(self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None) -> None:
         self.field, self.forced, self.integrand = field, forced, integrand
-        self.size, self.unfolding, self.free = field.size1_in(1), field.size1_in(2), field.size1_in(3)
+        self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
         self._lanes = Lanes()
 
     @property

@@ -61,7 +61,9 @@ def make_curve(
     n = equations.size // 2
     clock = (w.period / (2 * np.pi)) ** 2
     relative = 1.0 / np.maximum(np.abs(w.free), 1e-3) ** 2
-    weights = np.concatenate([np.ones(n) / unit**2, np.full(n, clock) / unit**2, [1.0 / w.period**2], relative])
+    with np.errstate(over="ignore"):  # what comes of a period that is too small is said where it is integrated
+        pace = np.square(1.0 / w.period)
+    weights = np.concatenate([np.ones(n) / unit**2, np.full(n, clock) / unit**2, [pace], relative])
     return Curve(equations, constant, conditions, weights=weights)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.cvodes import sundials
+from orbitfinder.integrate.cvodes import integration_error, sundials
 from orbitfinder.loops.shooting import Shooting
 from orbitfinder.mechanics.model import energy
 

@@ -8,10 +8,9 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition_function
-from orbitfinder.loops.conditions import boundary_rows, constrained_brake_rows, pin_row
-from orbitfinder.loops.freedom import Variables
+from orbitfinder.loops.conditions import Variables, boundary_rows, constrained_brake_rows, pin_row
 from orbitfinder.loops.loop import Layout
-from orbitfinder.loops.problem import Problem
+from orbitfinder.loops.problem import Problem, boundary_constants
 from orbitfinder.mechanics.constrained import allowed_velocities
 
 PERIOD_RANGE = 5.0
@@ -231,15 +230,6 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
         return None
     duration = problem.guess.period * problem.boundary.fraction / len(nodes)
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
-
-
-def boundary_constants(problem: Problem, nodes: np.ndarray, end: np.ndarray | None = None) -> np.ndarray:
-    """The constants (2n) of the boundary rows that a guess is nearest to: the motion may be symmetric about an upright
-    link. Of an orbit that repeats mirrored, about its mean over the part."""
-    start = nodes[0]
-    if problem.boundary.maps and not problem.boundary.reverses:
-        start = end = nodes.mean(axis=0)
-    return problem.boundary.constants(problem.model.angular, start, end, problem.winding)
 
 
 def half_turns(angles: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PPoly
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
@@ -488,20 +489,18 @@ def has(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarr
 def half_period_gaps(one: Involution, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """|x(t + T/2) - S x(t)| of samples over a period, angles modulo 2 pi."""
     half = (len(states) - 1) // 2
-    return np.abs(wrapped(states[half : 2 * half] - states[:half] @ one.matrix(angles.size).T, angles))
+    return np.asarray(np.abs(wrapped(states[half : 2 * half] - states[:half] @ one.matrix(angles.size).T, angles)))
 
 
 def off_centre(one: Involution, states: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
     """rows x - constant (k x n) at states (k x 2n): how far they are from the fixed set, the nearest for angles."""
     fixed = _fixed(one, len(angles))
     gaps = states @ fixed.rows.T
-    return wrapped(gaps / fixed.share, fixed.turning(angles)) * fixed.share
+    return np.asarray(wrapped(gaps / fixed.share, fixed.turning(angles)) * fixed.share)
 
 
 def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
     """True when the motion passes the fixed set, and its rates about that instant are even or odd as they must be."""
-    from scipy.interpolate import CubicHermiteSpline, PPoly
-
     n = angles.size
     rows = _fixed(one, n).rows
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])

@@ -24,13 +24,10 @@ from orbitfinder.integrate.equations import accelerations
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
-from orbitfinder.loops.ipopt import Callback as Callback
-from orbitfinder.loops.ipopt import Progress as Progress
-from orbitfinder.loops.ipopt import SolveSettings as SolveSettings
+from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.polish import polish, segment, tail_of
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.shooting import Shooting, boundary_constants, far_end, transcribe, units_of
-from orbitfinder.loops.square import segments_for, whole_turns
+from orbitfinder.loops.problem import Guess, Problem, boundary_constants, segments_for, whole_turns
+from orbitfinder.loops.shooting import Shooting, far_end, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model

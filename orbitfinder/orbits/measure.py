@@ -15,8 +15,7 @@ from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, invariant_gradients, with_action
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
-from orbitfinder.loops.problem import Problem
-from orbitfinder.loops.shooting import boundary_constants
+from orbitfinder.loops.problem import Problem, boundary_constants
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model, energies

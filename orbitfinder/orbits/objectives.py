@@ -21,7 +21,7 @@ from scipy.linalg import eig
 
 from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.integrate.cvodes import Flow, build_flow
-from orbitfinder.loops.freedom import Constraint, Variables
+from orbitfinder.loops.conditions import Constraint, Variables
 from orbitfinder.loops.ipopt import Callback, SolveSettings, solve_nlp
 from orbitfinder.loops.problem import PEAKS, Guess, Problem
 from orbitfinder.loops.shooting import Shooting, transcribe

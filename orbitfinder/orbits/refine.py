@@ -20,8 +20,7 @@ from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Newton, NewtonSettings
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.square import loop_of, segments_needed
+from orbitfinder.loops.problem import Guess, Problem, loop_of, segments_needed
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.find import at_forcing_period
 from orbitfinder.orbits.measure import measure
