@@ -164,11 +164,8 @@ def algebraic_unit(z0: Any) -> Any:
 
 def trajectory(model: Model, times: np.ndarray, states: np.ndarray, settings: DaeSettings) -> DaeTrajectory:
     """A DaeTrajectory around states (k x 2n), everything else recomputed from them."""
-    constraint, n, count = constraint_of(model), model.degrees_of_freedom, len(states)
-    q, v = states.T[:n], states.T[n:]
-    p = np.tile(model.parameter_values[:, None], (1, count))
-    phi = constraint.phi.map(count)(q, p).full()
-    rate = constraint.rate.map(count)(q, v, p).full()
+    constraint, (q, v) = constraint_of(model), np.split(states.T, 2)
+    phi, rate = model.along(constraint.phi, q), model.along(constraint.rate, q, v)
     return DaeTrajectory(
         model, settings, times, states, algebraic(model, states, times),
         np.abs(phi).max(axis=0), np.abs(rate).max(axis=0), np.sum(energies(model, states), axis=0),
@@ -178,11 +175,8 @@ def trajectory(model: Model, times: np.ndarray, states: np.ndarray, settings: Da
 def algebraic(model: Model, states: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
     """(a, lambda) (k x n+m) at states (k x 2n) by the linear system of the DAE, in m/s^2, rad/s^2, N."""
     rows = np.atleast_2d(np.asarray(states, float))
-    count, n = len(rows), model.degrees_of_freedom
-    clock = np.zeros(count) if times is None else np.asarray(times, float)
-    p = np.tile(model.parameter_values[:, None], (1, count))
-    solved = constraint_of(model).algebraic.map(count)
-    return np.asarray(solved(clock[None, :], rows.T[:n], rows.T[n:], p).full().T)
+    clock = np.zeros(len(rows)) if times is None else np.asarray(times, float)
+    return model.along(constraint_of(model).algebraic, clock[None, :], *np.split(rows.T, 2)).T
 
 
 def check_consistent(model: Model, state: np.ndarray) -> np.ndarray:

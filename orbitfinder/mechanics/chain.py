@@ -330,8 +330,7 @@ def maximal_states(model: Model, states: np.ndarray) -> np.ndarray:
     count = model.degrees_of_freedom // 3
     if rows.shape[1] != 2 * count:
         raise InputError(f"state: {rows.shape[1]} numbers for {count} links; give {count} angles, then {count} rates")
-    p = np.tile(model.parameter_values[:, None], (1, len(rows)))
-    lifted = lift.map(len(rows))(rows.T[:count], rows.T[count:], p).full().T
+    lifted = model.along(lift, rows.T[:count], rows.T[count:]).T
     return np.asarray(lifted[0] if np.ndim(states) == 1 else lifted)
 
 

@@ -350,12 +350,8 @@ class _Nearby:
         self.here = self._accelerations(self.moments, self.rows)
 
     def _accelerations(self, moments: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        n = self.model.degrees_of_freedom
-        found = self.model.acceleration.map(len(rows))(moments[None], rows.T[:n], rows.T[n:], self._values(len(rows)))
-        return np.asarray(found.full().T * self.period / self.units[n:])
-
-    def _values(self, count: int) -> np.ndarray:
-        return np.tile(self.model.parameter_values[:, None], (1, count))
+        found = self.model.along(self.model.acceleration, moments[None], *np.split(rows.T, 2))
+        return np.asarray(found.T * self.period / np.split(self.units, 2)[1])
 
     def _differ(self, there: np.ndarray) -> float:
         """Largest relative difference from the accelerations here, where both are finite."""
@@ -396,5 +392,4 @@ class _Nearby:
 
     def _constants(self, one: Invariant, states: np.ndarray) -> np.ndarray:
         """An invariant's values (k) at states (k x 2n)."""
-        q, v = np.split(states.T, 2)
-        return np.asarray(one.value.map(len(states))(q, v, self._values(len(states))).full().ravel())
+        return self.model.along(one.value, *np.split(states.T, 2)).ravel()

@@ -10,6 +10,7 @@ import numpy as np
 
 from orbitfinder.integrate.idas import DaeSettings, DaeTrajectory, simulate_dae
 from orbitfinder.mechanics.linkage import assemble, linkage, linkage_rates, linkage_state
+from orbitfinder.mechanics.model import positions
 from orbitfinder.reproduce.runs import IDAS_TOLERANCE
 from orbitfinder.show.animate import save_animation, simulation_clip
 from orbitfinder.show.style import dress, new_figure, plane, save_both
@@ -52,7 +53,7 @@ def four_bar_part(folder: Path) -> dict[str, Any]:
     entries = []
     for which in FOUR_BARS:
         result = run(which)
-        points = bar_points(result)
+        points = positions(result.model, result.states)
         save_animation(simulation_clip(result.times, points, which.title, closed=True), folder / f"{which.file}.gif")
         turned = result.states[:, 2 : result.model.degrees_of_freedom : 3]
         extent = (turned.max(axis=0) - turned.min(axis=0)) / (2 * np.pi)
@@ -69,16 +70,6 @@ def four_bar_part(folder: Path) -> dict[str, Any]:
         if which is FOUR_BARS[0]:
             save_both(figure_10(result, points), folder / "figure-10")
     return {"linkages": entries}
-
-
-def bar_points(result: DaeTrajectory) -> np.ndarray:
-    """Joints (k x 2 x 4) of the linkage at every sample."""
-    model = result.model
-    assert model.points is not None
-    coordinates = result.states[:, : model.degrees_of_freedom].T
-    values = np.tile(model.parameter_values[:, None], (1, coordinates.shape[1]))
-    flat = model.points.map(coordinates.shape[1])(coordinates, values).full()
-    return np.asarray(flat.reshape(2, -1, flat.shape[1] // len(result.times)).transpose(1, 0, 2))
 
 
 def figure_10(result: DaeTrajectory, points: np.ndarray) -> Any:

@@ -18,7 +18,7 @@ from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.mechanics.model import Model, positions, vector_field
 from orbitfinder.records.family import Event, FamilyPoint
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480)
@@ -162,19 +162,10 @@ def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) 
 
     def seen(count: int) -> np.ndarray:
         chosen = resampled(times, states, period, count)
-        return _positions(model, chosen) if model.points is not None else _plane(chosen)
+        return positions(model, chosen) if model.points is not None else _plane(chosen)
 
     drawn = "mechanism" if model.points is not None else "plane"
     return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn)
-
-
-def _positions(model: Model, states: np.ndarray) -> np.ndarray:
-    """`of.positions` of many states in one call: (k, 2, j)."""
-    assert model.points is not None
-    count, n = len(states), model.degrees_of_freedom
-    values = np.tile(model.parameter_values[:, None], (1, count))
-    wide = model.points.map(count)(states[:, :n].T, values).full()
-    return np.asarray(wide.reshape(2, count, -1).transpose(1, 0, 2))
 
 
 def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.ndarray) -> Motion:
