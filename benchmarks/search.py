@@ -33,7 +33,7 @@ from scipy.optimize import least_squares
 import orbitfinder as of
 from orbitfinder._runtime.processes import NAMES, children_see
 from orbitfinder.atlas.report import discovery
-from orbitfinder.atlas.starts import Target, bench, make_start
+from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.errors import ConvergenceError, IntegrationError
 
 ROOT = Path(__file__).parents[1]
@@ -85,7 +85,7 @@ def solved_by_hand(state: np.ndarray, period: float) -> tuple[float, float] | No
 def by_hand(which: int, budget: float, processor: bool, found: multiprocessing.Queue) -> None:
     """Every `PROCESSES`-th start until the budget is spent; one that ends later does not count."""
     clock = time.process_time if processor else time.time
-    one = bench(of.chain(LINKS), Target(ENERGY, PERIODS))
+    one = context_of(of.chain(LINKS), Target(ENERGY, PERIODS))
     number, deadline = which, clock() + budget
     while clock() < deadline:
         try:

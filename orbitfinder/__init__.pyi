@@ -6,8 +6,8 @@ from . import linkages as linkages
 from . import systems as systems
 from ._runtime import __version__ as __version__
 from ._runtime.limit import limited as limited
-from .atlas.api import search as search
 from .atlas.choose import least_unstable as least_unstable
+from .atlas.search import search as search
 from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
 from .exports.write import export_orbit as export_orbit

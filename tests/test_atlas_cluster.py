@@ -6,11 +6,11 @@ import signal
 import pytest
 from test_atlas_search import ENERGY, PERIODS, content
 
-from orbitfinder.atlas import api, cluster
-from orbitfinder.atlas.job import Task
+from orbitfinder.atlas import search, workers
 from orbitfinder.atlas.search import Limits, Search
-from orbitfinder.atlas.starts import Target, bench
+from orbitfinder.atlas.starts import Target, context_of
 from orbitfinder.atlas.store import Atlas
+from orbitfinder.atlas.workers import Request
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.mechanics.chain import chain
 
@@ -32,11 +32,11 @@ def loopback():
 def test_a_cluster_with_a_killed_worker_finds_the_same(loopback, tmp_path):
     """The starts of the dead worker are given to the other one; orbits and starts are those of one process."""
     system = chain(3)
-    api.search(system, ENERGY, PERIODS, tmp_path / "calm.sqlite", starts=STARTS, workers=0)
-    task = Task(dict(system.system), ENERGY, PERIODS, 0)
+    search.search(system, ENERGY, PERIODS, tmp_path / "calm.sqlite", starts=STARTS, workers=0)
+    task = Request(dict(system.system), Target(ENERGY, PERIODS), 0)
     with distributed.Client(loopback, set_as_default=False) as client:
         pids = client.run(os.getpid)
-    crew, killed = cluster.Cluster(task, loopback), []
+    crew, killed = workers.Cluster(task, loopback), []
 
     def progress(tally):
         if tally.done == 6 and not killed:
@@ -44,7 +44,7 @@ def test_a_cluster_with_a_killed_worker_finds_the_same(loopback, tmp_path):
             os.kill(killed[0], signal.SIGKILL)
 
     with Atlas(tmp_path / "killed.sqlite", write=True, model=system) as atlas:
-        one = bench(system, Target(ENERGY, PERIODS))
+        one = context_of(system, Target(ENERGY, PERIODS))
         tally = Search(atlas, task, one, Limits(starts=STARTS), progress).run(crew)
     crew.close()
     assert killed and tally.done == STARTS
@@ -55,21 +55,21 @@ def test_a_cluster_with_a_killed_worker_finds_the_same(loopback, tmp_path):
 def test_by_the_front_door(loopback, tmp_path):
     """`scheduler=` gives what the workers of this machine give; nothing is left on the scheduler."""
     system = chain(3)
-    api.search(system, ENERGY, PERIODS, tmp_path / "near.sqlite", starts=12, workers=0)
-    api.search(system, ENERGY, PERIODS, tmp_path / "far.sqlite", starts=12, scheduler=loopback)
+    search.search(system, ENERGY, PERIODS, tmp_path / "near.sqlite", starts=12, workers=0)
+    search.search(system, ENERGY, PERIODS, tmp_path / "far.sqlite", starts=12, scheduler=loopback)
     assert content(tmp_path / "far.sqlite") == content(tmp_path / "near.sqlite")
 
 
 def test_an_address_where_nothing_listens(monkeypatch, tmp_path):
-    monkeypatch.setattr(cluster, "CONNECTING", 0.5)
+    monkeypatch.setattr(workers, "CONNECTING", 0.5)
     with pytest.raises(InputError, match=r"--scheduler: no Dask scheduler answers at 'tcp://127.0.0.1:9'"):
-        api.search(chain(3), ENERGY, PERIODS, tmp_path / "a.sqlite", starts=1, scheduler="tcp://127.0.0.1:9")
+        search.search(chain(3), ENERGY, PERIODS, tmp_path / "a.sqlite", starts=1, scheduler="tcp://127.0.0.1:9")
 
 
 @pytest.mark.slow
 def test_a_cluster_without_workers(tmp_path):
     with distributed.LocalCluster(n_workers=0, dashboard_address=None, host="127.0.0.1") as empty:
-        crew = cluster.Cluster(Task({}, ENERGY, PERIODS, 0), empty.scheduler_address, waiting=0.5)
+        crew = workers.Cluster(Request({}, Target(ENERGY, PERIODS), 0), empty.scheduler_address, waiting=0.5)
         crew._looked = -1e9
         with pytest.raises(OrbitfinderError, match=r"no workers for 0.5 s; start some"):
             for _ in range(20):
@@ -80,10 +80,10 @@ def test_a_cluster_without_workers(tmp_path):
 
 @pytest.mark.slow
 def test_a_worker_that_cannot_build_the_system(loopback):
-    crew = cluster.Cluster(Task({"kind": "nonsense"}, ENERGY, PERIODS, 0), loopback)
-    from orbitfinder.atlas.job import Order
+    crew = workers.Cluster(Request({"kind": "nonsense"}, Target(ENERGY, PERIODS), 0), loopback)
+    from orbitfinder.atlas.workers import Job
 
-    crew.submit(Order(0))
+    crew.submit(Job(0))
     with pytest.raises(OrbitfinderError, match=r"a worker of the cluster failed with InputError: .*nonsense"):
         while not crew.results(5.0):
             pass
@@ -93,4 +93,4 @@ def test_a_worker_that_cannot_build_the_system(loopback):
 def test_without_dask(monkeypatch, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with pytest.raises(InputError, match=r"--scheduler: needs Dask; pip install 'orbitfinder\[cluster\]'"):
-        api.search(chain(3), ENERGY, PERIODS, tmp_path / "a.sqlite", starts=1, scheduler="tcp://127.0.0.1:9")
+        search.search(chain(3), ENERGY, PERIODS, tmp_path / "a.sqlite", starts=1, scheduler="tcp://127.0.0.1:9")

@@ -14,15 +14,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from orbitfinder.atlas import api, solver, valley, workers
 from orbitfinder.atlas import attempt as refine
-from orbitfinder.atlas.estimate import chao1, remarks, stratum, total
-from orbitfinder.atlas.job import Known, Order, Task, perform
-from orbitfinder.atlas.report import discovery, summarise
+from orbitfinder.atlas import search, solver, workers
+from orbitfinder.atlas.report import chao1, discovery, remarks, stratum, summarise, total
 from orbitfinder.atlas.search import Limits, Search, register
-from orbitfinder.atlas.starts import Target, bench, make_start
+from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.atlas.workers import DIED, Inline, Local
+from orbitfinder.atlas.workers import DIED, Inline, Job, Local, Request, perform
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
 from orbitfinder.loops.symmetry import undeclared_mirrors
 from orbitfinder.mechanics.catalogue import build_model
@@ -56,19 +54,19 @@ def triple():
 
 @pytest.fixture(scope="module")
 def task(triple):
-    return Task(dict(triple.system), ENERGY, PERIODS, 0)
+    return Request(dict(triple.system), Target(ENERGY, PERIODS), 0)
 
 
 @pytest.fixture(scope="module")
 def one(triple):
-    return bench(triple, Target(ENERGY, PERIODS))
+    return context_of(triple, Target(ENERGY, PERIODS))
 
 
 @pytest.fixture(scope="module")
 def undisturbed(triple, tmp_path_factory):
     """The atlas of a search in this process, never interrupted."""
     path = tmp_path_factory.mktemp("undisturbed") / "triple.sqlite"
-    api.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0)
+    search.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0)
     return path
 
 
@@ -93,7 +91,7 @@ def test_every_orbit_is_certified_and_in_range(undisturbed):
 
 def test_the_number_of_workers_does_not_matter(triple, undisturbed, tmp_path):
     path = tmp_path / "two.sqlite"
-    found = api.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=2)
+    found = search.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=2)
     assert content(path) == content(undisturbed)
     assert found.tallies[0][1].done == STARTS and found.summary.orbits == len(content(path)[0])
 
@@ -103,10 +101,10 @@ class Murderous(Local):
 
     first, always = (5, 11), ()
 
-    def submit(self, order):
-        super().submit(order)
-        if order.number in self.always or (order.number in self.first and order.tries == 1):
-            os.kill(next(one for one in self._workers if one.order is order).process.pid, signal.SIGKILL)
+    def submit(self, job):
+        super().submit(job)
+        if job.number in self.always or (job.number in self.first and job.tries == 1):
+            os.kill(next(one for one in self._workers if one.job is job).process.pid, signal.SIGKILL)
 
 
 def test_a_killed_worker_costs_nothing(task, triple, one, undisturbed, tmp_path):
@@ -135,7 +133,7 @@ def test_workers_that_cannot_begin_are_not_hired_for_ever(tmp_path, monkeypatch)
     monkeypatch.setattr(workers, "MOST_FALSE_STARTS", 1)
     (tmp_path / "deadly.py").write_text("import os\n\ndef system():\n    os._exit(3)\n")
     system = {"kind": "python", "module": "deadly", "function": "system", "arguments": {}}
-    crew = Local(Task(system, 1.0, PERIODS, 0, str(tmp_path)), 1)
+    crew = Local(Request(system, Target(1.0, PERIODS), 0, str(tmp_path)), 1)
     with pytest.raises(OrbitfinderError, match=r"workers? processes die before they begin; .*--workers 0"):
         for _ in range(20):
             crew.results(5.0)
@@ -145,14 +143,14 @@ def test_workers_that_cannot_begin_are_not_hired_for_ever(tmp_path, monkeypatch)
 def test_a_search_goes_on_where_it_was_stopped(triple, undisturbed, tmp_path):
     path = tmp_path / "resumed.sqlite"
     for starts in (5, 5, 9, STARTS):
-        found = api.search(triple, ENERGY, PERIODS, path, starts=starts, workers=0)
+        found = search.search(triple, ENERGY, PERIODS, path, starts=starts, workers=0)
     assert content(path) == content(undisturbed) and found.tallies[0][1].begun_at == 9
 
 
 def test_a_budget_ends_a_search(triple, undisturbed, tmp_path):
     """Whatever was done is a beginning of the undisturbed search."""
     path = tmp_path / "budget.sqlite"
-    found = api.search(triple, ENERGY, PERIODS, path, budget=0.7, starts=STARTS, workers=0)
+    found = search.search(triple, ENERGY, PERIODS, path, budget=0.7, starts=STARTS, workers=0)
     orbits, starts = content(path)
     assert 0 < len(starts) <= STARTS and found.tallies[0][1].done == len(starts)
     assert orbits == content(undisturbed)[0][: len(orbits)] and starts == content(undisturbed)[1][: len(starts)]
@@ -172,13 +170,13 @@ def test_suspicion_is_not_enough(task, triple, one, undisturbed, tmp_path):
 def test_known_orbits_are_not_certified_again(one, undisturbed):
     with Atlas(undisturbed) as atlas:
         first = atlas.orbit(1)
-    known = Known()
+    known = []
     number = first.provenance["index"]
-    assert perform(one, 0, Order(number), known).orbit is not None
-    known.learn([(first.energy, first.period, first.action)])
-    found = perform(one, 0, Order(number), known)
+    assert perform(one, 0, Job(number), known).orbit is not None
+    known.append((first.energy, first.period, first.action))
+    found = perform(one, 0, Job(number), known)
     assert found.orbit is None and found.signature is not None and not found.reason
-    assert perform(one, 0, Order(number, certain=True), known).orbit is not None
+    assert perform(one, 0, Job(number, certain=True), known).orbit is not None
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +192,7 @@ def elastic():
 def test_nearly_degenerate_orbits_are_reached(elastic, number, period, instability):
     """Newton's method stalls before both (the Jacobian's singular values fall to 1e-6). Reference: a scan of the
     section phi = 0, r' = 0 in polar coordinates with another integrator."""
-    found = perform(bench(elastic, Target(-8.5, (0.5, 8.0))), 0, Order(number), Known()).orbit
+    found = perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, Job(number), []).orbit
     assert found.period == pytest.approx(period, rel=1e-12) and found.symmetry == "none"
     assert np.abs(found.floquet_multipliers).max() == pytest.approx(instability, rel=1e-9)
 
@@ -202,17 +200,17 @@ def test_nearly_degenerate_orbits_are_reached(elastic, number, period, instabili
 def test_the_valley_is_followed_to_a_zero(elastic, monkeypatch):
     """From a state that stalled: the residual falls to round-off; without steps to take, `Stalled`."""
     seen = []
-    monkeypatch.setattr(refine, "orbit_in_valley", lambda *given: seen.append(given) or valley.orbit_in_valley(*given))
-    assert perform(bench(elastic, Target(-8.5, (0.5, 8.0))), 0, Order(4), Known()).orbit is not None
+    monkeypatch.setattr(refine, "orbit_in_valley", lambda *given: seen.append(given) or solver.orbit_in_valley(*given))
+    assert perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, Job(4), []).orbit is not None
     (given,) = seen
-    fine = replace(given[0], step=valley.fine_step(*given[:2]))
-    path, jacobian = valley.orbit_in_valley(*given)
+    fine = replace(given[0], step=solver.fine_step(*given[:2]))
+    path, jacobian = solver.orbit_in_valley(*given)
     values = np.linalg.svd(jacobian, compute_uv=False)
     assert np.abs(solver.linearised(fine, path)[0]).max() < 1e-12 and values[-1] < 1e-2 * values[-2]
     assert np.abs(solver.linearised(fine, given[1])[0]).max() > 1e-7
-    monkeypatch.setattr(valley, "MOST_TRIALS", 0)
+    monkeypatch.setattr(solver, "MOST_TRIALS", 0)
     with pytest.raises(ConvergenceError, match="stalled near a degenerate orbit") as stalled:
-        valley.orbit_in_valley(*given)
+        solver.orbit_in_valley(*given)
     assert stalled.value.w.nodes.shape == path.nodes.shape
 
 
@@ -220,7 +218,7 @@ def test_two_searches_share_an_atlas(triple, undisturbed, tmp_path):
     """Another seed is another search: its starts are its own, its orbits join the others without doubles."""
     path = tmp_path / "shared.sqlite"
     path.write_bytes(undisturbed.read_bytes())
-    api.search(triple, ENERGY, PERIODS, path, starts=8, seed=1, workers=0)
+    search.search(triple, ENERGY, PERIODS, path, starts=8, seed=1, workers=0)
     orbits, starts = content(path)
     assert orbits[: len(content(undisturbed)[0])] == content(undisturbed)[0]
     assert len([start for start in starts if start[0] == 2]) == 8
@@ -232,7 +230,7 @@ def test_known_orbits_are_continued_to_another_energy(triple, undisturbed, tmp_p
     """The first starts at a new energy follow the families of the orbits known at another."""
     path = tmp_path / "continued.sqlite"
     path.write_bytes(undisturbed.read_bytes())
-    found = api.search(triple, -31.0, PERIODS, path, starts=2, workers=0)
+    found = search.search(triple, -31.0, PERIODS, path, starts=2, workers=0)
     by = {one.strategy: one for one in found.summary.yields}
     assert by["continuation"].starts == 2 and by["continuation"].hits >= 1
     with Atlas(path) as atlas:
@@ -259,7 +257,7 @@ def test_a_full_disk_ends_a_search_that_can_go_on(task, triple, one, undisturbed
         with pytest.raises(InputError, match=r"the disk is full; .* goes on from here"):
             Search(atlas, task, one, Limits(starts=STARTS)).run(Inline(one, task))
     content(path)
-    api.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0)
+    search.search(triple, ENERGY, PERIODS, path, starts=STARTS, workers=0)
     assert content(path) == content(undisturbed)
 
 
@@ -280,7 +278,7 @@ def test_a_full_disk_ends_a_search_that_can_go_on(task, triple, one, undisturbed
 def test_requests_that_make_no_sense(tmp_path, changed, message):
     request = {"model": chain(3), "energies": ENERGY, "periods": PERIODS, "starts": 1, "workers": 0} | changed
     with pytest.raises(InputError, match=message):
-        api.search(request.pop("model"), request.pop("energies"), request.pop("periods"), tmp_path / "a.sqlite",
+        search.search(request.pop("model"), request.pop("energies"), request.pop("periods"), tmp_path / "a.sqlite",
                    **request)  # fmt: skip
 
 
@@ -308,11 +306,11 @@ def test_mirrors_are_read_off_the_equations(made, expected):
 def test_starts_on_the_section_of_a_mirror(tmp_path):
     """In polar coordinates, where r is never 0: phi and r' vanish at the start, orbits come, the report says so."""
     model, path = polar(), tmp_path / "polar.sqlite"
-    one = bench(model, Target(-8.5, (0.5, 8.0)))
+    one = context_of(model, Target(-8.5, (0.5, 8.0)))
     number = one.strategies.index("mirror")
     state = make_start(one, 0, number).state
     assert abs(np.sin(state[1])) < 1e-15 and state[2] == 0 and state[3] != 0 and state[0] > 0
-    found = api.search(model, -8.5, (0.5, 8.0), path, starts=number + 1, workers=0).summary
+    found = search.search(model, -8.5, (0.5, 8.0), path, starts=number + 1, workers=0).summary
     assert next(one for one in found.yields if one.strategy == "mirror").hits >= 1
     assert any("mirror phi -> -phi was imposed by no start" in one for one in found.remarks)
 
@@ -320,11 +318,11 @@ def test_starts_on_the_section_of_a_mirror(tmp_path):
 def test_the_wells_beside_a_barrier_are_searched(tmp_path):
     """Below the barrier at q = 0 (0.25 J) the search begins in a well. Period: gallery, double-well-inside."""
     well = build_model({"kind": "python", "function": "double_well", "arguments": {}})
-    found = api.search(well, 0.1, (1.0, 12.0), tmp_path / "a.sqlite", starts=8, workers=0)
+    found = search.search(well, 0.1, (1.0, 12.0), tmp_path / "a.sqlite", starts=8, workers=0)
     with Atlas(found.atlas) as atlas:
         assert [row.period for row in atlas.rows()] == pytest.approx([4.8781297645261], rel=1e-12)
     with pytest.raises(InputError, match=r"energy: -0.1 J is not above 0 J, the system at rest"):
-        api.search(well, -0.1, (1.0, 12.0), tmp_path / "b.sqlite", starts=8, workers=0)
+        search.search(well, -0.1, (1.0, 12.0), tmp_path / "b.sqlite", starts=8, workers=0)
 
 
 def test_chao1():
@@ -384,7 +382,7 @@ def test_stalled_starts_are_in_the_report(undisturbed, tmp_path):
 def test_a_search_is_registered_once(triple, task, one, tmp_path):
     with Atlas(tmp_path / "a.sqlite", write=True, model=triple) as atlas:
         assert register(atlas, task, one) == (1, 0) == register(atlas, task, one)
-        other = Task(task.system, ENERGY, PERIODS, 1)
+        other = Request(task.system, Target(ENERGY, PERIODS), 1)
         assert register(atlas, other, one) == (2, 0)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from orbitfinder.atlas.attempt import attempt
 from orbitfinder.atlas.signature import DISTANCE, LOOP_SAMPLES, distance, images, same_orbit, signature_of
-from orbitfinder.atlas.starts import Target, bench, make_start
+from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.integrate.cvodes import build_flow, end_state
 from orbitfinder.mechanics.chain import chain
 
@@ -43,9 +43,9 @@ def test_other_orbits_are_other(signatures):
 
 
 def test_starts_depend_on_seed_and_index_alone():
-    """The same number makes the same start on another bench; an orbit found keeps the energy."""
+    """The same number makes the same start in another context; an orbit found keeps the energy."""
     target = Target(-30.0, (0.5, 6.0))
-    first, second = bench(chain(3), target), bench(chain(3), target)
+    first, second = context_of(chain(3), target), context_of(chain(3), target)
     one, other = make_start(first, 0, 2), make_start(second, 0, 2)
     assert np.array_equal(one.state, other.state) and one.period == other.period
     found = [attempt(first, 0, k).orbit for k in range(7)]

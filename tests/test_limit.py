@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import orbitfinder as of
 from orbitfinder._runtime import limit
-from orbitfinder.atlas import job as task
+from orbitfinder.atlas import workers as task
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError, LimitError
 from orbitfinder.families.folder import follow_family
@@ -153,8 +153,8 @@ def test_a_family_that_is_cut_off_keeps_its_points(tmp_path):
 
 def test_a_start_that_takes_too_long_is_a_failed_start(monkeypatch):
     """And the limit of the whole search ends the search."""
-    one = task.prepared(task.Task({"kind": "chain", "links": 2}, -15.0, (0.5, 4.0), 1).text())
+    one = task.prepared(task.Request({"kind": "chain", "links": 2}, task.Target(-15.0, (0.5, 4.0)), 1).text())
     monkeypatch.setattr(task, "LONGEST_START", 1e-4)
-    assert task.perform(one, 1, task.Order(0), task.Known()).reason == "error: LimitError"
+    assert task.perform(one, 1, task.Job(0), []).reason == "error: LimitError"
     with pytest.raises(LimitError), of.limited(1e-5):
-        task.perform(one, 1, task.Order(0), task.Known())
+        task.perform(one, 1, task.Job(0), [])

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 from test_atlas_search import content
 
-from orbitfinder.atlas.search import Limits, Tally
+from orbitfinder.atlas.search import Limits, Statistics
 from orbitfinder.cli import atlas as cataloguing
 from orbitfinder.cli import search as searching
 from orbitfinder.cli.console import paced
@@ -181,7 +181,7 @@ def test_durations(text, value):
 
 def test_progress_in_words():
     """A line and a table say starts, hits, new, known, failures, rate and time left."""
-    tally = Tally(done=10, hits=6, new=4, duplicates=2, orbits=9, begun_at=5)
+    tally = Statistics(done=10, hits=6, new=4, duplicates=2, orbits=9, begun_at=5)
     tally.failures["iteration limit"] = 4
     tally.began = time.monotonic() - 2.0
     limits = Limits(starts=35, budget=60.0)

@@ -7,19 +7,20 @@ the one with the smallest spectral radius is taken.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from orbitfinder.atlas.attempt import attempt
+from orbitfinder.atlas.signature import Signature, same_orbit, signature_of
+from orbitfinder.atlas.starts import Target, context_of
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
-
-if TYPE_CHECKING:
-    from orbitfinder.atlas.signature import Signature
-    from orbitfinder.loops.ipopt import Callback, SolveSettings
-    from orbitfinder.loops.problem import Guess, Problem
-    from orbitfinder.records.orbit import Orbit
+from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.orbits.find import find_orbit, without_choice
+from orbitfinder.orbits.objectives import rank
+from orbitfinder.records.orbit import Orbit
 
 STARTS = 200
 """Starts where the file does not say how many."""
@@ -42,8 +43,6 @@ def solve(
     settings: SolveSettings | None = None,
 ) -> Orbit:  # fmt: skip
     """The orbit that a Problem asks for, by `find_orbit` or, where it is a choice, by `least_unstable`."""
-    from orbitfinder.orbits.find import find_orbit
-
     if problem.choice:
         return least_unstable(problem, STARTS if starts is None else starts, seed, progress, settings)
     return find_orbit(problem, settings, progress)
@@ -60,8 +59,6 @@ def least_unstable(
     is taken. `provenance["choice"]` says how many orbits were found and how unstable the runner-up is. More
     starts find more orbits: the answer is the best of those found. Raises `InputError`, `ConvergenceError`.
     """
-    from orbitfinder.orbits.find import find_orbit, without_choice
-
     check(problem)
     found = candidates(problem, starts, seed, progress)
     low, high = problem.bounds["period"]
@@ -99,20 +96,12 @@ def check(problem: Problem) -> None:
 
 def candidates(problem: Problem, starts: int, seed: int, progress: Callback | None = None) -> list[Candidate]:
     """The distinct orbits found, least unstable first."""
-    import time
-
-    from orbitfinder.atlas.attempt import attempt
-    from orbitfinder.atlas.signature import among
-    from orbitfinder.atlas.starts import Target, bench
-    from orbitfinder.loops.ipopt import Progress
-
     began = time.perf_counter()
-    shared = bench(problem.model, Target(problem.pin[0].value, problem.bounds["period"]))
+    shared = context_of(problem.model, Target(problem.pin[0].value, problem.bounds["period"]))
     found: list[Candidate] = []
     _own(problem, found)
     for index in range(starts):
-        known = np.array([each.signature.numbers for each in found]).reshape(-1, 3)
-        one = attempt(shared, seed, index, partial(among, known))
+        one = attempt(shared, seed, index, [each.signature.numbers for each in found])
         if one.signature is not None:
             _add(found, one.signature, one.orbit)
         if progress and index % 20 == 19 and found:
@@ -123,9 +112,6 @@ def candidates(problem: Problem, starts: int, seed: int, progress: Callback | No
 
 def _own(problem: Problem, found: list[Candidate]) -> None:
     """Add the orbit that the guess itself leads to, when there is one and its period fits."""
-    from orbitfinder.atlas.signature import signature_of
-    from orbitfinder.orbits.find import find_orbit, without_choice
-
     try:
         orbit = find_orbit(replace(without_choice(problem), pin=problem.pin))
     except OrbitfinderError:
@@ -136,9 +122,6 @@ def _own(problem: Problem, found: list[Candidate]) -> None:
 
 
 def _add(found: list[Candidate], signature: Signature, orbit: Orbit | None) -> None:
-    from orbitfinder.atlas.signature import same_orbit
-    from orbitfinder.orbits.objectives import rank
-
     for k, each in enumerate(found):
         if same_orbit(each.signature, signature):
             found[k] = replace(each, found=each.found + 1)
@@ -149,8 +132,6 @@ def _add(found: list[Candidate], signature: Signature, orbit: Orbit | None) -> N
 
 def _guess(orbit: Orbit) -> Guess:
     """A found orbit as a guess, with its own trajectory where it carries one."""
-    from orbitfinder.loops.problem import Guess
-
     if len(orbit.samples) > 1:
         return Guess(orbit.samples[0], orbit.period, orbit.times, orbit.samples)
     return Guess(np.asarray(orbit.state), orbit.period)

@@ -1,25 +1,34 @@
-"""A search: starts handed out in order, their results judged and written in order, by this process alone.
+"""`search(...)`: from a model, energies and a range of periods to orbits in an atlas.
 
-The order makes the result independent of the number of workers and of when they answer, and makes
-the recorded starts a prefix of all starts, from which a search that was killed goes on.
+Starts are handed out in order, their results judged and written in order, by this process alone. The order makes
+the result independent of the number of workers and of when they answer, and makes the recorded starts a prefix of
+all starts, from which a search that was killed goes on.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
 
 from orbitfinder._runtime import limit
-from orbitfinder.atlas.attempt import Attempt
-from orbitfinder.atlas.continuing import CONTINUATION
-from orbitfinder.atlas.job import Order, Task
-from orbitfinder.atlas.starts import METHOD, Bench, strategy_of
+from orbitfinder._runtime.notebook import brief
+from orbitfinder.atlas.attempt import CONTINUATION, Attempt
+from orbitfinder.atlas.report import Summary, summarise
+from orbitfinder.atlas.starts import METHOD, Context, Target, context_of, strategy_of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.tables import explained, transaction
-from orbitfinder.atlas.workers import Workers
+from orbitfinder.atlas.workers import Cluster, Inline, Job, Local, Request, Workers
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
 
 AHEAD = 32
 """Starts for each place among the workers that may be under way or unjudged: bounds the memory."""
@@ -27,6 +36,9 @@ MOST_SOURCES = 80
 """Known orbits that a search at another energy continues from."""
 PATIENCE = 0.2
 """Seconds between two looks at the clock."""
+DEFAULT_BUDGET = 60.0
+"""Seconds of a search that is given no limit."""
+LARGEST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -38,7 +50,7 @@ class Limits:
 
 
 @dataclass
-class Tally:
+class Statistics:
     """What a search has done in this run; `orbits` are those in the atlas."""
 
     done: int = 0
@@ -65,18 +77,15 @@ class Tally:
         return min(found) if found else None
 
 
-Progress = Callable[[Tally], None]
-
-
-def register(atlas: Atlas, task: Task, one: Bench) -> tuple[int, int]:
+def register(atlas: Atlas, request: Request, context: Context) -> tuple[int, int]:
     """The id of this search in its atlas and the number of its next start.
 
     A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it.
     """
-    names = one.model.state_names[: one.model.degrees_of_freedom]
-    mirrored = {"mirrors": [mirror.moves(names) for mirror in one.mirrors]} if one.mirrors else {}
-    method = json.dumps({"method": METHOD, "strategies": one.strategies} | mirrored)
-    key = [task.energy, *task.periods, task.seed, method]
+    names = context.model.state_names[: context.model.degrees_of_freedom]
+    mirrored = {"mirrors": [mirror.moves(names) for mirror in context.mirrors]} if context.mirrors else {}
+    method = json.dumps({"method": METHOD, "strategies": context.strategies} | mirrored)
+    key = [request.target.energy, *request.target.periods, request.seed, method]
     with explained(atlas.path), transaction(atlas.connection):
         atlas.connection.execute(
             "INSERT OR IGNORE INTO searches (energy, shortest, longest, seed, method, sources) "
@@ -103,34 +112,37 @@ def sources(atlas: Atlas, search: int) -> list[int]:
 
 
 class Search:
-    """The state of one run of a search; `run` is all that one calls."""
+    """One run of a search; `run` is all that one calls."""
 
-    def __init__(self, atlas: Atlas, task: Task, one: Bench, limits: Limits, progress: Progress | None = None) -> None:
-        self._atlas, self._bench, self._limits, self._progress = atlas, one, limits, progress
-        self.id, self._head = register(atlas, task, one)
+    def __init__(
+        self, atlas: Atlas, request: Request, context: Context, limits: Limits,
+        progress: Callable[[Statistics], None] | None = None,
+    ) -> None:  # fmt: skip
+        self._atlas, self._context, self._limits, self._progress = atlas, context, limits, progress
+        self.id, self._head = register(atlas, request, context)
         self._sources = sources(atlas, self.id)
         self._issued = self._head
         self._under_way = 0
         self._answers: dict[int, Attempt] = {}
-        self.tally = Tally(orbits=len(atlas), begun_at=self._head)
+        self.statistics = Statistics(orbits=len(atlas), begun_at=self._head)
 
-    def run(self, workers: Workers) -> Tally:
+    def run(self, workers: Workers) -> Statistics:
         """Hand out, judge and write until a limit is reached; starts under way are waited for."""
         for row in self._atlas.rows():
             workers.learn((row.energy, row.period, abs(row.action)))
         while self._hand_out(workers) or self._under_way:
             limit.check()
-            for order, attempt in workers.results(PATIENCE):
+            for job, attempt in workers.results(PATIENCE):
                 self._under_way -= 1
-                self._answers[order.number] = attempt
+                self._answers[job.number] = attempt
             while self._head in self._answers and self._judged(workers, self._answers.pop(self._head)):
                 self._head += 1
-        self.tally.ended = time.monotonic()
-        return self.tally
+        self.statistics.ended = time.monotonic()
+        return self.statistics
 
     def _wanted(self) -> bool:
         """True while more starts are to be handed out."""
-        late = self._limits.budget is not None and self.tally.elapsed >= self._limits.budget
+        late = self._limits.budget is not None and self.statistics.elapsed >= self._limits.budget
         return not late and (self._limits.starts is None or self._issued < self._limits.starts)
 
     def _hand_out(self, workers: Workers) -> bool:
@@ -138,47 +150,47 @@ class Search:
         while self._wanted():
             if not (workers.room > 0 and self._issued < self._head + AHEAD * (self._under_way + workers.room)):
                 return True
-            self._submit(workers, self._order(self._issued))
+            self._submit(workers, self._job(self._issued))
             self._issued += 1
         return False
 
-    def _submit(self, workers: Workers, order: Order) -> None:
-        workers.submit(order)
+    def _submit(self, workers: Workers, job: Job) -> None:
+        workers.submit(job)
         self._under_way += 1
 
-    def _order(self, number: int, certain: bool = False) -> Order:
+    def _job(self, number: int, certain: bool = False) -> Job:
         """Numbers below the count of sources continue from them; the others follow their strategy."""
         source = self._atlas.document(self._sources[number]) if number < len(self._sources) else None
-        return Order(number, certain, source)
+        return Job(number, certain, source)
 
     def _judged(self, workers: Workers, attempt: Attempt) -> bool:
         """Write what became of a start; False when it must be done again, all the way to its certificate."""
         if not attempt.strategy:  # its worker died
-            name = CONTINUATION if attempt.index < len(self._sources) else strategy_of(self._bench, attempt.index)
+            name = CONTINUATION if attempt.index < len(self._sources) else strategy_of(self._context, attempt.index)
             attempt = replace(attempt, strategy=name)
         outcome, number = record(self._atlas, self.id, attempt)
         if outcome == "uncertain":
-            self._submit(workers, self._order(attempt.index, certain=True))
+            self._submit(workers, self._job(attempt.index, certain=True))
             return False
         if outcome == "new":
             assert attempt.signature is not None and number is not None
             self._atlas.remember(number, attempt.signature)
-            workers.learn((attempt.signature.energy, attempt.signature.period, attempt.signature.action))
+            workers.learn(attempt.signature.numbers)
         self._count(outcome, attempt)
         return True
 
     def _count(self, outcome: str, attempt: Attempt) -> None:
-        tally = self.tally
-        tally.done += 1
-        tally.hits += outcome in ("new", "duplicate")
-        tally.new += outcome == "new"
-        tally.duplicates += outcome == "duplicate"
-        tally.orbits += outcome == "new"
+        statistics = self.statistics
+        statistics.done += 1
+        statistics.hits += outcome in ("new", "duplicate")
+        statistics.new += outcome == "new"
+        statistics.duplicates += outcome == "duplicate"
+        statistics.orbits += outcome == "new"
         if outcome == "failed":
-            tally.failures[attempt.reason] += 1
-        limit.note(f"{tally.done} starts of this run are in the atlas; the same search goes on from there")
+            statistics.failures[attempt.reason] += 1
+        limit.note(f"{statistics.done} starts of this run are in the atlas; the same search goes on from there")
         if self._progress:
-            self._progress(tally)
+            self._progress(statistics)
 
 
 def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None]:
@@ -204,3 +216,88 @@ def record(atlas: Atlas, search: int, attempt: Attempt) -> tuple[str, int | None
             [search, attempt.index, attempt.strategy, outcome, attempt.reason, number, attempt.seconds],
         )
         return outcome, number
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one run of a search did: its statistics by energy (J), and the summary of these searches from the atlas."""
+
+    __repr__ = brief("atlas", "summary")
+
+    atlas: Path
+    tallies: tuple[tuple[float, Statistics], ...]
+    summary: Summary
+
+
+def search(
+    model: Model,
+    energies: float | Sequence[float],
+    periods: tuple[float, float],
+    atlas: str | Path,
+    *,
+    starts: int | None = None,
+    budget: float | None = None,
+    seed: int = 0,
+    workers: int = 2,
+    scheduler: str | None = None,
+    folder: str | Path | None = None,
+    progress: Callable[[float, Statistics], None] | None = None,
+) -> Found:
+    """Search for periodic orbits of a Model and keep the distinct certified ones in an atlas file.
+
+    `energies` in J, `periods` the range of minimal periods in s. Ends at `starts` starts for each energy
+    or after `budget` seconds (60 when neither is given), shared among the energies. The result depends on the
+    seed, not on the workers: 0 is this process, n are n spawned ones, `scheduler` the address of a Dask cluster.
+    A search that was stopped, however, goes on when the same is asked again. `folder`: see `Request`.
+    Raises `InputError`.
+    """
+    shells = tuple(float(one) for one in (energies if isinstance(energies, Sequence) else [energies]))
+    check_request(shells, starts, budget, seed, workers)
+    budget = DEFAULT_BUDGET if starts is None and budget is None else budget
+    limits = Limits(starts, None if budget is None else budget / len(shells))
+    tallies, ids = [], []
+    with Atlas(atlas, write=True, model=model) as book:
+        for energy in shells:
+            target = Target(energy, (float(periods[0]), float(periods[1])))
+            request = Request(dict(model.system), target, int(seed), None if folder is None else str(folder))
+            context = context_of(model, target)
+            run = Search(book, request, context, limits, None if progress is None else partial(progress, energy))
+            with contextlib.closing(employed(context, request, workers, scheduler)) as crew:
+                tallies.append((energy, run.run(crew)))
+            ids.append(run.id)
+        return Found(Path(atlas), tuple(tallies), summarise(book, ids))
+
+
+def employed(context: Context, request: Request, workers: int, scheduler: str | None) -> Workers:
+    """Whoever is to do the starts."""
+    if scheduler is None and workers == 0:
+        return Inline(context, request)
+    rebuildable(context.model, request)
+    return Local(request, workers) if scheduler is None else Cluster(request, scheduler)
+
+
+def rebuildable(model: Model, request: Request) -> None:
+    """`InputError` when other processes would not make the same Model from its description."""
+    try:
+        built = build_model(request.system, None if request.folder is None else Path(request.folder))
+    except InputError as error:
+        raise InputError(f"workers: other processes cannot rebuild this system ({error}); use workers=0") from error
+    same = built.parameter_values.shape == model.parameter_values.shape and np.allclose(
+        built.parameter_values, model.parameter_values, rtol=1e-15
+    )
+    if built.state_names != model.state_names or not same:
+        raise InputError("workers: the description of this system makes another one elsewhere; use workers=0")
+
+
+def check_request(shells: Sequence[float], starts: int | None, budget: float | None, seed: int, workers: int) -> None:
+    """`InputError` for limits that mean nothing."""
+    if not shells:
+        raise InputError("energy: missing; give at least one, in J")
+    if starts is not None and starts < 0:
+        raise InputError(f"starts: must not be negative, got {starts}; give a number of starts")
+    if budget is not None and not 0 < budget < float("inf"):
+        raise InputError(f"budget: must be positive and finite, got {budget}; give it in s")
+    if not 0 <= seed <= LARGEST_SEED:
+        raise InputError(f"seed: must be between 0 and 2^63 - 1, got {seed}; give a whole number")
+    if not 0 <= workers <= 256:
+        raise InputError(f"workers: must be between 0 and 256, got {workers}; 0 searches in this process")

@@ -11,13 +11,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.loops.symmetry import USUAL
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit
 
+Numbers = tuple[float, float, float]
+"""Energy (J), minimal period (s) and |action| (J s) of an orbit: what its images share."""
 LOOP_SAMPLES = 512
 """States that a signature keeps of its loop."""
 AGREEMENT = 1e-7
@@ -45,7 +49,7 @@ class Signature:
     angles: tuple[bool, ...]
 
     @property
-    def numbers(self) -> tuple[float, float, float]:
+    def numbers(self) -> Numbers:
         """Energy, period and |action|."""
         return self.energy, self.period, self.action
 
@@ -95,11 +99,12 @@ def same_orbit(first: Signature, second: Signature) -> bool:
 
 def agree(first: Signature, second: Signature) -> bool:
     """Energy, period and action agree to `AGREEMENT`."""
-    return among(np.array([first.numbers]), second.numbers)
+    return among(first.numbers, second.numbers)
 
 
-def among(known: np.ndarray, numbers: tuple[float, float, float]) -> bool:
+def among(known: ArrayLike, numbers: Numbers) -> bool:
     """Whether energy, period and |action| agree to `AGREEMENT` with those of a known orbit (k x 3)."""
+    known = np.reshape(known, (-1, 3))
     scale = np.maximum(1.0, np.maximum(np.abs(known), np.abs(numbers)))
     return bool(np.any(np.all(np.abs(known - numbers) <= AGREEMENT * scale, axis=1)))
 
@@ -118,10 +123,10 @@ def distance(first: Signature, second: Signature) -> float:
 
 def images(loop: np.ndarray) -> Iterator[np.ndarray]:
     """The loop, its reflection, its time reversal and both (k x 2n each)."""
-    n = loop.shape[1] // 2
-    backwards = np.concatenate([np.ones(n), -np.ones(n)])
-    reversed_loop = np.roll(loop[::-1], 1, axis=0) * backwards
-    yield from (loop, -loop, reversed_loop, -reversed_loop)
+    yield loop
+    for one in USUAL:
+        image = loop @ one.matrix(loop.shape[1] // 2).T
+        yield image if one.sense > 0 else np.roll(image[::-1], 1, axis=0)
 
 
 def _extents(loop: np.ndarray, n: int) -> np.ndarray:

@@ -3,6 +3,17 @@
 The equations are built once and used for every start with other numbers; nothing is transcribed, so a hopeless start
 costs a few integrations. Source of the damping: K. Levenberg, Quarterly of Applied Mathematics 2 (1944) 164-168;
 D. Marquardt, SIAM Journal 11 (1963) 431-441.
+
+Beside a nearly degenerate orbit it is one equation in one unknown, followed along the valley where the others hold.
+There the Jacobian J has one singular value that is far smaller than the rest (a nearly resonant torus, a fold or
+a pitchfork close by): the residual F is small along a curve, damped steps creep and chord steps do not contract.
+With its singular vectors u, v the bordered equations
+
+    F(x) = mu u,  v.(x - x0) = h
+
+are regular; mu(h) is followed from h = 0 until its sign changes, and there its zero is an orbit. Source: reduction
+of Lyapunov and Schmidt by bordered systems, W. Govaerts, Numerical Methods for Bifurcations of Dynamical
+Equilibria, SIAM 2000, chapter 3.
 """
 
 from __future__ import annotations
@@ -26,37 +37,37 @@ NEAR = 1e-2
 """Scaled residual below which a path is near an orbit."""
 NARROW = 3e-2
 """A Jacobian is nearly singular in one direction when its last singular value is this much below the one before."""
+CONVERGED = 1e-6
+"""Scaled residual at which the polish takes over."""
+MOST_EVALUATIONS = 40
+HOPELESS = ((12, 1.0), (24, 0.3))
+"""(evaluations, scaled residual): given up when it is still larger after so many."""
+LARGEST_STEP = 1.0
+"""Scaled length of a step, about a radian."""
+LARGEST_RATE = 100.0
+"""Bound on rates, in units of the guess's root mean square; a step beyond it is not taken."""
+LARGEST_UNFOLDING = 100.0
+"""Bound on |s| in 1/s; values of 10 have been seen to come back, this has left the problem."""
+POLISH_STEPS = 8
+POLISHED = 1e-13
+"""Scaled residual below which the polish stops early."""
+LONGEST, SHORTEST = 0.3, 1e-3
+"""Scaled steps along the valley."""
+MOST_CORRECTIONS = 6
+MOST_TRIALS = 60
+MOST_ROOT_STEPS = 20
+SLACK = 1e-3
+"""The regular equations hold when they are smaller than |mu| by this."""
+ROUND_OFF = 3e-13
+"""Scaled residual that counts as none."""
 
 
 class Stalled(ConvergenceError):
-    """Newton's method came near an orbit that is nearly degenerate, and no nearer; `w` is where it stands."""
+    """Newton's method came near an orbit that is nearly degenerate, and no nearer; `w` is where it ended."""
 
     def __init__(self, w: Unknowns) -> None:
         super().__init__("stalled near a degenerate orbit")
         self.w = w
-
-
-@dataclass(frozen=True)
-class QuickSettings:
-    """When the cheap stage is content and when it gives up."""
-
-    converged: float = 1e-6
-    """scaled residual at which the polish takes over"""
-    most_evaluations: int = 40
-    hopeless: tuple[tuple[int, float], ...] = ((12, 1.0), (24, 0.3))
-    """(evaluations, scaled residual): given up when it is still larger after so many"""
-    largest_step: float = 1.0
-    """scaled length of a step, about a radian"""
-    largest_rate: float = 100.0
-    """bound on rates, in units of the guess's root mean square; a step beyond it is not taken"""
-    largest_unfolding: float = 100.0
-    """bound on |s| in 1/s; values of 10 have been seen to come back, this has left the problem"""
-    growth_per_segment: float = 10.0
-    fewest_segments: int = 2
-    most_segments: int = 16
-    polish_steps: int = 8
-    polished: float = 1e-13
-    """scaled residual below which the polish stops early"""
 
 
 @dataclass(frozen=True)
@@ -74,17 +85,6 @@ class Scaled:
         count, fraction = len(w.nodes), self.loop.equations.symmetry.fraction
         steps = rounded(w.period * fraction / count / self.step)
         return w if w.mesh.size == steps * count + 1 else replace(w, mesh=uniform(fraction, count, steps))
-
-
-def shot(
-    equations: Equations, step: float, state: np.ndarray, period: float, count: int
-) -> tuple[Unknowns, np.ndarray]:
-    """The unknowns (of `count` segments) of the motion from a state, and its end (d)."""
-    fraction = equations.symmetry.fraction
-    mesh = uniform(fraction, count, rounded(period * fraction / count / step))
-    w = equations.unknowns(np.asarray(state, float)[None], period, mesh)
-    states = equations.march.states(w.nodes, mesh, w.tail)
-    return replace(w, nodes=states[: -1 : (mesh.size - 1) // count]), states[-1]
 
 
 def scaled(problem: Problem, equations: Equations, step: float, w: Unknowns, periods: tuple[float, float]) -> Scaled:
@@ -119,32 +119,32 @@ def moved(one: Scaled, w: Unknowns, step: np.ndarray) -> Unknowns:
     return replace(after, period=float(np.clip(after.period, *one.periods)))
 
 
-def bounded(one: Scaled, w: Unknowns, settings: QuickSettings) -> Unknowns:
+def bounded(one: Scaled, w: Unknowns) -> Unknowns:
     """The unknowns, if rates and unfolding are within bounds; `IntegrationError` otherwise."""
     n = w.nodes.shape[1] // 2
-    fast = float(np.abs(w.nodes[:, n:]).max()) > settings.largest_rate * one.columns[n]
-    if fast or float(np.abs(w.unfolding).max(initial=0.0)) > settings.largest_unfolding:
+    fast = float(np.abs(w.nodes[:, n:]).max()) > LARGEST_RATE * one.columns[n]
+    if fast or float(np.abs(w.unfolding).max(initial=0.0)) > LARGEST_UNFOLDING:
         raise IntegrationError("out of bounds", time=0.0, state=w.nodes[0])
     return w
 
 
-def solve(one: Scaled, w: Unknowns, settings: QuickSettings) -> tuple[Unknowns, np.ndarray]:
+def solve(one: Scaled, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
     """Unknowns with a small scaled residual and the Jacobian there; `ConvergenceError` says why there is none."""
     damping = 1e-2
     residual, jacobian = linearised(one, w)
     norm = float(np.abs(residual).max())
     norms: list[float] = []
-    for evaluation in range(1, settings.most_evaluations + 1):
-        if norm < settings.converged:
+    for evaluation in range(1, MOST_EVALUATIONS + 1):
+        if norm < CONVERGED:
             return w, jacobian
-        if any(evaluation > after and norm > most for after, most in settings.hopeless):
+        if any(evaluation > after and norm > most for after, most in HOPELESS):
             raise ConvergenceError("hopeless start")
         norms.append(norm)
         if creeping(norms) and narrow(jacobian):
             raise Stalled(w)
-        step = damped_step(jacobian, residual, damping, settings.largest_step)
+        step = damped_step(jacobian, residual, damping)
         try:
-            trial = bounded(one, moved(one, w, step), settings)
+            trial = bounded(one, moved(one, w, step))
             found, slopes = linearised(one, trial)
         except IntegrationError:
             damping = max(10 * damping, 1e-3)
@@ -169,8 +169,8 @@ def narrow(jacobian: np.ndarray) -> bool:
     return bool(values[-1] < NARROW * values[-2])
 
 
-def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float, longest: float) -> np.ndarray:
-    """The Levenberg-Marquardt step, no longer than `longest` in any component."""
+def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float) -> np.ndarray:
+    """The Levenberg-Marquardt step, no longer than `LARGEST_STEP` in any component."""
     try:
         if damping > SQUARED_ABOVE:
             matrix = jacobian.T @ jacobian
@@ -180,10 +180,10 @@ def damped_step(jacobian: np.ndarray, residual: np.ndarray, damping: float, long
             step = np.linalg.lstsq(jacobian, -residual, rcond=1e-13)[0]
     except np.linalg.LinAlgError as error:
         raise ConvergenceError("singular equations") from error
-    return np.asarray(step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300)))
+    return np.asarray(step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-300)))
 
 
-def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray, settings: QuickSettings) -> Unknowns:
+def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray) -> Unknowns:
     """w to round-off, by chord Newton steps with an accurate residual, on the mesh that it needs."""
     inverse = np.linalg.pinv(jacobian, rcond=1e-13)
     equations = one.loop.equations
@@ -192,15 +192,114 @@ def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray, settings: QuickSett
     w = replace(w, mesh=mesh)
     residual = one.loop.rows(w, ends) / one.rows
     best = float(np.abs(residual).max())
-    for _ in range(settings.polish_steps):
+    for _ in range(POLISH_STEPS):
         trial = moved(one, w, -inverse @ residual)
         found = one.loop.rows(trial, equations.ends(trial)) / one.rows
         size = float(np.abs(found).max())
         if not size < best:
             break
         w, residual, best = trial, found, size
-        if best < settings.polished:
+        if best < POLISHED:
             break
     if not best < 1e-10:
         raise Stalled(w)
     return w
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of the valley: w, scaled residual F and Jacobian there, u and v, and mu = u.F."""
+
+    w: Unknowns
+    residual: np.ndarray
+    jacobian: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+
+    @property
+    def mu(self) -> float:
+        """What is left of the residual in the one equation that is not regular."""
+        return float(self.left @ self.residual)
+
+    @property
+    def rest(self) -> float:
+        """The largest residual of the others."""
+        return float(np.abs(self.residual - self.mu * self.left).max())
+
+
+def orbit_in_valley(one: Scaled, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
+    """The unknowns of an orbit in the valley that w lies in, and the Jacobian there; `Stalled` when there is none."""
+    fine = replace(one, step=fine_step(one, w))
+    try:
+        here = corrected(fine, turned(Point(w, *linearised(fine, w), np.zeros(0), np.zeros(0))), 0.0)
+        if abs(here.mu) > ROUND_OFF:
+            here = crossed(fine, *bracket(fine, turned(here)))
+    except (IntegrationError, np.linalg.LinAlgError) as error:
+        raise Stalled(w) from error
+    return here.w, here.jacobian
+
+
+def fine_step(one: Scaled, w: Unknowns) -> float:
+    """The longest step (s) with which half of it agrees; the polish that follows needs no better Jacobian."""
+    w = one.at(w)
+    mesh = one.loop.equations.march.refined_ends(w.nodes, w.mesh, w.tail)[1]
+    return 2 * w.period * float(mesh[-1]) / (mesh.size - 1)
+
+
+def turned(at: Point) -> Point:
+    """The point with the singular vectors of its own Jacobian, in the senses of those that it came with."""
+    left, _, right = np.linalg.svd(at.jacobian)
+    u, v = left[:, -1], right[-1]
+    if at.left.size:
+        u, v = u * (np.sign(u @ at.left) or 1.0), v * (np.sign(v @ at.right) or 1.0)
+    return replace(at, left=u, right=v)
+
+
+def corrected(one: Scaled, at: Point, length: float) -> Point:
+    """Where the regular equations hold at h = `length` from a point, by Newton's method; `Stalled` if nowhere."""
+    w, smallest = moved(one, at.w, length * at.right), np.inf
+    for _ in range(MOST_CORRECTIONS):
+        found = Point(w, *linearised(one, bounded(one, w)), at.left, at.right)
+        if found.rest < max(SLACK * abs(found.mu), ROUND_OFF):
+            return found
+        if found.rest > smallest:
+            break
+        smallest = found.rest
+        bordered = np.block([[found.jacobian, -at.left[:, None]], [at.right[None], np.zeros((1, 1))]])
+        wanted = np.append(found.mu * at.left - found.residual, 0.0)
+        w = moved(one, w, np.linalg.solve(bordered, wanted)[:-1])
+    raise Stalled(at.w)
+
+
+def bracket(one: Scaled, at: Point) -> tuple[Point, Point, float]:
+    """Two successive points between which mu changes its sign, and h from the first to the second."""
+    length = -LONGEST * (np.sign(at.mu * (at.left @ at.jacobian @ at.right)) or 1.0)  # the way on which |mu| falls
+    for _ in range(MOST_TRIALS):
+        try:
+            there = corrected(one, at, length)
+        except (Stalled, IntegrationError):
+            length /= 2
+            if abs(length) < SHORTEST:
+                break
+            continue
+        if there.mu * at.mu <= 0:
+            return at, there, length
+        at, length = turned(there), float(np.clip(1.5 * length, -LONGEST, LONGEST))
+    raise Stalled(at.w)
+
+
+def crossed(one: Scaled, first: Point, second: Point, length: float) -> Point:
+    """The zero of mu between two points, by the Illinois method (M. Dowell, P. Jarratt, BIT 11 (1971) 168-174)."""
+    (low, below), (high, above) = (0.0, first.mu), (length, second.mu)
+    found = second
+    for _ in range(MOST_ROOT_STEPS):
+        if abs(found.mu) < ROUND_OFF or abs(high - low) < 1e-13:
+            break
+        middle = (low * above - high * below) / (above - below)
+        found = corrected(one, first, middle)
+        if found.mu * above < 0:
+            low, below = high, above
+        else:
+            below /= 2
+        high, above = middle, found.mu
+    return found

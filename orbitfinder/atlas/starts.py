@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.guesses.modes import normal_modes, reach_of, resting_place
@@ -60,7 +61,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Bench:
+class Context:
     """Everything about a model that starts share.
 
     Equations and flows by the symmetry imposed (only those that the model has), the step (s) of the
@@ -89,7 +90,7 @@ class Start:
     period: float
 
 
-def bench(model: Model, target: Target) -> Bench:
+def context_of(model: Model, target: Target) -> Context:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     check(model, target)
     place = resting_place(model, target.energy)
@@ -99,7 +100,7 @@ def bench(model: Model, target: Target) -> Bench:
     known = [*(name for name, one in SYMMETRIES.items() if one.held_by(model, origin)), *["mirror"] * bool(found)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     unfolded = {name: SYMMETRIES[name].unfolded(model) for name in known if name in imposed}
-    one = Bench(
+    one = Context(
         model, target,
         equations={name: Equations(model, SYMMETRIES[name]) for name in unfolded},
         flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
@@ -114,11 +115,11 @@ def possible(name: str, known: Sequence[str]) -> bool:
     return (name if name in HALVES else STRATEGIES[name][0]) in known
 
 
-def calibrated(one: Bench) -> float:
+def calibrated(context: Context) -> float:
     """The step (s) with which the median motion on the energy shell is right to `STEP_ERROR` per span."""
-    random, march = np.random.default_rng(0), one.equations["none"].march
-    states = np.array([_random_state(one, random) for _ in range(CALIBRATION_STATES)])
-    span, steps = one.target.periods[1] / SPANS, 4
+    random, march = np.random.default_rng(0), context.equations[NONE.name].march
+    states = np.array([_random_state(context, random) for _ in range(CALIBRATION_STATES)])
+    span, steps = context.target.periods[1] / SPANS, 4
     tail = np.append(span, np.zeros(march.unfolding))
 
     def marched(count: int) -> np.ndarray:
@@ -163,55 +164,52 @@ def check(model: Model, target: Target) -> None:
         raise InputError(f"energy: must be finite, got {target.energy}; give a number in J")
 
 
-def make_start(one: Bench, seed: int, index: int) -> Start:
+def make_start(context: Context, seed: int, index: int) -> Start:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
-    name = strategy_of(one, index)
+    name = strategy_of(context, index)
     symmetry, propose = STRATEGIES[name]
     random = np.random.default_rng([seed, index])
-    state = propose(one, random)
+    state = propose(context, random)
     if name == "recurrence":
-        state, period = _recurrence(one, state, random)
-    elif name in HALVES:
-        period = _return_time(one, name, state, random)
+        state, period = _recurrence(context, state, random)
     else:
-        period = _return_time(one, symmetry, state, random)
+        period = _return_time(context, name if name in HALVES else symmetry, state, random)
     return Start(index, name, symmetry, state, period)
 
 
-def strategy_of(one: Bench, index: int) -> str:
+def strategy_of(context: Context, index: int) -> str:
     """Strategies take turns."""
-    return one.strategies[index % len(one.strategies)]
+    return context.strategies[index % len(context.strategies)]
 
 
-def random_position(one: Bench, random: np.random.Generator, most: float = 1.0) -> np.ndarray:
+def random_position(context: Context, random: np.random.Generator, most: float = 1.0) -> np.ndarray:
     """Coordinates (n) with V < E, angles uniform within `most` of a half turn of the equilibrium."""
-    reach = reach_of(one.model)
+    reach = reach_of(context.model)
     for attempt in range(ATTEMPTS):
         shrink = most * (1.0 - 0.9 * attempt / ATTEMPTS)
-        q = one.equilibrium + shrink * reach * random.uniform(-1, 1, reach.size)
-        if potential(one, q) < one.target.energy:
+        q = context.equilibrium + shrink * reach * random.uniform(-1, 1, reach.size)
+        if potential(context, q) < context.target.energy:
             return q
     raise ConvergenceError("no position below the energy")
 
 
-def potential(one: Bench, q: np.ndarray) -> float:
+def potential(context: Context, q: np.ndarray) -> float:
     """V(q) in J."""
-    return float(one.model.potential(q, one.model.parameter_values))
+    return float(context.model.potential(q, context.model.parameter_values))
 
 
-def on_shell(one: Bench, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def on_shell(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The state (2n) at q with velocity along `direction` and the target's energy."""
-    kinetic = float(one.model.kinetic(q, direction, one.model.parameter_values))
-    size = np.sqrt((one.target.energy - potential(one, q)) / max(kinetic, 1e-300))
+    kinetic = float(context.model.kinetic(q, direction, context.model.parameter_values))
+    size = np.sqrt((context.target.energy - potential(context, q)) / max(kinetic, 1e-300))
     return np.concatenate([q, size * direction])
 
 
-def at_rest(one: Bench, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The state of rest where the ray from q (V < E) along `direction` first meets V = E."""
-    from scipy.optimize import brentq
 
     def excess(length: float) -> float:
-        return potential(one, q + length * direction) - one.target.energy
+        return potential(context, q + length * direction) - context.target.energy
 
     lengths = np.linspace(0.0, 2 * np.pi, 64) / np.linalg.norm(direction)
     above = [length for length in lengths if excess(length) > 0]
@@ -222,52 +220,52 @@ def at_rest(one: Bench, q: np.ndarray, direction: np.ndarray) -> np.ndarray:
     return np.concatenate([q + root * direction, np.zeros(q.size)])
 
 
-def _random_state(one: Bench, random: np.random.Generator) -> np.ndarray:
-    q = random_position(one, random)
-    return on_shell(one, q, random.normal(size=q.size))
+def _random_state(context: Context, random: np.random.Generator) -> np.ndarray:
+    q = random_position(context, random)
+    return on_shell(context, q, random.normal(size=q.size))
 
 
-def _random_rest(one: Bench, random: np.random.Generator) -> np.ndarray:
-    q = random_position(one, random, 0.7)
-    return at_rest(one, q, random.normal(size=q.size))
+def _random_rest(context: Context, random: np.random.Generator) -> np.ndarray:
+    q = random_position(context, random, 0.7)
+    return at_rest(context, q, random.normal(size=q.size))
 
 
-def _mode_rest(one: Bench, random: np.random.Generator) -> np.ndarray:
+def _mode_rest(context: Context, random: np.random.Generator) -> np.ndarray:
     """Rest on the energy shell along a combination of one to three normal modes."""
-    n = one.shapes.shape[1]
+    n = context.shapes.shape[1]
     weights = np.where(random.uniform(size=n) < 0.6, random.normal(size=n), 0.0)
     if not weights.any():
         weights[random.integers(n)] = 1.0
-    return at_rest(one, one.equilibrium, one.shapes @ weights)
+    return at_rest(context, context.equilibrium, context.shapes @ weights)
 
 
-def _centre(one: Bench, random: np.random.Generator) -> np.ndarray:
+def _centre(context: Context, random: np.random.Generator) -> np.ndarray:
     """Passing through the equilibrium configuration, where many reflection-symmetric orbits go through."""
-    return on_shell(one, one.equilibrium, random.normal(size=one.equilibrium.size))
+    return on_shell(context, context.equilibrium, random.normal(size=context.equilibrium.size))
 
 
-def _crossing(one: Bench, random: np.random.Generator) -> np.ndarray:
+def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
     """Passing a configuration that the reflection keeps: every angle 0 or a half turn, as the energy allows."""
-    n, angles = one.model.degrees_of_freedom, one.model.angular
+    n, angles = context.model.degrees_of_freedom, context.model.angular
     for _ in range(ATTEMPTS):
         q = np.where(angles, np.pi * random.integers(0, 2, n), 0.0) * (random.uniform() < 0.5)
-        if potential(one, q) < one.target.energy:
-            return on_shell(one, q, random.normal(size=n))
-    return on_shell(one, one.equilibrium, random.normal(size=n))
+        if potential(context, q) < context.target.energy:
+            return on_shell(context, q, random.normal(size=n))
+    return on_shell(context, context.equilibrium, random.normal(size=n))
 
 
-def _mirrored(one: Bench, random: np.random.Generator) -> np.ndarray:
+def _mirrored(context: Context, random: np.random.Generator) -> np.ndarray:
     """In the fixed set of one of the model's mirrors: some coordinates at 0 (or a half turn), the others at rest."""
-    signs = np.asarray(one.mirrors[random.integers(len(one.mirrors))].signs)
-    angles = one.model.angular
+    signs = np.asarray(context.mirrors[random.integers(len(context.mirrors))].signs)
+    angles = context.model.angular
     for _ in range(ATTEMPTS):
-        q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(one, random))
-        if potential(one, q) < one.target.energy:
-            return on_shell(one, q, np.where(signs < 0, random.normal(size=signs.size), 0.0))
+        q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(context, random))
+        if potential(context, q) < context.target.energy:
+            return on_shell(context, q, np.where(signs < 0, random.normal(size=signs.size), 0.0))
     raise ConvergenceError("no position below the energy")
 
 
-STRATEGIES: Mapping[str, tuple[str, Callable[[Bench, np.random.Generator], np.ndarray]]] = {
+STRATEGIES: Mapping[str, tuple[str, Callable[[Context, np.random.Generator], np.ndarray]]] = {
     BRAKE.name: (BRAKE.name, _random_rest),
     "normal-modes": (QUARTER.name, _mode_rest),
     "random": (NONE.name, _random_state),
@@ -288,12 +286,12 @@ TURNS = (
 """Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
 
 
-def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
+def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndarray:
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
-    n, angular = one.model.degrees_of_freedom, one.model.angular
+    n, angular = context.model.degrees_of_freedom, context.model.angular
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
     if symmetry in HALVES:
-        known = REVERSAL.maps if symmetry == REVERSAL.name else one.mirrors
+        known = REVERSAL.maps if symmetry == REVERSAL.name else context.mirrors
         scaled = states / np.repeat([1.0, rate], n)
         each = (np.abs(off_centre(mirror, scaled, angular)).max(axis=1) for mirror in known)
         return min(each, key=lambda gap: float(gap[0]))
@@ -305,20 +303,20 @@ def boundary_gap(one: Bench, symmetry: str, states: np.ndarray) -> np.ndarray:
     return np.asarray((np.abs(gaps) / np.where(units > 0, units, 1.0)).max(axis=1))
 
 
-def simulated(one: Bench, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a loose simulation."""
-    samples = SAMPLES_PER_PERIOD * duration / one.target.periods[1]
-    count = rounded(max(samples, duration / one.step))
-    march, mesh = one.equations["none"].march, uniform(1.0, 1, count)
+    samples = SAMPLES_PER_PERIOD * duration / context.target.periods[1]
+    count = rounded(max(samples, duration / context.step))
+    march, mesh = context.equations["none"].march, uniform(1.0, 1, count)
     return duration * mesh, march.states(state[None], mesh, np.append(duration, np.zeros(march.unfolding)))
 
 
-def _return_time(one: Bench, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
+def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
     fraction = 0.5 if symmetry in HALVES else SYMMETRIES[symmetry].fraction
-    low, high = one.target.periods
-    times, states = simulated(one, state, fraction * high)
-    gaps = boundary_gap(one, symmetry, states)
+    low, high = context.target.periods
+    times, states = simulated(context, state, fraction * high)
+    gaps = boundary_gap(context, symmetry, states)
     inner = (gaps[1:-1] <= gaps[:-2]) & (gaps[1:-1] <= gaps[2:]) & (times[1:-1] >= fraction * low)
     found = np.flatnonzero(inner) + 1
     if not found.size:
@@ -327,14 +325,14 @@ def _return_time(one: Bench, symmetry: str, state: np.ndarray, random: np.random
     return float(times[random.choice(best)] / fraction)
 
 
-def _recurrence(one: Bench, state: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
+def _recurrence(context: Context, state: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, float]:
     """The state and period of one of the closest returns of a longer simulation to itself."""
-    low, high = one.target.periods
-    times, states = simulated(one, state, RECURRENCE_SPAN * high)
+    low, high = context.target.periods
+    times, states = simulated(context, state, RECURRENCE_SPAN * high)
     step, found = float(times[1]), []
     window = int(np.ceil(high / step))
     for begin in range(0, len(times) - window, max(1, window // RECURRENCE_BEGINNINGS)):
-        gaps = boundary_gap(one, "none", states[begin : begin + window])
+        gaps = boundary_gap(context, "none", states[begin : begin + window])
         first = int(np.ceil(low / step))
         inner = gaps[first:-1]
         minima = np.flatnonzero((inner <= gaps[first - 1 : -2]) & (inner <= gaps[first + 1 :])) + first

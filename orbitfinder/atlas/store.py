@@ -7,21 +7,22 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import GenericAlias
 from typing import Any, get_type_hints
 
 import numpy as np
 
-from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.arguments import checked
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import brief, html
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
-from orbitfinder.atlas.tables import connect, explained, select, transaction
+from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import SYMMETRIES
+from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document
-from orbitfinder.records.reading import inflated, json_document, read_as
+from orbitfinder.records.reading import LARGEST_INTEGER, inflated, json_document, read_as
 from orbitfinder.records.store import kind_of, load_orbit, member
 
 RESTORE = "restore a copy of the atlas"
@@ -153,8 +154,12 @@ class Atlas:
         return read_as(dict[str, Any], document, f"{self.path}: system", RESTORE)  # type: ignore[no-any-return]
 
     def select(self, kinds: Sequence[Any], question: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        """The rows that answer a SELECT, checked to hold these kinds (see `tables.select`)."""
-        return select(self.path, self.connection, kinds, question, values)
+        """The rows that answer a SELECT, every column of its kind (see `reading.read_as`). Raises `InputError`."""
+        if any(isinstance(value, int) and abs(value) > LARGEST_INTEGER for value in values):
+            return []  # no row has such an id
+        with explained(self.path):
+            rows = self.connection.execute(question, list(values)).fetchall()
+        return [read_as(GenericAlias(tuple, tuple(kinds)), row, str(self.path), RESTORE) for row in rows]
 
     def _claim(self, system: dict[str, Any], write: bool) -> dict[str, Any]:
         """The system of this atlas: recorded if none is, and refused if it is another."""
@@ -188,14 +193,12 @@ class Atlas:
     def model(self) -> Model:
         """The Model of the atlas's system."""
         if self._model is None:
-            from orbitfinder.mechanics.catalogue import build_model
-
             self._model = build_model(self.system, self._trusted)
         return self._model
 
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
-        return display.html(self)
+        return html(self)
 
     def __len__(self) -> int:
         return int(self.select([int], "SELECT count(*) FROM orbits")[0][0])
@@ -220,8 +223,7 @@ class Atlas:
 
     def orbit(self, number: int) -> Orbit:
         """An orbit by its id, certificate included; its dense samples are left out."""
-        document = self.document(number)
-        return orbit_from_document(document)
+        return orbit_from_document(self.document(number))
 
     def documents(self, chosen: Filter | None = None) -> Iterator[dict[str, Any]]:
         """The orbit.json documents that pass a filter, by energy and period."""

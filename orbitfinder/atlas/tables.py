@@ -14,11 +14,10 @@ import stat
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import GenericAlias
 from typing import Any
 
 from orbitfinder.errors import InputError
-from orbitfinder.records.reading import LARGEST_FILE, LARGEST_INTEGER, read_as
+from orbitfinder.records.reading import LARGEST_FILE
 
 APPLICATION = 0x6F726266
 """The letters `orbf`."""
@@ -164,17 +163,6 @@ def _check_schema(path: Path, made: Sequence[tuple[Any, ...]], version: int) -> 
 
 def _squeezed(text: object) -> str:
     return re.sub(r"\s+", " ", str(text)).strip()
-
-
-def select(
-    path: Path, connection: sqlite3.Connection, kinds: Sequence[Any], question: str, values: Sequence[Any] = ()
-) -> list[tuple[Any, ...]]:
-    """The rows that answer a SELECT, every column of its kind (as `reading.typed` has them). Raises `InputError`."""
-    if any(isinstance(value, int) and abs(value) > LARGEST_INTEGER for value in values):
-        return []  # no row has such an id
-    with explained(path):
-        rows = connection.execute(question, list(values)).fetchall()
-    return [read_as(GenericAlias(tuple, tuple(kinds)), row, str(path), "restore a copy of the atlas") for row in rows]
 
 
 def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:

@@ -1,70 +1,162 @@
-"""Who does the starts: this process, or spawned ones that talk over pipes and may die one at a time."""
+"""Who does the starts: this process, spawned ones that talk over pipes and may die one at a time, or a Dask cluster.
+
+Dask's scheduler gives the starts of a lost worker to another one; the number of starts under way is
+bounded by the number of threads, so neither side's memory grows with the search.
+"""
 
 from __future__ import annotations
 
+import abc
 import contextlib
-from dataclasses import dataclass, replace
+import itertools
+import json
+import queue
+import threading
+import time
+import uuid
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from multiprocessing.connection import Connection, wait
-from typing import Protocol
+from pathlib import Path
+from typing import Any
 
-from orbitfinder._runtime import processes
-from orbitfinder.atlas.attempt import Attempt, Numbers
-from orbitfinder.atlas.job import Known, Order, Task, perform, prepared
-from orbitfinder.atlas.starts import Bench
-from orbitfinder.errors import OrbitfinderError
+import numpy as np
+from numpy.typing import ArrayLike
 
+from orbitfinder._runtime import limit, processes
+from orbitfinder.atlas.attempt import CONTINUATION, Attempt, attempt
+from orbitfinder.atlas.signature import Numbers
+from orbitfinder.atlas.starts import Context, Target, context_of, strategy_of
+from orbitfinder.errors import InputError, LimitError, OrbitfinderError
+from orbitfinder.integrate.evaluate import one_thread
+from orbitfinder.mechanics.catalogue import build_model
+
+LONGEST_START = 120.0
+"""s after which one start is given up, or a budget would be overrun without end; ordinary ones take 0.01 to 10"""
 MOST_TRIES = 2
 """A start whose worker died is tried once more; then it has cost itself and nothing else."""
 DIED = "worker died"
 MOST_FALSE_STARTS = 3
+CONNECTING = 20.0
+"""Seconds to wait for the scheduler."""
+WAITING = 300.0
+"""Seconds to wait for workers, at the beginning and whenever none is left."""
+EACH = 2
+"""Starts under way for each thread: one in work, one waiting there."""
+LOOK_EVERY = 2.0
+"""Seconds between two looks at how many threads there are."""
+_one_at_a_time = threading.Lock()
 
 
-class Workers(Protocol):
-    """Takes orders as long as `room` is positive, gives back attempts in the order in which they come."""
+@dataclass(frozen=True)
+class Request:
+    """A search as plain values that travel.
+
+    `folder` is that of a trusted problem file whose Python function makes the system.
+    """
+
+    system: Mapping[str, Any]
+    target: Target
+    seed: int
+    folder: str | None = None
+
+    def text(self) -> str:
+        """The same as JSON."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One start to be made: its number, whether known orbits count as suspects, an orbit to continue from."""
+
+    number: int
+    certain: bool = False
+    source: Mapping[str, Any] | None = None
+    tries: int = field(default=1, compare=False)
+
+
+@lru_cache(maxsize=4)
+def prepared(text: str) -> Context:
+    """The context of a request given as JSON, made once in a process."""
+    request = json.loads(text)
+    folder, target = request["folder"], request["target"]
+    model = build_model(request["system"], None if folder is None else Path(folder))
+    return context_of(model, Target(target["energy"], tuple(target["periods"])))
+
+
+@one_thread()
+def perform(context: Context, seed: int, job: Job, known: ArrayLike) -> Attempt:
+    """One start; whatever goes wrong in it is its reason."""
+    began = time.process_time()
+    try:
+        with limit.limited(LONGEST_START):
+            found = attempt(context, seed, job.number, None if job.certain else known, job.source)
+    except (RuntimeError, ValueError, ArithmeticError, LimitError) as error:
+        limit.check()  # that of the whole search ends the search
+        name = CONTINUATION if job.source is not None else strategy_of(context, job.number)
+        found = Attempt(job.number, name, reason=f"error: {type(error).__name__}")
+    if found.orbit is not None:  # dense samples stay here: the nodes rebuild them
+        light = replace(found.orbit, times=np.zeros(0), samples=np.zeros((0, found.orbit.state.size)))
+        found = replace(found, orbit=light)
+    return replace(found, seconds=time.process_time() - began)
+
+
+class Workers(abc.ABC):
+    """Takes jobs as long as `room` is positive, gives back attempts in the order in which they come.
+
+    Every start is told of the orbits that are known when it is handed out (`learn`).
+    """
+
+    def __init__(self, request: Request) -> None:
+        self._request = request
+        self._known: list[Numbers] = []
 
     @property
+    @abc.abstractmethod
     def room(self) -> int:
-        """How many more orders it takes now."""
+        """How many more jobs it takes now."""
 
-    def submit(self, order: Order) -> None:
+    @abc.abstractmethod
+    def submit(self, job: Job) -> None:
         """Begin a start."""
 
-    def results(self, timeout: float) -> list[tuple[Order, Attempt]]:
+    @abc.abstractmethod
+    def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
         """What has ended, after at most `timeout` seconds."""
 
     def learn(self, numbers: Numbers) -> None:
-        """Tell the workers of a new orbit."""
+        """Know one more orbit."""
+        self._known.append(numbers)
 
+    @abc.abstractmethod
     def close(self) -> None:
         """Stop the workers."""
 
 
-class Inline:
+class Inline(Workers):
     """Starts in this process, one by one."""
 
-    def __init__(self, one: Bench, task: Task) -> None:
-        self._bench, self._seed, self._known = one, task.seed, Known()
-        self._waiting: list[Order] = []
+    def __init__(self, context: Context, request: Request) -> None:
+        super().__init__(request)
+        self._context = context
+        self._waiting: list[Job] = []
 
     @property
     def room(self) -> int:
         """One start at a time."""
         return 1 - len(self._waiting)
 
-    def submit(self, order: Order) -> None:
+    def submit(self, job: Job) -> None:
         """Remember the start until somebody asks for results."""
-        self._waiting.append(order)
+        self._waiting.append(job)
 
-    def results(self, timeout: float) -> list[tuple[Order, Attempt]]:
+    def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
         """Do the start."""
         if not self._waiting:
             return []
-        order = self._waiting.pop()
-        return [(order, perform(self._bench, self._seed, order, self._known))]
-
-    def learn(self, numbers: Numbers) -> None:
-        """Know one more orbit."""
-        self._known.learn([numbers])
+        job = self._waiting.pop()
+        return [(job, perform(self._context, self._request.seed, job, self._known))]
 
     def close(self) -> None:
         """Nothing to stop."""
@@ -72,22 +164,23 @@ class Inline:
 
 @dataclass(eq=False)
 class Worker(processes.Hand):
-    """A spawned process, the pipe to it, what it is doing and how much of the news it has heard."""
+    """A spawned process, the pipe to it, what it is doing and of how many known orbits it has heard."""
 
-    order: Order | None = None
+    job: Job | None = None
     heard: int = 0
     ready: bool = False
 
 
-class Local:
+class Local(Workers):
     """Spawned processes on this machine."""
 
-    def __init__(self, task: Task, count: int) -> None:
-        self._task, self._news, self._false_starts = task, list[Numbers](), 0
-        self._again: list[Order] = []
+    def __init__(self, request: Request, count: int) -> None:
+        super().__init__(request)
+        self._again: list[Job] = []
         self._workers: list[Worker] = []
+        self._false_starts = 0
         for _ in range(count):
-            self._workers.append(self._hired())
+            self._workers.append(self._started())
 
     @property
     def room(self) -> int:
@@ -95,18 +188,18 @@ class Local:
         return len(self._idle()) - len(self._again)
 
     def _idle(self) -> list[Worker]:
-        return [one for one in self._workers if one.ready and one.order is None]
+        return [one for one in self._workers if one.ready and one.job is None]
 
-    def submit(self, order: Order) -> None:
-        """Give a start to an idle worker, with the news that it has not heard."""
+    def submit(self, job: Job) -> None:
+        """Give a start to an idle worker, with the known orbits that it has not heard of."""
         worker = self._idle()[0]
-        worker.order = order
-        worker.tell((order, self._news[worker.heard :]))
-        worker.heard = len(self._news)
+        worker.job = job
+        worker.tell((job, self._known[worker.heard :]))
+        worker.heard = len(self._known)
 
-    def results(self, timeout: float) -> list[tuple[Order, Attempt]]:
+    def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
         """Attempts that have come in; dead workers are replaced, their starts repeated once."""
-        found: list[tuple[Order, Attempt]] = []
+        found: list[tuple[Job, Attempt]] = []
         ready = wait([one.pipe for one in self._workers], timeout)
         for k, worker in enumerate(self._workers):
             if worker.pipe in ready:
@@ -115,15 +208,11 @@ class Local:
             self.submit(self._again.pop(0))
         return found
 
-    def learn(self, numbers: Numbers) -> None:
-        """Every worker hears of it with its next start."""
-        self._news.append(numbers)
-
     def close(self) -> None:
         """End them: they hold nothing that the parent does not have."""
         processes.dismissed(self._workers)
 
-    def _heard_from(self, k: int, worker: Worker) -> list[tuple[Order, Attempt]]:
+    def _heard_from(self, k: int, worker: Worker) -> list[tuple[Job, Attempt]]:
         try:
             message = worker.pipe.recv()
         except (EOFError, OSError):
@@ -131,11 +220,11 @@ class Local:
         if message is None:
             worker.ready, self._false_starts = True, 0
             return []
-        order, worker.order = worker.order, None
-        assert order is not None
-        return [(order, message)]
+        job, worker.job = worker.job, None
+        assert job is not None
+        return [(job, message)]
 
-    def _replaced(self, k: int, worker: Worker) -> list[tuple[Order, Attempt]]:
+    def _replaced(self, k: int, worker: Worker) -> list[tuple[Job, Attempt]]:
         """A new process for a dead one, and its start once more or given up."""
         worker.pipe.close()
         worker.process.join(processes.LAST_WORDS)
@@ -145,26 +234,108 @@ class Local:
                 "search: worker processes die before they begin; a script must call search below "
                 "if __name__ == '__main__', and --workers 0 searches without other processes"
             )
-        self._workers[k] = self._hired()
-        order = worker.order
-        if order is None:
+        self._workers[k] = self._started()
+        job = worker.job
+        if job is None:
             return []
-        if order.tries < MOST_TRIES:
-            self._again.append(replace(order, tries=order.tries + 1))
+        if job.tries < MOST_TRIES:
+            self._again.append(replace(job, tries=job.tries + 1))
             return []
-        return [(order, Attempt(order.number, "", reason=DIED))]
+        return [(job, Attempt(job.number, "", reason=DIED))]
 
-    def _hired(self) -> Worker:
-        hand = processes.hired(serve, self._task.text(), self._task.seed)
-        return Worker(hand.process, hand.pipe)
+    def _started(self) -> Worker:
+        begun = processes.hired(serve, self._request.text(), self._request.seed)
+        return Worker(begun.process, begun.pipe)
 
 
 def serve(pipe: Connection, text: str, seed: int) -> None:
     """The life of a worker: until the pipe is closed, one start after the other."""
-    one, known = prepared(text), Known()
+    context, known = prepared(text), list[Numbers]()
     with contextlib.suppress(EOFError, OSError):
         pipe.send(None)
         while True:
-            order, news = pipe.recv()
-            known.learn(news)
-            pipe.send(perform(one, seed, order, known))
+            job, news = pipe.recv()
+            known += news
+            pipe.send(perform(context, seed, job, known))
+
+
+def remote(text: str, seed: int, job: Job, known: np.ndarray) -> Attempt:
+    """What a Dask worker runs. CasADi is not safe in threads, so a process does one start at a time."""
+    with _one_at_a_time:
+        return perform(prepared(text), seed, job, known)
+
+
+class Cluster(Workers):
+    """The workers behind a Dask scheduler."""
+
+    def __init__(self, request: Request, address: str, waiting: float = WAITING) -> None:
+        super().__init__(request)
+        self._distributed, self._waiting = _distributed(), waiting
+        self._under_way: dict[Any, Job] = {}
+        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._names = (f"orbitfinder-{uuid.uuid4()}-{k}" for k in itertools.count())
+        try:
+            self._client = self._distributed.Client(address, timeout=CONNECTING, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(
+                f"--scheduler: no Dask scheduler answers at {address!r} ({error}); give its address, such as "
+                "tcp://host:8786"
+            ) from error
+        self._threads, self._looked, self._alone_since = 0, 0.0, time.monotonic()
+
+    @property
+    def room(self) -> int:
+        """Starts that the threads of the cluster can take on."""
+        if time.monotonic() - self._looked > LOOK_EVERY:
+            self._looked = time.monotonic()
+            self._threads = sum(self._client.nthreads().values())
+            if self._threads:
+                self._alone_since = time.monotonic()
+            elif time.monotonic() - self._alone_since > self._waiting:
+                raise OrbitfinderError(
+                    f"search: the scheduler has had no workers for {self._waiting:g} s; start some and give the same "
+                    "command again, which goes on from here"
+                )
+        return EACH * self._threads - len(self._under_way)
+
+    def submit(self, job: Job) -> None:
+        """Give a start to the scheduler."""
+        future = self._client.submit(
+            remote, self._request.text(), self._request.seed, job, np.reshape(self._known, (-1, 3)),
+            key=next(self._names), pure=False,
+        )  # fmt: skip
+        self._under_way[future] = job
+        future.add_done_callback(self._ended.put)
+
+    def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
+        """Attempts that have come in."""
+        try:
+            future = self._ended.get(timeout=timeout)
+        except queue.Empty:
+            self.room  # noqa: B018  notices when no worker is left
+            return []
+        job = self._under_way.pop(future)
+        try:
+            return [(job, future.result(timeout=CONNECTING))]
+        except self._distributed.KilledWorker:
+            return [(job, Attempt(job.number, "", reason=DIED))]
+        except Exception as error:  # whatever a worker can raise: it lacks the package, or has another one
+            raise OrbitfinderError(
+                f"search: a worker of the cluster failed with {type(error).__name__}: {error}; install the same "
+                "orbitfinder there, and give the same command again"
+            ) from error
+
+    def close(self) -> None:
+        """Take back what has not been done; the cluster stays up for others."""
+        self._client.cancel(list(self._under_way), force=True)
+        self._client.close()
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError(
+            "--scheduler: needs Dask; pip install 'orbitfinder[cluster]', or use --workers for this machine"
+        ) from error
+    return distributed

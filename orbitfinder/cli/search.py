@@ -16,7 +16,7 @@ from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.report import Summary
-    from orbitfinder.atlas.search import Limits, Tally
+    from orbitfinder.atlas.search import Limits, Statistics
     from orbitfinder.problemfile.read import ProblemFile
 
 SPEAK_EVERY = 5.0
@@ -65,9 +65,8 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
       orbitfinder search problems/search/triple.toml --budget 60s --atlas triple.sqlite
       orbitfinder search problems/search/triple.toml --starts 2000 --workers 4 --atlas triple.sqlite
     """
-    from orbitfinder.atlas.api import DEFAULT_BUDGET
-    from orbitfinder.atlas.api import search as run
-    from orbitfinder.atlas.search import Limits
+    from orbitfinder.atlas.search import DEFAULT_BUDGET, Limits
+    from orbitfinder.atlas.search import search as run
     from orbitfinder.problemfile.read import load_problem_file, read_toml
 
     if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
@@ -79,7 +78,7 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     folder = file.parent.resolve() if trust else None
     with display(SPEAK_EVERY, REFRESH_EVERY) as shown:
 
-        def report(energy: float, tally: Tally) -> None:
+        def report(energy: float, tally: Statistics) -> None:
             interrupt.check()
             shown.show(progress(energy, tally, limits))
 
@@ -114,7 +113,7 @@ def wanted(loaded: ProblemFile) -> tuple[list[float], tuple[float, float]]:
     return [float(one) for one in (energy if isinstance(energy, list) else [energy])], loaded.search
 
 
-def progress(energy: float, tally: Tally, limits: Limits) -> Progress:
+def progress(energy: float, tally: Statistics, limits: Limits) -> Progress:
     """How far a search has come."""
     made, failed, left = tally.begun_at + tally.done, sum(tally.failures.values()), tally.left(limits)
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"

@@ -110,9 +110,7 @@ class Refiner:
         turns = tuple(int(k) for k in refined.turns)
         problem = replace(self.problem, guess=Guess(refined.state, refined.period), winding=turns)
         orbit = measure(problem, self.flow, refined.nodes, refined.period, refined.unfolding)
-        if not with_certificate:
-            return orbit
-        return certified(orbit, problem.model)
+        return certified(orbit, problem.model) if with_certificate else orbit
 
     def _segments(self, steps: int) -> int:
         """As many segments as the guess's motion needs."""
