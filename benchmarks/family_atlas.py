@@ -20,7 +20,7 @@ from pathlib import Path
 from PIL import Image
 
 from orbitfinder.records.family import Family, load_family
-from orbitfinder.show.family_plot import frequency_energy
+from orbitfinder.show.plot import frequency_energy
 from orbitfinder.show.style import save_png
 
 ROOT = Path(__file__).parents[1]

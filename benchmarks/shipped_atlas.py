@@ -24,7 +24,7 @@ import orbitfinder as of
 from orbitfinder.atlas.report import summarise
 from orbitfinder.atlas.store import Row
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.show.atlas_plot import save_atlas_figures
+from orbitfinder.show.plot import save_atlas_figures
 from orbitfinder.show.style import new_figure, save_png
 from orbitfinder.show.svg import COLOURS
 

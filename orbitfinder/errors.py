@@ -13,7 +13,12 @@ class OrbitfinderError(Exception):
 
 
 class InputError(OrbitfinderError, ValueError):
-    """What the user gave is not usable (command line: exit code 2)."""
+    """What the user gave is not usable (command line: exit code 2); its message starts with what it is about."""
+
+    @property
+    def field(self) -> str:
+        """What the message is about: the argument, key or file before its first colon."""
+        return str(self).partition(":")[0]
 
 
 class CountError(InputError):
@@ -53,6 +58,12 @@ class Hint(UserWarning):
 
 class LimitError(OrbitfinderError):
     """A time limit was reached; the message says which and how far the work had come."""
+
+
+def shortened(value: object, limit: int = 60) -> str:
+    """The text of a value in a message, cut where it is longer than `limit`."""
+    text = str(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
 def closest(name: str, known: Iterable[str]) -> str:

@@ -26,7 +26,7 @@ LIBRARIES = {
     "pydantic": ("records", "problemfile"),
     "matplotlib": ("show", "reproduce"),
     "sqlite3": ("atlas",),
-    "jinja2": ("site", "reproduce.page"),
+    "jinja2": ("site", "reproduce.runner"),
     "platformdirs": ("integrate.compiled",),
     "pickle": (),
     "cloudpickle": (),

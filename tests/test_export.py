@@ -16,20 +16,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import pendulum_period
-from orbitfinder.problemfile.trajectory import read_trajectory
 
 import orbitfinder as of
 from benchmarks.validation.literature import EIGHT_PERIOD, three_bodies
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.exports import straightline
+from orbitfinder.exports import source
 from orbitfinder.exports.auto import ENERGY, PERIOD, auto_files
 from orbitfinder.exports.julia import julia_file
-from orbitfinder.exports.source import dense_states, source_of
-from orbitfinder.exports.straightline import FORTRAN, C, fortran_number, straight_line
+from orbitfinder.exports.source import FORTRAN, C, dense_states, fortran_number, source_of, straight_line
 from orbitfinder.exports.write import export_orbit
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import vector_field
+from orbitfinder.problemfile.guess import read_trajectory
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "orbits"
@@ -47,10 +46,10 @@ AUTO = Path(os.environ.get("AUTO_DIR", "/usr/lib/auto-07p"))  # where Debian's p
 needs_auto = pytest.mark.skipif(
     not (AUTO / "cmds" / "@r").is_file() or shutil.which("gfortran") is None, reason="AUTO-07p is not installed"
 )
-PYTHON = straightline.Language(
-    straightline.c_number,
+PYTHON = source.Language(
+    source.c_number,
     lambda name, k: f"{name}[{k}]",
-    straightline.COMMON | {
+    source.COMMON | {
         "INV": "1.0 / {0}", "POW": "{0} ** {1}", "CONSTPOW": "{0} ** {1}", "ATAN2": "atan2({0}, {1})",
         "FABS": "fabs({0})", "FMIN": "min({0}, {1})", "FMAX": "max({0}, {1})", "FLOOR": "floor({0})",
         "CEIL": "ceil({0})", "LOG1P": "log1p({0})", "EXPM1": "expm1({0})", "FMOD": "fmod({0}, {1})",
@@ -103,8 +102,8 @@ def test_structural_zeros_and_several_outputs_are_written():
 
 @pytest.mark.parametrize("name", ["ATAN2", "POW", "FABS", "FMIN", "HYPOT", "FMOD"])
 def test_every_language_has_the_less_common_operations(name):
-    for language in (C, FORTRAN, PYTHON, straightline.JULIA):
-        assert "{0}" in straightline.operation(name, language)
+    for language in (C, FORTRAN, PYTHON, source.JULIA):
+        assert "{0}" in source.operation(name, language)
 
 
 def test_an_operation_without_counterpart_is_refused():

@@ -389,7 +389,7 @@ def test_modes_to_the_upright_saddle(links, mode, tmp_path):
 
 def test_family_figures(tmp_path):
     """The three figures are written and not blank."""
-    from orbitfinder.show.family_plot import save_family_figures
+    from orbitfinder.show.plot import save_family_figures
 
     settings = FamilySettings(directions="forward")
     family = follow_family(mode_problem(chain(2), 2), points=15, out=tmp_path, settings=settings)

@@ -28,6 +28,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions, vector_field
 from orbitfinder.problemfile.read import load_problem
+from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.records.store import load_orbit
@@ -35,8 +36,7 @@ from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.explorers import span, spread
 from orbitfinder.site.gather import evenly, gather
-from orbitfinder.site.motion import Films, histories, packed, resampled
-from orbitfinder.site.recipe import problem_name, problem_text, toml
+from orbitfinder.site.motion import Simulator, histories, packed, resampled
 from orbitfinder.site.text import PAGES, coordinate, mechanism, number, plural, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
 
@@ -348,7 +348,7 @@ def test_a_path_given_twice_counts_once(material):
 @pytest.mark.parametrize("name", ["triple-1", "quadruple-2"])
 def test_positions_are_those_of_the_orbit(name):
     about = document(name)
-    motion = Films().orbit(about)
+    motion = Simulator().orbit(about)
     seen, model = decoded(packed(motion)), build_model(about["system"])
     exact = positions(model, motion.at(len(seen)))
     extent = np.ptp(exact, axis=(0, 2)).max()
@@ -361,7 +361,7 @@ def test_positions_are_those_of_the_orbit(name):
 
 @pytest.mark.parametrize("name", ["triple-1", "triple-2"])
 def test_interpolation_of_the_page_is_good_to_a_pixel(name):
-    motion = Films().orbit(document(name))
+    motion = Simulator().orbit(document(name))
     coarse, fine = motion.points, positions(build_model(document(name)["system"]), motion.at(2 * len(motion.points)))
     u, around = 0.5, [np.roll(coarse, shift, axis=0) for shift in (1, 0, -1, -2)]
     weights = [-u + 2 * u**2 - u**3, 2 - 5 * u**2 + 3 * u**3, u + 4 * u**2 - 3 * u**3, u**3 - u**2]  # as core.js
@@ -370,7 +370,7 @@ def test_interpolation_of_the_page_is_good_to_a_pixel(name):
 
 
 def test_histories_hold_the_states():
-    motion = Films().orbit(document())
+    motion = Simulator().orbit(document())
     made = histories(motion)
     states = np.frombuffer(base64.b64decode(made["data"]), "<f4").reshape(6, made["count"])
     assert np.abs(states[:, 0] - document()["state"]).max() < 1e-6
@@ -413,7 +413,7 @@ def test_symmetry_of_a_running_orbit_keeps_its_turns():
 
 def test_family_members_move(material):
     family = load_family(next(material.glob("families/*/family.json")))
-    motion = Films().member(family.system, family.points[-1])
+    motion = Simulator().member(family.system, family.points[-1])
     assert motion is not None
     assert np.abs(motion.states[0] - motion.states[-1]).max() < 1e-6
     energies = [point.energy for point in family.points]
@@ -429,13 +429,13 @@ def test_family_motions_start_from_the_nodes(material, tmp_path):
     shutil.copy(source, tmp_path / "family.json")
     bare, full = (gather([path]).families[0] for path in (tmp_path / "family.json", source))
     assert not bare.points[-1].shooting_nodes.size and full.points[-1].shooting_nodes.size
-    first, second = (Films().member(one.system, one.points[-1]) for one in (bare, full))
+    first, second = (Simulator().member(one.system, one.points[-1]) for one in (bare, full))
     assert np.abs(first.at(60) - second.at(60)).max() < 1e-5
     middle = len(first.times) // 8  # cut the quarter that is free into two segments
     edges = np.array([0.0, first.times[middle] / first.period, 0.25])
     many = replace(full.points[-1], shooting_nodes=first.states[[0, middle]], mesh=edges)
     assert many.symmetry == "brake+reflection"
-    assert np.abs(Films().member(full.system, many).at(60) - first.at(60)).max() < 1e-5
+    assert np.abs(Simulator().member(full.system, many).at(60) - first.at(60)).max() < 1e-5
     (tmp_path / "family.npz").write_bytes(b"no zip")
     with pytest.raises(InputError, match="family.npz: damaged"):
         gather([tmp_path / "family.json"])
@@ -448,10 +448,10 @@ def test_a_member_that_does_not_join_is_not_drawn(symmetry):
     speed = np.sqrt(2 * 9.8 * 0.5 * (1 - np.cos(1.2)) / (1 / 3))
     good = [0.0, speed] if symmetry == "reversal" else [1.2, 0.0]
     one = Event("fold", 0, 0.0, 0.0, np.array(good), period, 0.0, symmetry=symmetry)
-    assert Films().member(system, one) is not None
-    assert Films().member(system, replace(one, period=0.9 * period)) is None
-    assert Films().member(system, replace(one, symmetry="unheard of")) is None
-    assert Films().member(system, replace(one, state=np.array([1.0]))) is None
+    assert Simulator().member(system, one) is not None
+    assert Simulator().member(system, replace(one, period=0.9 * period)) is None
+    assert Simulator().member(system, replace(one, symmetry="unheard of")) is None
+    assert Simulator().member(system, replace(one, state=np.array([1.0]))) is None
 
 
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
@@ -470,11 +470,11 @@ def embedded_site(material: Path) -> tuple[str, dict]:
 
 def test_a_motion_that_does_not_join_is_not_drawn():
     broken = document() | {"nodes": None, "state": [2.0, -1.0, 0.5, 3.0, 1.0, -2.0]}
-    assert Films().orbit(broken) is None
+    assert Simulator().orbit(broken) is None
     unknown = document() | {"system": {"kind": "custom"}}
-    assert Films().orbit(unknown) is None
+    assert Simulator().orbit(unknown) is None
     dense = load_orbit(SHIPPED / "triple-1" / "orbit.json")
-    motion = Films().orbit(unknown, (dense.times, dense.samples))
+    motion = Simulator().orbit(unknown, (dense.times, dense.samples))
     assert motion.drawn == "plane" and motion.names[0] == "q1"
 
 
@@ -562,7 +562,7 @@ def test_problem_text_loads_as_the_same_problem(file, tmp_path):
         "winding": list(problem.turns),
         "provenance": {"pin": {one.name: one.value for one in problem.pin}},
     }
-    (tmp_path / "again.toml").write_text(problem_text(about), encoding="utf-8")
+    (tmp_path / "again.toml").write_text(orbit_text(about), encoding="utf-8")
     again = load_problem(tmp_path / "again.toml")
     assert dict(again.model.system) == dict(problem.model.system)
     assert np.array_equal(again.guess.state, problem.guess.state) and again.guess.period == problem.guess.period
@@ -571,7 +571,7 @@ def test_problem_text_loads_as_the_same_problem(file, tmp_path):
 
 def test_problem_text_finds_the_orbit_again(tmp_path):
     """The command on the page, with the file on the page, ends at the orbit on the page."""
-    (tmp_path / "triple-1.toml").write_text(problem_text(document()))
+    (tmp_path / "triple-1.toml").write_text(orbit_text(document()))
     runner = CliRunner()
     result = runner.invoke(cli, ["run", str(tmp_path / "triple-1.toml"), "--out", str(tmp_path), "--no-figures"])
     assert result.exit_code == 0, result.output
@@ -583,21 +583,21 @@ def test_downloaded_orbit_is_the_file(site):
     assert json.loads(payload["json"]) == document()
 
 
-def test_pins_of_a_problem_text():
+def test_pins_of_a_orbit_text():
     bare = {key: value for key, value in document().items() if key != "provenance"}
-    assert tomllib.loads(problem_text(bare))["find"]["pin"] == {"energy": bare["energy"]}
+    assert tomllib.loads(orbit_text(bare))["find"]["pin"] == {"energy": bare["energy"]}
     isolated = bare | {"provenance": {"invariants": []}}
-    assert "pin" not in tomllib.loads(problem_text(isolated))["find"]
-    assert problem_text(bare | {"system": {"kind": "custom"}}) is None
-    assert problem_text(bare | {"system": {"kind": "chain", "length": [None]}}) is None
-    nasty = tomllib.loads(problem_text(bare | {"name": NASTY, "title": NASTY}))
+    assert "pin" not in tomllib.loads(orbit_text(isolated))["find"]
+    assert orbit_text(bare | {"system": {"kind": "custom"}}) is None
+    assert orbit_text(bare | {"system": {"kind": "chain", "length": [None]}}) is None
+    nasty = tomllib.loads(orbit_text(bare | {"name": NASTY, "title": NASTY}))
     assert nasty["title"] == NASTY.replace("\u2028", " ")
 
 
 def test_toml_values():
     made = {"a": True, "b": [1, 2.5], "c": {"x y": 'q"\\\x7f'}, "d": {}}
     assert tomllib.loads(f"v = {toml(made)}")["v"] == made
-    assert problem_name({"name": "../..//a b"}) == "a-b" and problem_name({"name": "%%%"}) == "orbit"
+    assert orbit_name({"name": "../..//a b"}) == "a-b" and orbit_name({"name": "%%%"}) == "orbit"
 
 
 def test_words_and_numbers():

@@ -75,7 +75,7 @@ def test_finished_parts_are_not_redone(tmp_path, monkeypatch) -> None:
 
 def test_committed_page_matches_committed_numbers(tmp_path) -> None:
     """results/report/README.md is what the page writer makes of results/report/numbers/."""
-    from orbitfinder.reproduce.page import write_page
+    from orbitfinder.reproduce.runner import write_page
 
     numbers = {
         part.name: json.loads((COMMITTED / "numbers" / f"{part.name}.json").read_text())["numbers"]

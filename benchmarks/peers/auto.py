@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 import orbitfinder as of
-from orbitfinder.exports.straightline import FORTRAN, fortran_number, straight_line
+from orbitfinder.exports.source import FORTRAN, fortran_number, straight_line
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.rk8 import march
 from peers.task import Answer, Task, Unavailable

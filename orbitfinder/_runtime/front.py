@@ -34,7 +34,7 @@ def fronted(value: Any, package: str) -> Any:
     """A function with its arguments checked, under the door's name so that it can be pickled; the rest as it is."""
     if not isinstance(value, FunctionType):
         return value
-    from orbitfinder._runtime.arguments import checked
+    from orbitfinder._runtime.arguments import checked  # noqa: PLC0415 - NumPy; names must cost nothing
 
     front = checked(value)
     front.__module__ = package

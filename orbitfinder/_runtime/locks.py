@@ -23,7 +23,7 @@ def held(path: Path, timeout: float = 0.0) -> Iterator[bool]:
     (some network file systems, Windows) everybody holds it. Raises `OSError` where no file can be made.
     """
     try:
-        import fcntl
+        import fcntl  # noqa: PLC0415 - not on Windows
     except ImportError:
         yield True
         return

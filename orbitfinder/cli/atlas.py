@@ -197,7 +197,7 @@ def plot(book: Path, out: Path, **options: Any) -> None:
     """
     from orbitfinder.atlas.store import Atlas
     from orbitfinder.cli.jobs import check_writable
-    from orbitfinder.show.atlas_plot import save_atlas_figures
+    from orbitfinder.show.plot import save_atlas_figures
 
     check_writable(out)
     with Atlas(book) as opened:

@@ -73,7 +73,7 @@ def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **cho
     from orbitfinder.families.folder import follow_family
     from orbitfinder.families.point import FamilySettings
     from orbitfinder.problemfile.read import checked_name
-    from orbitfinder.show.family_plot import save_family_figures
+    from orbitfinder.show.plot import save_family_figures
 
     values = numbers(at)
     directions = chosen["direction"] or ("both" if chosen["switch"] is None else "away")

@@ -1,4 +1,4 @@
-"""The command `doctor`: what of this installation works, what is missing, what that costs."""
+"""The commands `doctor` and `completion`: what of this installation works, and what makes it easier to use."""
 
 from __future__ import annotations
 
@@ -213,3 +213,25 @@ def doctor() -> None:
             text(f"  {'':<36}{finding.remedy}")
     text("Usable." if usable else "Not usable: see what is marked BROKEN.")
     finish("doctor", {"version": __version__, "usable": usable, "findings": [asdict(one) for one in findings]}, usable)
+
+
+SHELLS = ("bash", "zsh", "fish")
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(SHELLS))
+@click.pass_context
+def completion(context: click.Context, shell: str) -> None:
+    """Print the completion script for a SHELL; the shell reads it when it starts.
+
+    \b
+    Examples:
+      orbitfinder completion bash >> ~/.bashrc
+      orbitfinder completion zsh >> ~/.zshrc
+      orbitfinder completion fish > ~/.config/fish/completions/orbitfinder.fish
+    """
+    from click.shell_completion import get_completion_class
+
+    kind = get_completion_class(shell)
+    assert kind is not None
+    click.echo(kind(context.find_root().command, {}, "orbitfinder", "_ORBITFINDER_COMPLETE").source())

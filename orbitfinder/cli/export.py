@@ -1,4 +1,4 @@
-"""The command `export`: orbits for other programs."""
+"""The commands `export`, `plot`, `animate` and `page`: orbits for other programs and for the eye."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orbitfinder.cli.options import SYSTEM_TRUST, orbit_files, out_option, trust_option
+from orbitfinder.cli.options import FILES, SYSTEM_TRUST, orbit_files, out_option, trust_option
 from orbitfinder.errors import InputError
 
 
@@ -41,3 +41,94 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
         check_writable(folder)
         for written in export_orbit(orbit, to, folder, model):
             click.echo(str(written))
+
+
+@click.command()
+@orbit_files
+@out_option("Folder for the figures; default: beside each file.")
+@trust_option(SYSTEM_TRUST)
+def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
+    """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
+
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
+
+    \b
+    Example:
+      orbitfinder plot orbits/triple-1/orbit.json -o figures
+    """
+    from orbitfinder.cli.jobs import check_writable, named_orbits
+    from orbitfinder.show.plot import save_figures
+
+    orbits = named_orbits(files, trust)
+    for file, orbit, model in orbits:
+        beside = file.parent if file.exists() else file.parent / orbit.name
+        folder = beside if out is None else (out if len(orbits) == 1 else out / orbit.name)
+        check_writable(folder)
+        for written in save_figures(orbit, folder, model):
+            click.echo(str(written))
+
+
+@click.command()
+@orbit_files
+@out_option("A .gif or .mp4 file (one orbit), or a folder; default: beside each file.")
+@trust_option(SYSTEM_TRUST)
+def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
+    """Animate each ORBIT.json in real time over whole periods, as a GIF (or MP4 with the extra `mp4`).
+
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
+
+    \b
+    Examples:
+      orbitfinder animate orbits/triple-1/orbit.json
+      orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4
+    """
+    from orbitfinder.cli.jobs import check_writable, named_orbits
+    from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation
+
+    single = out if out is not None and out.suffix and not out.is_dir() else None
+    if single is not None:
+        check_suffix(single)
+        if len(files) > 1:
+            raise InputError(f"--out: {out} is one file for {len(files)} orbits; name a folder")
+    for file, orbit, model in named_orbits(files, trust):
+        target = single or (out or file.parent) / f"{orbit.name}.gif"
+        check_writable(target.parent)
+        click.echo(str(save_animation(orbit_clip(orbit, model), target)))
+
+
+@click.command()
+@click.argument("paths", nargs=-1, required=True, type=FILES, metavar="PATH...")
+@out_option("Folder for the site; of it a former page is replaced.", required=True)
+@click.option("--title", default="Periodic orbits", show_default=True, help="Heading of the gallery.")
+@click.option(
+    "--atlas-pages", default=60, show_default=True, type=click.IntRange(0, 10_000),
+    help="Orbits of each atlas, evenly chosen in energy, that get a card and a page of their own.",
+)  # fmt: skip
+@click.option(
+    "--verify/--no-verify", default=True, show_default=True,
+    help="Recompute the certificate of every orbit that gets a page, or say that it is the file's word.",
+)  # fmt: skip
+def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool) -> None:
+    """Make a static site from any mixture of orbits, families and atlases.
+
+    PATH is an orbit.json, a family.json, an atlas (database or JSON export), or a folder that holds
+    such files; FILE#K is one point of a family (from 0) or orbit of an atlas. The site opens from disk: no network,
+    no server.
+
+    \b
+    Examples:
+      orbitfinder page orbits -o site
+      orbitfinder page orbits families atlas.sqlite -o site --title "Triple pendulum"
+    """
+    from orbitfinder.cli.console import note
+    from orbitfinder.site.build import Settings, build_site
+    from orbitfinder.site.gather import gather
+    from orbitfinder.site.text import plural, size
+    from orbitfinder.site.writing import check_target, write_site
+
+    check_target(out)
+
+    site, summary = build_site(gather(paths), Settings(title, atlas_pages, verify), note)
+    write_site(site.files, out)
+    parts = [plural(summary.orbits, "orbit"), plural(summary.families, "family"), plural(summary.atlases, "atlas")]
+    click.echo(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")

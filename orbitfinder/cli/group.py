@@ -14,21 +14,14 @@ import click
 
 from orbitfinder._runtime import __version__, interrupt
 from orbitfinder.cli.atlas import atlas
-from orbitfinder.cli.completion import completion
 from orbitfinder.cli.continue_ import continue_
-from orbitfinder.cli.doctor import doctor
-from orbitfinder.cli.export import export
-from orbitfinder.cli.guess import guess
-from orbitfinder.cli.init import init
+from orbitfinder.cli.doctor import completion, doctor
+from orbitfinder.cli.export import animate, export, page, plot
+from orbitfinder.cli.guess import guess, init
 from orbitfinder.cli.options import BAD_INPUT, INTERRUPTED, JSON_KEY, NOT_CERTIFIED, limit_option, print_json
-from orbitfinder.cli.page import page
-from orbitfinder.cli.pictures import animate, plot
-from orbitfinder.cli.prove import prove, refine
-from orbitfinder.cli.reproduce import reproduce
-from orbitfinder.cli.run import run
+from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
-from orbitfinder.cli.simulate import simulate
-from orbitfinder.cli.verify import verify
+from orbitfinder.cli.verify import prove, refine, verify
 from orbitfinder.errors import InputError, OrbitfinderError
 
 LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0}

@@ -1,4 +1,4 @@
-"""The command `guess`: what a problem file's system offers to start from."""
+"""The commands `init` and `guess`: problem files to start from, and what a system offers to start a search from."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def guess(
     """
     from orbitfinder.problemfile.proposals import propose
     from orbitfinder.problemfile.read import checked_name, load_problem_file
-    from orbitfinder.problemfile.write import problem_text, write_new
+    from orbitfinder.problemfile.write import candidate_text, write_new
 
     if not amplitude > 0:
         raise InputError(f"--amplitude: must be positive, got {amplitude}; give an angle in rad")
@@ -55,7 +55,7 @@ def guess(
         chosen = proposals.named(pick)
         if "csv" in chosen.table and out.parent.resolve() != file.parent.resolve():
             raise InputError(f"--out: {chosen.name} reads {chosen.table['csv']!r} beside {file}; write it there")
-        written = write_new(problem_text(loaded, proposals, chosen, checked_name(out.stem, "--out")), out, "--out")
+        written = write_new(candidate_text(loaded, proposals, chosen, checked_name(out.stem, "--out")), out, "--out")
     _print(proposals)
     if written is not None:
         text(f"{written}: written; next: orbitfinder run {written}")
@@ -91,3 +91,18 @@ def _shape(one: Proposal) -> str:
     label, numbers = ("shape", one.details["shape"]) if "shape" in one.details else ("state", list(one.state))
     more = f", ... ({len(numbers)} in all)" if len(numbers) > SHOWN else ""
     return f"{label} [{', '.join(f'{x:.6g}' for x in numbers[:SHOWN])}{more}]"
+
+
+@click.command()
+@click.argument("name")
+def init(name: str) -> None:
+    """Write NAME.toml, a commented problem file to start from.
+
+    \b
+    Example:
+      orbitfinder init my-pendulum && orbitfinder run my-pendulum.toml
+    """
+    from orbitfinder.problemfile.write import write_template
+
+    path = write_template(name.removesuffix(".toml"))
+    click.echo(f"{path}: written; next: orbitfinder run {path}")

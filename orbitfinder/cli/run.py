@@ -1,4 +1,4 @@
-"""The command `run`: find and certify the orbit of each problem file."""
+"""The commands `run`, `simulate` and `reproduce`: what problem files, and the report, ask for."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from orbitfinder.cli.options import FILES, compile_option, finish, json_option, 
 
 if TYPE_CHECKING:
     from orbitfinder.cli.jobs import Outcome
+import math
+import time
+
+from orbitfinder.errors import InputError
 
 
 @click.command()
@@ -59,3 +63,80 @@ def _print_outcome(outcome: Outcome) -> None:
     if outcome.failures:
         text(f"  failed checks: {', '.join(outcome.failures)}")
     text(f"  {outcome.written[0]}" + (f" and {len(outcome.written) - 1} figures" * (len(outcome.written) > 1)))
+
+
+@click.command()
+@click.argument("file", type=FILES)
+@click.option("--duration", type=float, default=None, help="Time in s; default: [simulate] duration or 10.")
+@out_option("Write DIR/<name>/simulation.csv.")
+@trust_option()
+@json_option
+def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) -> None:
+    """Simulate the system of a problem FILE from its state and report what becomes of the energy.
+
+    \b
+    Examples:
+      orbitfinder simulate problems/report/triple-1.toml --duration 20
+      orbitfinder simulate problems/examples/double.toml --out runs
+    """
+    from orbitfinder.cli.jobs import check_writable
+    from orbitfinder.exports.write import csv_text
+    from orbitfinder.orbits.simulate import simulate as simulated
+    from orbitfinder.problemfile.read import load_problem_file
+    from orbitfinder.records.reading import write_atomically
+
+    loaded = load_problem_file(file, trust)
+    if out is not None:
+        check_writable(out)
+        check_writable(out / loaded.name)
+    span = loaded.duration if duration is None else duration
+    if not (math.isfinite(span) and span > 0):
+        raise InputError(f"--duration: must be positive and finite, got {span}; give a time in s")
+    if loaded.start is None:
+        raise InputError(f"{file}: simulate.state: missing; give it, or a [guess] to start from")
+    result = simulated(loaded.model, loaded.start, span)
+    document = {"name": loaded.name} | result.document()
+    kind, more = ("drift", "") if result.conserved else ("change", ", which this system does not conserve")
+    text(f"{loaded.name}: {result.times[-1]:g} s simulated")
+    text(f"  {'energy':<22}{document['energy']:.12g} J")
+    text(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
+    text(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
+    text(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))
+    if out is not None:
+        written = out / loaded.name / "simulation.csv"
+        write_atomically(written, csv_text(result.state_names, result.times, result.states).encode())
+        document["written"] = str(written)
+        text(f"  {written}")
+    finish("simulation", document)
+
+
+@click.command()
+@out_option("Folder for the page and figures.", default="results/report", show_default=True)
+@click.option("--fresh", is_flag=True, help="Compute every part again, also those already finished.")
+@compile_option
+@json_option
+def reproduce(out: Path, fresh: bool) -> None:
+    """Reproduce the whole MATLAB report: figures, orbits, animations and a page beside it.
+
+    Can be interrupted and run again: finished parts are kept. Takes a minute or two.
+
+    \b
+    Examples:
+      orbitfinder reproduce
+      orbitfinder reproduce --out /tmp/report --fresh
+    """
+    from orbitfinder.cli.console import display
+    from orbitfinder.cli.jobs import check_writable
+    from orbitfinder.reproduce.runner import reproduce as run_report
+
+    check_writable(out)
+    began = time.monotonic()
+    with display() as shown:
+        numbers = run_report(
+            out, fresh, lambda what, done, of: shown.say(f"[{done}/{of}] {what} ({time.monotonic() - began:.0f} s)")
+        )
+    orbits = numbers["orbits"]
+    certified = sum(one["certified"] for one in orbits.values())
+    text(f"{out / 'README.md'}: {certified} of {len(orbits)} orbits certified")
+    passed = certified == len(orbits)
+    finish("reproduce", {"passed": passed, "page": str(out / "README.md"), "orbits": orbits}, passed)

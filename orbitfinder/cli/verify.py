@@ -1,16 +1,28 @@
-"""The command `verify`: recompute certificates, and replay proofs, from the files alone."""
+"""The commands `verify`, `prove` and `refine`: what is true of recorded orbits, from the files alone."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.options import finish, json_option, orbit_files, text, trust_option
+from orbitfinder.cli.options import (
+    FILES,
+    FINITE,
+    SYSTEM_TRUST,
+    Decorator,
+    finish,
+    json_option,
+    orbit_files,
+    text,
+    trust_option,
+)  # fmt: skip
 
 if TYPE_CHECKING:
+    from orbitfinder.proof.refine import Refined
+    from orbitfinder.proof.theorem import Proof
     from orbitfinder.records.orbit import Certificate
 
 
@@ -34,7 +46,6 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify families/triple-mode-2/family.json#17
     """
     from orbitfinder.cli.jobs import verify_file
-    from orbitfinder.cli.prove import verify_proof
     from orbitfinder.records.orbit import certificate_to_document
 
     results = []
@@ -59,3 +70,157 @@ def _print_certificate(heading: str, certificate: Certificate) -> None:
     for check in certificate.checks:
         result, note = "passed" if check.passed else "FAILED", one_line(check.note)
         text(f"  {check.name:<22}{check.value:>11.2e}{check.tolerance:>11.2e}  {result}  {note}".rstrip())
+
+
+def _symmetry(context: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
+    """The name itself, or a message that lists the known ones, which are looked up only then: that loads CasADi."""
+    if name is None:
+        return None
+    from orbitfinder.loops.symmetry import SYMMETRIES
+
+    return click.Choice(list(SYMMETRIES)).convert(name, parameter, context)
+
+
+def symmetry_option(what: str) -> Decorator:
+    """The option --symmetry, its help saying what it chooses."""
+    known = "[none|reflection|brake|reversal|brake+reflection]"
+    return click.option("--symmetry", default=None, callback=_symmetry, metavar=known, help=what)
+
+
+@click.command()
+@orbit_files
+@symmetry_option("Prove in this symmetry; default: the recorded one. none: unique among all near.")
+@click.option("--segments", type=int, default=None, help="Shooting segments; default: by the largest multiplier.")
+@click.option("--order", type=int, default=None, help="Order of the Taylor series.  [default: 20]")
+@click.option("--bits", type=int, default=None, help="Precision of the ball arithmetic.  [default: 106]")
+@click.option("--tolerance", type=FINITE, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
+@click.option("--record/--no-record", default=True, show_default=True, help="Write the proof into the ORBIT.json.")
+@trust_option(SYSTEM_TRUST)
+@json_option
+def prove(files: tuple[Path, ...], record: bool, trust: bool, **given: Any) -> None:
+    """Prove that each ORBIT.json is a periodic orbit, by a theorem in ball arithmetic.
+
+    Needs the extra `proof` (python-flint). A proof encloses the orbit, its minimal period and its
+    multipliers, and is recorded in the file. Exit code 0: all proved; 1: some not, with the reason.
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas; its proof is not recorded.
+
+    \b
+    Examples:
+      orbitfinder prove orbits/triple-1/orbit.json
+      orbitfinder prove orbits/*/orbit.json --no-record --json
+    """
+    from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.cli.console import note
+    from orbitfinder.cli.jobs import check_writable
+    from orbitfinder.proof.record import checked, entry, write_entry
+    from orbitfinder.proof.theorem import Options, provable_model
+    from orbitfinder.proof.theorem import prove as proved
+
+    options, results = checked(Options(**{k: v for k, v in given.items() if v is not None})), []
+    for file in files:
+        orbit = orbit_of(file)
+        if record:
+            check_writable(file.parent, "--record")
+        model = provable_model(orbit, file.parent if trust else None)
+        proof = proved(orbit, model, options, lambda line, name=orbit.name: note(f"{name}: {line}"))  # type: ignore[misc]
+        interrupt.check()
+        if proof.proved and record and file.exists():
+            write_entry(file, proof)
+        elif proof.proved and record:
+            note(f"{file}: the proof is not recorded: one orbit of a file has no entry for it")
+        results.append({"file": str(file), "name": orbit.name} | entry(proof))
+        _print_proof(f"{file} ({orbit.name})", proof)
+    passed = all(result["proved"] for result in results)
+    finish("proof", {"passed": passed, "results": results}, passed)
+
+
+def _print_proof(heading: str, proof: Proof) -> None:
+    if not proof.proved:
+        text(f"{heading}: not proved: {proof.reason}")
+        return
+    assert proof.stability is not None
+    text(f"{heading}: proved in {proof.wall_time:.1f} s")
+    one = "orbit" if proof.symmetry == "none" else f"{proof.symmetry} orbit"
+    rows = (
+        ("box", f"exactly one {one} of this energy within {proof.radius:.2g} of the nodes"),
+        ("period", f"{proof.period.str(20)} s, minimal"),
+        ("distance", f"record within {proof.distance:.1g} of the orbit, period within {proof.period_distance:.1g} s"),
+        ("contraction", f"{proof.contraction:.2g} ({proof.segments} segments, {proof.steps} steps, "
+                        f"order {proof.settings.order}, {proof.settings.bits} bits)"),
+        ("stability", f"{proof.stability.verdict}: {proof.stability.reason}"),
+    )  # fmt: skip
+    for name, said in rows:
+        text(f"  {name:<12}{said}")
+    for mu in proof.stability.multipliers:
+        text(f"  {'multiplier':<12}{mu.str(12)}")
+
+
+def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
+    """Replay the proof recorded in a file: `passed`, and `message`, one sentence."""
+    from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.proof.record import read_entry, replay
+    from orbitfinder.proof.theorem import provable_model
+
+    orbit = orbit_of(file)
+    proof, wrong = replay(orbit, read_entry(orbit, file), provable_model(orbit, file.parent if trust else None))
+    if wrong:
+        return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
+    assert proof.stability is not None
+    message = f"proof replayed in {proof.wall_time:.1f} s: proved, {proof.stability.verdict}"
+    return {"passed": True, "message": message}
+
+
+@click.command()
+@click.argument("file", type=FILES, metavar="ORBIT.json")
+@click.option("--digits", default=50, show_default=True, type=int, help="Decimal places wanted.")
+@click.option("--order", type=int, default=None, help="Order of the Taylor series; default: by the digits.")
+@click.option("--bits", type=int, default=None, help="Precision of the arithmetic; default: by the digits.")
+@symmetry_option("Default: the recorded one.")
+@click.option("--enclose/--no-enclose", default=True, show_default=True, help="Prove the digits; slower.")
+@trust_option(SYSTEM_TRUST)
+@json_option
+def refine(
+    file: Path, digits: int, order: int | None, bits: int | None, symmetry: str | None, enclose: bool, trust: bool,
+) -> None:  # fmt: skip
+    """Many digits of the period and of a state of an ORBIT.json, at its recorded energy.
+
+    Every number in the file (energy, masses, gravity) is taken as the decimal that is written there.
+    Needs the extra `proof` (python-flint). Exit code 0: the digits are enclosed; 1: they are not.
+
+    \b
+    Examples:
+      orbitfinder refine orbits/triple-1/orbit.json --digits 50
+      orbitfinder refine orbits/triple-1/orbit.json --digits 50 --order 80 --bits 300
+    """
+    from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.cli.console import note
+    from orbitfinder.proof.refine import refine as refined
+    from orbitfinder.proof.refine import settings_for
+    from orbitfinder.proof.theorem import provable_model
+
+    settings, orbit = settings_for(digits, order, bits), orbit_of(file)
+    model = provable_model(orbit, file.parent if trust else None)
+    found = refined(orbit, settings, digits, model, symmetry, enclose, note)
+    document = refined_document(found)
+    proved = "enclosed" if found.enclosed else f"not enclosed ({found.reason})"
+    text(f"{file}: {found.digits} digits, {proved}, {found.wall_time:.1f} s")
+    text(f"  {'period':<10}{document['period']['value']} s")
+    for k, one in enumerate(document["state"]):
+        text(f"  {f'x{k + 1}':<10}{one['value']}")
+    finish("refined", document, found.enclosed or not enclose)
+
+
+def refined_document(found: Refined) -> dict[str, Any]:
+    """The JSON form of a refined orbit."""
+    from orbitfinder.proof.balls import precision
+    from orbitfinder.proof.record import enclosure
+
+    with precision(found.settings.bits):
+        places = found.digits + 4
+        return {
+            "digits": found.digits, "enclosed": found.enclosed,
+            "reason": found.reason, "symmetry": found.symmetry, "energy": enclosure(found.energy, places),
+            "period": enclosure(found.period, places), "state": [enclosure(x, places) for x in found.state],
+            "phase": float(found.phase), "order": found.settings.order, "bits": found.settings.bits,
+            "wall_time": round(found.wall_time, 1),
+        }  # fmt: skip

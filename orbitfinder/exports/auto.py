@@ -17,8 +17,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.exports.source import Source, dense_states
-from orbitfinder.exports.straightline import FORTRAN, fortran_number, straight_line
+from orbitfinder.exports.source import FORTRAN, Source, dense_states, fortran_number, straight_line
 
 UNFOLDING, ENERGY, PERIOD, FIRST = 1, 2, 11, 15
 """Places in PAR: the first unfolding, the energy (for output), the period (AUTO's rule), physical parameters."""

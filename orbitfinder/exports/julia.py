@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbitfinder.exports.source import Source
-from orbitfinder.exports.straightline import JULIA, c_number, c_numbers, straight_line
+from orbitfinder.exports.source import JULIA, Source, c_number, c_numbers, straight_line
 
 UNFOLDING = "unfolding"
 SAMPLES = 201

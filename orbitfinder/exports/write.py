@@ -10,8 +10,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.exports.auto import auto_files
 from orbitfinder.exports.julia import julia_file
-from orbitfinder.exports.source import Source, source_of
-from orbitfinder.exports.straightline import C, c_number, c_numbers, straight_line
+from orbitfinder.exports.source import C, Source, c_number, c_numbers, source_of, straight_line
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically

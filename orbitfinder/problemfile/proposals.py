@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes, normal_mode, normal_modes
+from orbitfinder.guesses.returns import close_returns, recurrences
+from orbitfinder.integrate.cvodes import build_flow, sample
+from orbitfinder.loops.problem import Guess
 from orbitfinder.mechanics.model import energy, wrapped
 from orbitfinder.problemfile.read import ProblemFile
-
-if TYPE_CHECKING:
-    from orbitfinder.loops.problem import Guess
 
 AMPLITUDE = 0.1
 """Largest angle (rad) or coordinate (m) of the modes that are proposed."""
@@ -75,11 +76,12 @@ def propose(
     """Every kind of starting point that a problem file allows. Raises `InputError` for wrong options."""
     found: list[Proposal] = []
     notes: list[str] = []
-    for kind, make in (
-        ("own guess", lambda: own(loaded)),
-        ("normal modes", lambda: modes(loaded, amplitude)),
-        ("close returns", lambda: returns(loaded, duration, count)),
-    ):
+    kinds: dict[str, Callable[[], list[Proposal]]] = {
+        "own guess": lambda: own(loaded),
+        "normal modes": lambda: modes(loaded, amplitude),
+        "close returns": lambda: returns(loaded, duration, count),
+    }
+    for kind, make in kinds.items():
         try:
             found += make()
         except OrbitfinderError as error:
@@ -102,26 +104,24 @@ def own(loaded: ProblemFile) -> list[Proposal]:
 
 def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
     """The linear normal modes of the equilibrium at 0, or of a linkage's lowest one, slowest first."""
-    from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes, normal_mode, normal_modes
-
     model = loaded.model
     if model.degrees_of_freedom > MOST_COORDINATES:
         raise InputError(f"{model.degrees_of_freedom} coordinates; give mode and amplitude in [guess]")
     if model.constraint is not None and model.system.get("kind") == "linkage":
         place = linkage_equilibrium(model)
         squared, shapes = linkage_modes(model, place)
-        made = [lambda k=k: linkage_mode(model, k, amplitude, place) for k in range(1, squared.size + 1)]
     elif model.constraint is not None:
         raise InputError("redundant coordinates; give a state and a period")
     else:
-        squared, shapes = normal_modes(model)
-        made = [lambda k=k: normal_mode(model, k, amplitude) for k in range(1, squared.size + 1)]
+        place, (squared, shapes) = None, normal_modes(model)
     found = []
-    for k, make in enumerate(made, start=1):
-        if squared[k - 1] > 0:
-            shape = shapes[:, k - 1] / shapes[np.abs(shapes[:, k - 1]).argmax(), k - 1]
-            details = {"frequency": float(np.sqrt(squared[k - 1]) / (2 * np.pi)), "shape": shape.tolist()}
-            found.append(_proposal(loaded, f"mode-{k}", make(), None, {"mode": k, "amplitude": amplitude}, details))
+    for k, (rate, shape) in enumerate(zip(squared, shapes.T, strict=True), start=1):
+        if rate > 0:
+            made = normal_mode(model, k, amplitude) if place is None else linkage_mode(model, k, amplitude, place)
+            given = {"mode": k, "amplitude": amplitude}
+            largest = shape[np.abs(shape).argmax()]
+            details = {"frequency": float(np.sqrt(rate) / (2 * np.pi)), "shape": (shape / largest).tolist()}
+            found.append(_proposal(loaded, f"mode-{k}", made, None, given, details))
     if not found:
         raise InputError("the equilibrium at 0 is not a stable one; give a state and a period")
     return found
@@ -129,8 +129,6 @@ def modes(loaded: ProblemFile, amplitude: float) -> list[Proposal]:
 
 def returns(loaded: ProblemFile, duration: float | None, count: int) -> list[Proposal]:
     """Close returns of the file's recorded trajectory, or of the motion from its state, best first."""
-    from orbitfinder.guesses.returns import close_returns, recurrences
-
     guess = None if loaded.problem is None else loaded.problem.guess
     if guess is not None and _recorded(loaded, guess) and duration is None:
         assert guess.times is not None and guess.states is not None
@@ -168,8 +166,6 @@ def _span(loaded: ProblemFile, guess: Guess | None) -> float:
 
 def motion(loaded: ProblemFile, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
     """Times and states of a guess over its period: as recorded, else simulated."""
-    from orbitfinder.integrate.cvodes import build_flow, sample
-
     if guess.times is not None and guess.states is not None:
         return np.asarray(guess.times), np.asarray(guess.states)
     states = sample(build_flow(loaded.model), np.asarray(guess.state, float), guess.period, 401)

@@ -6,33 +6,33 @@ and builds the Model, the Guess and the Problem.
 
 from __future__ import annotations
 
+import runpy
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
-from orbitfinder.problemfile.faults import sentence
-from orbitfinder.problemfile.schema import SYSTEMS, FindTable, ProblemTable, check_name
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model
+from orbitfinder.problemfile.guess import guess_from_table
+from orbitfinder.problemfile.schema import SYSTEMS, FindTable, ProblemTable, Table, check_name, sentence
 from orbitfinder.records.reading import bounded, file_bytes
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from orbitfinder.loops.problem import Guess, Problem
-    from orbitfinder.mechanics.model import Model
 
 LARGEST_TOML = 5_000_000
 """Bytes; a larger problem file is refused before it is read (2,000 links with a number each take 0.1 MB)."""
 MANUAL = "docs/problem-file.md"
 DEFAULT_DURATION = 10.0
 """Seconds that `simulate` covers when nothing else is asked for."""
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,8 @@ def load_problem_file(path: str | Path, trust: bool = False) -> ProblemFile:
         return _load_python(source, trust)
     document = read_toml(source)
     table = parse(document, str(source))
-    return _at(str(source), lambda: _build(source, document, table, trust))
+    with _located(source):
+        return _build(source, document, table, trust)
 
 
 def read_toml(source: Path) -> dict[str, Any]:
@@ -114,24 +115,18 @@ def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
         raise InputError(f"{where}: {sentence(first, document)}{more}") from None
 
 
-def _at(where: str, build: Callable[[], Result]) -> Result:
-    """Run `build`, putting the file (and the table, where the message lacks it) in front of its errors."""
+@contextmanager
+def _located(source: Path) -> Iterator[None]:
+    """The file, and the table where the field alone is named, in front of the errors of the block."""
     try:
-        return build()
+        yield
     except InputError as error:
-        text = str(error)
-        first = text.split(":")[0]
-        if any(first in table.model_fields for table in SYSTEMS.values()):
-            text = f"system.{text}"
-        elif first in FindTable.model_fields:
-            text = f"find.{text}"
-        raise type(error)(f"{where}: {text}") from error
+        tables: dict[str, tuple[type[Table], ...]] = {"system": tuple(SYSTEMS.values()), "find": (FindTable,)}
+        within = (f"{name}." for name, kinds in tables.items() if any(error.field in one.model_fields for one in kinds))
+        raise type(error)(f"{source}: {next(within, '')}{error}") from error
 
 
 def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust: bool) -> ProblemFile:
-    from orbitfinder.mechanics.catalogue import build_model
-    from orbitfinder.problemfile.guess import guess_from_table
-
     name = table.name or checked_name(source.stem)
     model = build_model(table.system.model_dump(exclude_none=True), source.parent if trust else None)
     problem = None
@@ -153,10 +148,7 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
 
 
 def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:
-    from orbitfinder.loops.conditions import pin
-    from orbitfinder.loops.problem import Problem
-
-    find, expected = table.find, _expected(table, model)
+    find = table.find
     return Problem(
         model=model,
         guess=guess,
@@ -169,7 +161,7 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         objective=find.objective,
         coordinate=find.coordinate,
         bounds={key: (float(low), float(high)) for key, (low, high) in find.bounds.items()},
-        expected=expected,
+        expected=_expected(table, model),
         name=name,
         title=table.title,
         source=table.source,
@@ -188,8 +180,6 @@ def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float
 
 
 def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.ndarray | None:
-    import numpy as np
-
     if table.simulate.state is None:
         return None if problem is None else np.asarray(problem.guess.state, float)
     size = len(model.state_names)
@@ -211,10 +201,6 @@ def checked_name(name: str, where: str = "name", remedy: str = "rename it or giv
 
 def _load_python(source: Path, trust: bool) -> ProblemFile:
     """A Python problem file: executed, so only for files the user vouches for."""
-    import runpy
-
-    from orbitfinder.loops.problem import Problem
-
     if not trust:
         raise InputError(
             f"{source}: a Python problem file runs as a program and {'was' if source.exists() else 'would be'} "
@@ -229,5 +215,7 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
         raise InputError(f"{source}: problem() failed with {type(error).__name__}: {error}; fix the file") from error
     if not isinstance(made, Problem):
         raise InputError(f"{source}: problem() returned {type(made).__name__}; return an orbitfinder Problem")
-    _at(str(source), lambda: (checked_name(made.name), made.check_count()))
+    with _located(source):
+        checked_name(made.name)
+        made.check_count()
     return ProblemFile(source, made.name, made.model, made, start=made.guess.state)

@@ -1,8 +1,9 @@
-"""Problem files that `orbitfinder init` and `orbitfinder guess --out` write."""
+"""Problem files that we write: the template of `init`, a guess of `guess --out`, an orbit's own; TOML."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from orbitfinder.errors import InputError
 from orbitfinder.problemfile.proposals import Proposal, Proposals
 from orbitfinder.problemfile.read import ProblemFile, checked_name
+from orbitfinder.problemfile.schema import SYSTEMS
 
 TEMPLATE = """# Every key is explained in docs/problem-file.md. SI units, angles in rad from the downward vertical.
 name = "{name}"
@@ -60,18 +62,16 @@ def write_new(text: str, path: Path, where: str, remedy: str = "choose") -> Path
     return path
 
 
-def problem_text(loaded: ProblemFile, proposals: Proposals, chosen: Proposal, name: str) -> str:
+def candidate_text(loaded: ProblemFile, proposals: Proposals, chosen: Proposal, name: str) -> str:
     """A problem file with the chosen `[guess]`, and the others as comments. Raises `InputError` for Python files."""
     system = loaded.document.get("system")
     if not isinstance(system, Mapping):
         raise InputError(f"{loaded.path}: has no [system] table to copy; write its state and period into problem()")
-    lines = [f"name = {json.dumps(name)}", f'source = "orbitfinder guess, {chosen.name}"', "", "[system]"]
-    lines += [f"{key} = {toml(value)}" for key, value in system.items()]
-    lines += ["", f"[guess]  # {said(chosen)}", *_entries(chosen), ""]
-    for one in proposals.found:
-        if one is not chosen:
-            lines += [f"# [guess]  # {said(one)}", *(f"# {line}" for line in _entries(one)), ""]
-    return "\n".join(lines)
+    lines = [*entries({"name": name, "source": f"orbitfinder guess, {chosen.name}"}), "", "[system]", *entries(system)]
+    for one in (chosen, *(other for other in proposals.found if other is not chosen)):
+        mark = "" if one is chosen else "# "
+        lines += ["", *(f"{mark}{line}" for line in (f"[guess]  # {said(one)}", *entries(one.table)))]
+    return "\n".join([*lines, ""])
 
 
 def said(one: Proposal) -> str:
@@ -81,16 +81,71 @@ def said(one: Proposal) -> str:
     return f"{one.name}: period {one.period:.6g} s{level}{missing}"
 
 
-def _entries(one: Proposal) -> list[str]:
-    return [f"{key} = {toml(value)}" for key, value in one.table.items()]
+def orbit_name(document: Mapping[str, Any]) -> str:
+    """The name of an orbit document as a problem file may have it."""
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", str(document["name"])).lstrip(".-")[:100]
+    return re.sub(r"\.\.+", ".", name) or "orbit"
+
+
+def orbit_text(document: Mapping[str, Any]) -> str | None:
+    """A problem file whose guess is the orbit of a document; None where no file can describe the system.
+
+    The pin is the recorded one; of an orbit without one, the energy where energy is conserved.
+    """
+    system, period = document["system"], float(document["period"])
+    if system.get("kind") not in SYSTEMS:
+        return None
+    about = {key: _line(document[key]) for key in ("title", "source") if document.get(key)}
+    tables = {
+        "system": {key: value for key, value in system.items() if value is not None},
+        "guess": {"state": document["state"], "period": period},
+        "find": _find(document),
+        "expected": {"period": {"value": period, "tolerance": 1e-9}},
+    }
+    try:
+        lines = entries({"name": orbit_name(document)} | about)
+        for name, table in tables.items():
+            lines += ["", f"[{name}]", *entries(table)]
+    except TypeError:
+        return None
+    return "\n".join(lines) + "\n"
+
+
+def _find(document: Mapping[str, Any]) -> dict[str, Any]:
+    provenance = document.get("provenance") or {}
+    pin = provenance.get("pin")
+    if not isinstance(pin, Mapping):
+        invariants = provenance.get("invariants", ["energy"])
+        pin = {"energy": float(document["energy"])} if "energy" in invariants else {}
+    turns = [int(k) for k in document.get("winding") or ()]
+    chosen = ({"pin": pin} if pin else {}) | ({"winding": turns} if any(turns) else {})
+    return chosen | {"tolerance": float(document.get("tolerance", 1e-12))}
+
+
+def _line(text: Any) -> str:
+    """Text as the problem file takes it: one line without control characters, at most 300."""
+    return "".join(letter if letter.isprintable() else " " for letter in str(text))[:300]
+
+
+def entries(table: Mapping[str, Any]) -> list[str]:
+    """The lines of a TOML table."""
+    return [f"{_key(str(key))} = {toml(value)}" for key, value in table.items()]
 
 
 def toml(value: Any) -> str:
-    """A plain value in TOML."""
+    """A value in TOML: text, numbers, true and false, lists, inline tables. JSON strings are TOML strings."""
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, (int, float)):
+        return repr(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {toml(entry)}" for key, entry in value.items()) + " }"
+        return f"{{ {', '.join(entries(value))} }}" if value else "{}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(toml, value)) + "]"
-    return json.dumps(value) if isinstance(value, str) else repr(value)
+        return f"[{', '.join(map(toml, value))}]"
+    raise TypeError(f"{value!r} has no form in TOML")
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,25 +31,20 @@ Vector = list[Any]
 
 
 @contextlib.contextmanager
-def precision(bits: int) -> Iterator[None]:
-    """Arb's working precision in bits, restored afterwards."""
-    before = flint.ctx.prec
-    flint.ctx.prec = bits
+def _setting(name: str, value: int) -> Iterator[None]:
+    """One of Arb's settings, restored afterwards."""
+    before = getattr(flint.ctx, name)
+    setattr(flint.ctx, name, value)
     try:
         yield
     finally:
-        flint.ctx.prec = before
+        setattr(flint.ctx, name, before)
 
 
-@contextlib.contextmanager
-def truncated(terms: int) -> Iterator[None]:
-    """The length beyond which Arb cuts power series off, restored afterwards."""
-    before = flint.ctx.cap
-    flint.ctx.cap = terms
-    try:
-        yield
-    finally:
-        flint.ctx.cap = before
+precision = partial(_setting, "prec")
+"""Arb's working precision in bits"""
+truncated = partial(_setting, "cap")
+"""The length beyond which Arb cuts power series off"""
 
 
 def decimal(number: float) -> Any:

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder._runtime import __version__
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import FLINT, arb, precision
-from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, prove
 from orbitfinder.records.orbit import Orbit, read_document
 from orbitfinder.records.reading import read_as, write_json
@@ -117,20 +116,19 @@ class Recorded:
 def options_of(found: Mapping[str, Any]) -> Options:
     """The options that a recorded proof was made with. Raises `InputError`."""
     known = read_as(Recorded, found, "proof: malformed entry", "prove the orbit again")
-    return checked(Options(Settings(known.order, known.bits, known.tolerance), known.symmetry, known.segments))
+    return checked(Options(known.order, known.bits, known.tolerance, symmetry=known.symmetry, segments=known.segments))
 
 
 def checked(options: Options) -> Options:
     """The same options, or `InputError` naming the one that is out of range."""
-    settings = options.settings
     for name, value, low, high in (
-        ("order", settings.order, 10, 120), ("bits", settings.bits, 64, 2000),
+        ("order", options.order, 10, 120), ("bits", options.bits, 64, 2000),
         ("segments", 1 if options.segments is None else options.segments, 1, 100),
     ):  # fmt: skip
         if not low <= value <= high:
             raise InputError(f"{name}: must be from {low} to {high}, got {value}; the default is fine for most orbits")
-    if not 1e-40 <= settings.tolerance < 1e-6:
-        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {settings.tolerance}; the default is 1e-18")
+    if not 1e-40 <= options.tolerance < 1e-6:
+        raise InputError(f"tolerance: must be from 1e-40 to 1e-6, got {options.tolerance}; the default is 1e-18")
     return options
 
 
@@ -148,13 +146,8 @@ def replay(
 def contradictions(found: Mapping[str, Any], fresh: Mapping[str, Any]) -> list[str]:
     """Every claim of a recorded entry that the entry of the proof done again does not bear out."""
     with precision(max(fresh["bits"], 4 * DIGITS)):
-        return [f"{name}: recorded {_brief(found.get(name))}, found {_brief(fresh[name])}"
+        return [f"{name}: recorded {shortened(repr(found.get(name)), 80)}, found {shortened(repr(fresh[name]), 80)}"
                 for name, same in COMPARED.items() if not same(found.get(name), fresh[name])]  # fmt: skip
-
-
-def _brief(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def _close(recorded: Any, fresh: float) -> bool:

@@ -10,12 +10,11 @@ from typing import Any
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.approach import approach
 from orbitfinder.proof.balls import Vector, arb, decimal, precision, radius
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.field import programs
-from orbitfinder.proof.krawczyk import krawczyk
-from orbitfinder.proof.newton import solve
+from orbitfinder.proof.formulation import approach
+from orbitfinder.proof.krawczyk import krawczyk, solve
 from orbitfinder.proof.theorem import (
     NotProved,
     Progress,

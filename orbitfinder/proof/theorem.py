@@ -17,23 +17,22 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.loops.symmetry import Symmetry, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.proof.approach import Approach, approach
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.field import Programs, make_field, programs
+from orbitfinder.proof.formulation import Approach, approach
 from orbitfinder.proof.invariance import has_symmetry, turns_leave, usable_symmetry
-from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk
-from orbitfinder.proof.newton import solve
-from orbitfinder.proof.tour import (
+from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk, solve
+from orbitfinder.proof.trajectory import (
     Stability,
-    Tour,
+    Trajectory,
     minimal_period,
     monodromy,
     moves,
     positive_mass,
     reduced,
     stability,
-    tour,
+    trajectory,
 )
 from orbitfinder.records.orbit import Orbit
 
@@ -42,7 +41,7 @@ STATEMENT = 1
 RADII = (1e-11, 1e-13, 1e-15)
 """of the boxes that are tried; the smaller ones are for very unstable orbits"""
 SHARPENINGS = 2
-"""further tours when the first leaves the multipliers open"""
+"""further rounds when the first leaves the multipliers open"""
 CENTRE = 1e-19
 """Newton's last correction before the box is set"""
 Progress = Callable[[str], None]
@@ -92,13 +91,12 @@ class NotProved(Exception):
 
 
 @dataclass(frozen=True)
-class Options:
-    """What to prove and how: the symmetry to use (that of the record if None), segments, what counts as near.
+class Options(Settings):
+    """What to prove and how: the integrator's settings, the symmetry to use (that of the record if None), segments.
 
     `nearness` is the largest distance allowed between the record and the proved orbit (rad, rad/s, s).
     """
 
-    settings: Settings = field(default_factory=Settings)
     symmetry: str | None = None
     segments: int | None = None
     nearness: float = 1e-9
@@ -110,14 +108,14 @@ def prove(
     """The proof of an orbit's existence, or the reason why there is none. Raises `InputError`."""
     chosen, say = options or Options(), progress or (lambda line: None)
     began = time.perf_counter()
-    with precision(chosen.settings.bits):
+    with precision(chosen.bits):
         model = model or provable_model(orbit)
         codes = programs(model)
         symmetry = chosen_symmetry(orbit, model, codes, chosen.symmetry)
         try:
             found = _prove(orbit, model, codes, symmetry, chosen, say)
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-            return Proof(False, str(error), symmetry.name, chosen.settings, time.perf_counter() - began)
+            return Proof(False, str(error), symmetry.name, chosen, time.perf_counter() - began)
         return Proof(**{**found, "wall_time": time.perf_counter() - began})
 
 
@@ -139,16 +137,15 @@ def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
 def _prove(
     orbit: Orbit, model: Model, codes: Programs, symmetry: Symmetry, options: Options, say: Progress
 ) -> dict[str, Any]:
-    settings = options.settings
     start = approach(model, orbit, symmetry, options.segments)
     check_symmetries(codes, start, model)
     equations = make_equations(model, codes, start, decimal(orbit.energy))
-    centre, rounds = solve(equations, unknowns_at(start), settings, CENTRE)
+    centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
     say(f"Newton settled in {rounds} iterations; integrating {start.formulation.segments} segments of a box")
-    contracted = enclosed(equations, centre, settings, say)
-    path = sharpened(equations, tour(equations, contracted.image, settings), settings, say)
-    return conclusions(orbit, model, contracted, path, start, options) | {
-        "proved": True, "reason": "", "symmetry": symmetry.name, "settings": settings,
+    contracted = enclosed(equations, centre, options, say)
+    path = sharpened(equations, trajectory(equations, contracted.image, options), options, say)
+    return conclusions(orbit, model, path, start, options) | {
+        "proved": True, "reason": "", "symmetry": symmetry.name, "settings": options,
         "steps": sum(len(arc[3]) for arc in contracted.arcs),
         "radius": radius(contracted.box), "contraction": contracted.contraction,
         "energy": equations.energy,
@@ -195,20 +192,18 @@ def enclosed(equations: Equations, centre: Vector, settings: Settings, say: Prog
     raise NotProved("the interval Newton operator maps no box into itself (" + "; ".join(reasons) + ")")
 
 
-def sharpened(equations: Equations, path: Tour, settings: Settings, say: Progress) -> Tour:
-    """The tour again in ever smaller boxes while the multipliers are too blurred for a verdict."""
+def sharpened(equations: Equations, path: Trajectory, settings: Settings, say: Progress) -> Trajectory:
+    """The trajectory again in ever smaller boxes while the multipliers are too blurred for a verdict."""
     finer = replace(settings, order=settings.order + 6, tolerance=settings.tolerance * 1e-6)
     for _ in range(SHARPENINGS):
         if stability(reduced(path, monodromy(path))).verdict != "open":
             break
         say(f"stability open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
-        path = tour(equations, path.box, finer)
+        path = trajectory(equations, path.box, finer)
     return path
 
 
-def conclusions(
-    orbit: Orbit, model: Model, contracted: Krawczyk, path: Tour, start: Approach, options: Options
-) -> dict[str, Any]:
+def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, options: Options) -> dict[str, Any]:
     """What follows from the zero: that it is an orbit, the recorded one, its period and multipliers."""
     form = start.formulation
     if not moves(path):
@@ -234,7 +229,7 @@ def conclusions(
     }  # fmt: skip
 
 
-def gaps(orbit: Orbit, path: Tour, start: Approach, angles: Sequence[bool]) -> tuple[float, float]:
+def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]) -> tuple[float, float]:
     """Upper bounds of the distances of the recorded state (rad, rad/s) and period (s) from the proved ones.
 
     The recorded state is compared with the orbit's (angles modulo whole turns) at the phase at which it was

@@ -3,7 +3,7 @@ being killed, and family.json + family.npz made from it.
 
 `family.jsonl` holds a header line and then one line per step with everything that the step added,
 flushed to the disk before the next step begins. Every line ends with a digest of itself: a last line that was
-cut short by a kill is dropped, so a step is there completely or not at all, and the walk resumes from the last
+cut short by a kill is dropped, so a step is there completely or not at all, and the run resumes from the last
 one; any other line that is not what was written is an error. family.json carries the digest of its own entries
 (`record`) and of the arrays beside it (`dense`). Files of 0.1.0 have no digests and are read without.
 """
@@ -161,6 +161,11 @@ class Family:
     def values(self, name: str) -> np.ndarray:
         """One number of every point as an array, in order along the family."""
         return np.asarray([getattr(point, name) for point in self.points])
+
+    @property
+    def unit(self) -> str:
+        """The unit of its parameter, where that is no physical parameter of the system."""
+        return {"energy": "J", "period": "s"}.get(self.parameter, "")
 
     @property
     def counts(self) -> str:
@@ -473,7 +478,7 @@ def save_family(family: Family, folder: Path) -> Path:
     dense: dict[str, np.ndarray] = {}
     for kind, members in (("point", family.points), ("event", family.events)):
         for name, here in DENSE.items():
-            pieces = [np.asarray(getattr(one, here), float).ravel() for one in members]  # type: ignore[attr-defined]
+            pieces = [np.asarray(getattr(one, here), float).ravel() for one in members]
             dense[f"{kind}_{name}"] = np.concatenate(pieces) if pieces else np.zeros(0)
             dense[f"{kind}_{name}_sizes"] = np.array([piece.size for piece in pieces], int)
     write_npz(folder / "family.npz", dense)

@@ -26,7 +26,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, shortened
 
 LARGEST_FILE = 100_000_000
 """Bytes; a larger file (of a journal: a larger line) is refused before it is read."""
@@ -103,7 +103,7 @@ def json_document(data: bytes, where: str, remedy: str) -> Any:
     except ValueError as error:
         if where.endswith((".toml", ".py")):
             raise InputError(f"{where}: a problem file; run it, then give the orbit.json that was written") from error
-        raise InputError(f"{where}: truncated or corrupt JSON ({_short(error)}); {remedy}") from error
+        raise InputError(f"{where}: truncated or corrupt JSON ({shortened(error, 120)}); {remedy}") from error
     return bounded(document, where, remedy)
 
 
@@ -155,11 +155,6 @@ def _fault(value: Any, finite: bool) -> str:
     return ""
 
 
-def _short(value: object, limit: int = 120) -> str:
-    text = str(value)
-    return text if len(text) <= limit else text[: limit - 3] + "..."
-
-
 def arrays(path: Path, names: Sequence[str], remedy: str) -> dict[str, np.ndarray]:
     """The finite numbers of an npz file by name, their sizes read before anything is expanded. `InputError`."""
     data, found = file_bytes(path, "npz file"), dict[str, np.ndarray]()
@@ -170,7 +165,7 @@ def arrays(path: Path, names: Sequence[str], remedy: str) -> dict[str, np.ndarra
             for name in names:
                 found[name] = _array(archive, name, LARGEST_EXPANDED - sum(one.nbytes for one in found.values()))
     except Exception as error:  # zipfile, zlib, struct, tokenize: what they raise has no common base
-        raise InputError(f"{path}: damaged ({_short(error)}); {remedy}") from error
+        raise InputError(f"{path}: damaged ({shortened(error, 120)}); {remedy}") from error
     return found
 
 
@@ -249,7 +244,7 @@ def _hints(kind: type) -> dict[str, Any]:
 
 
 def _wrong(where: str, wanted: str, value: Any) -> ValueError:
-    return ValueError(f"{where or 'document'}: expected {wanted}, got {_short(repr(value), 60)}")
+    return ValueError(f"{where or 'document'}: expected {wanted}, got {shortened(repr(value))}")
 
 
 def _plain(kinds: tuple[type, ...], wanted: str) -> Callable[[Any, Any, str], Any]:

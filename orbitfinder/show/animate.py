@@ -217,7 +217,7 @@ def save_animation(clip: Clip, path: str | Path, settings: AnimationSettings | N
 def _save_mp4(frames: list[Any], target: Path, rate: int) -> Path:
     """H.264 through imageio-ffmpeg, which brings its own encoder."""
     try:
-        import imageio_ffmpeg
+        import imageio_ffmpeg  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise InputError(f"{target}: MP4 needs the extra: pip install 'orbitfinder[mp4]', or write a .gif") from error
     target.parent.mkdir(parents=True, exist_ok=True)

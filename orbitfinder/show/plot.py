@@ -1,8 +1,9 @@
-"""Pictures of an orbit: time histories, phase portraits, the swept configuration, the energy error."""
+"""Pictures of orbits, of families and of atlases."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,18 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from orbitfinder.atlas.report import discovery
+from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError
+from orbitfinder.families.members import Motion, motions
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies, positions
+from orbitfinder.records.family import Family
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.style import dress, line_style, new_figure, plane, save_png, sweep, trail
-from orbitfinder.show.svg import COLOURS
+from orbitfinder.show.svg import COLOURS, runs
 
 SNAPSHOTS = 48
 """Configurations drawn over one period."""
@@ -153,4 +159,221 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
     dress(lower, "time (s)", "E(t) \N{MINUS SIGN} E(0) (J)")
     lower.set_xlim(0.0, orbit.period)
     upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
+    return figure
+
+
+MARKERS = {
+    "fold": "v", "branch_point": "o", "period_doubling": "s", "torus": "P", "resonance": ".", "collision": "x",
+    "stability_change": "D",
+}  # fmt: skip
+"""Marker of each kind of event."""
+
+
+def save_family_figures(family: Family, folder: str | Path, model: Model | None = None) -> list[Path]:
+    """Write the figures of a family as PNG files, with a gallery where its model is given; returns their paths."""
+    figures = {"frequency_energy": frequency_energy([family])}
+    if any(point.floquet_multipliers.size for point in family.points):
+        figures |= {"multipliers_plane": multipliers_plane(family), "multipliers": multipliers_along(family)}
+    if model is not None and len(family.points) > 1:
+        figures["gallery"] = gallery(family, motions(family, model))
+    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+
+
+def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
+    """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
+    columns = min(4, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = new_figure(2.6 * columns, 2.9 * rows + 0.4, f"{family.name}: orbits along the family")
+    grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes, motion in zip(grid, shown, strict=False):
+        _draw(axes, motion)
+        one = motion.point
+        where = f"{family.parameter} {one.value:.5g}" if family.parameter in one.free else f"{one.energy:.5g} J"
+        axes.set_title(f"{where}, {one.period:.4g} s\n{one.stability}", fontsize=8)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.06)
+        axes.tick_params(labelsize=7)
+        dress(axes, "", "")
+    for axes in grid[len(shown) :]:
+        axes.set_visible(False)
+    return figure
+
+
+def _draw(axes: Any, motion: Motion) -> None:
+    if motion.joints is None:
+        axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
+        return
+    sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8)
+    down, right = motion.joints[0]
+    # the last joint of a linkage is a pivot on the ground
+    fixed = motion.joints.shape[2] > 1 and np.ptp(motion.joints[:, :, -1], axis=0).max() < 1e-9
+    trail(axes, motion.joints[:, :, -2 if fixed else -1], 1.1)
+    axes.plot(right, -down, color="black", linewidth=1.6)
+    axes.plot(right[0], -down[0], "s", color="black", markersize=4)
+
+
+def frequency_energy(
+    families: Sequence[Family], marks: dict[str, tuple[float, float]] | None = None, title: str = ""
+) -> Figure:
+    """Frequency against energy, one colour a family: solid where stable, dashed where unstable, events marked.
+
+    Families in a physical parameter, along which the energy may not change, are drawn against that. `marks` are
+    further orbits to show, name -> (energy, period).
+    """
+    names = ", ".join(family.name for family in families)
+    freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
+    figure = new_figure(8.0, 5.6, title or f"{names}: frequency and {freed or 'energy'}")
+    axes = figure.subplots()
+    shown: dict[str, Any] = {}
+    for k, family in enumerate(families):
+        colour = COLOURS[k % len(COLOURS)]
+        for stable, run in runs(family.points):
+            across = [point.value if freed else point.energy for point in run]
+            up = [1.0 / point.period for point in run]
+            axes.plot(across, up, "-" if stable else "--", color=colour, linewidth=1.8 if stable else 1.1)
+        for event in family.events:
+            face = colour if event.kind != "branch_point" else "white"
+            size = 3.0 if event.kind == "resonance" else 5.5
+            style = {"marker": MARKERS[event.kind], "markersize": size, "markerfacecolor": face, "linestyle": "none"}
+            (line,) = axes.plot(event.parameter if freed else event.energy, 1.0 / event.period, color=colour, **style)
+            shown.setdefault(event.kind.replace("_", " "), line)
+    if len(families) > 1:
+        names_shown = [Line2D([], [], color=COLOURS[k % len(COLOURS)]) for k in range(len(families))]
+        axes.legend(names_shown, [family.name for family in families], loc="upper right", frameon=False)
+    for name, (energy, period) in (marks or {}).items():
+        axes.plot(energy, 1.0 / period, "*", color="black", markersize=10)
+        offset = {"xytext": (6, 8), "textcoords": "offset points"}
+        axes.annotate(name, (energy, 1.0 / period), fontsize=9, parse_math=False, **offset)
+    dress(axes, axis_name(families[0]) if freed else "energy (J)", "frequency (1/s)")
+    if shown:
+        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def multipliers_plane(family: Family) -> Figure:
+    """Every point's multipliers in the complex plane, inside a square a little wider than the unit circle."""
+    figure = new_figure(6.4, 6.4, f"{family.name}: Floquet multipliers")
+    axes = figure.subplots()
+    angle = np.linspace(0, 2 * np.pi, 361)
+    axes.plot(np.cos(angle), np.sin(angle), color="0.6", linewidth=0.8)
+    values = np.concatenate([point.floquet_multipliers for point in family.points])
+    where = np.concatenate([np.full(point.floquet_multipliers.size, point.value) for point in family.points])
+    near = np.abs(values) < 2.5
+    dots = axes.scatter(values.real[near], values.imag[near], c=where[near], s=9, cmap="viridis")
+    axes.set_aspect("equal")
+    axes.set(xlim=(-2.6, 2.6), ylim=(-2.6, 2.6))
+    dress(axes, "real part", "imaginary part")
+    figure.colorbar(dots, ax=axes, label=axis_name(family), shrink=0.8)
+    return figure
+
+
+def multipliers_along(family: Family) -> Figure:
+    """|mu| (logarithmic) and the stability indices along the family, each index as one curve."""
+    figure = new_figure(8.0, 6.4, f"{family.name}: stability along the family")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    values = family.values("value")
+    sizes = np.abs(np.stack([point.floquet_multipliers for point in family.points]))
+    upper.semilogy(values, np.maximum(sizes, 1e-300), ".", color=COLOURS[0], markersize=3)
+    indices = np.stack([point.indices for point in family.points])
+    for k in range(indices.shape[1]):
+        lower.plot(values, indices[:, k].real, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
+    for level in (-2.0, 2.0):
+        lower.axhline(level, color="0.5", linewidth=0.7)
+    for event in family.events:
+        if event.kind in ("branch_point", "period_doubling", "collision"):
+            lower.axvline(event.parameter, color="0.75", linewidth=0.6)
+    lower.set_ylim(-4.0, 4.0)
+    root = family.points[0].root
+    dress(upper, "", "|multiplier|")
+    dress(lower, axis_name(family), "stability index" + (" of the half period" if root == 2 else ""))
+    return figure
+
+
+def axis_name(family: Family) -> str:
+    """The parameter with its unit, where that is known."""
+    return f"{family.parameter} ({family.unit})" if family.unit else family.parameter
+
+
+KINDS = {"elliptic": (COLOURS[2], "o", "elliptic"), "marginal": (COLOURS[4], "s", "marginal"),
+         "unstable": (COLOURS[1], "^", "unstable")}  # fmt: skip
+"""Colour, marker and legend entry of each verdict."""
+SPREAD = 0.32
+"""Width of the cloud around an energy, as a share of the distance between energies."""
+
+
+def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None = None) -> list[Path]:
+    """Write the three figures of an atlas as PNG files; returns their paths. `InputError` when it is empty."""
+    rows = atlas.rows(chosen)
+    if not rows:
+        raise InputError(f"{atlas.path}: no orbit to draw; widen the filter, or search longer")
+    figures = {
+        "atlas_energy_period": energy_period(rows),
+        "atlas_instability": instability(rows),
+        "atlas_discovery": discovery_curves(atlas),
+    }
+    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+
+
+def energy_period(rows: Sequence[Row]) -> Figure:
+    """Energy against period, one mark an orbit, by stability.
+
+    Searches fill single energies, so marks are spread about theirs by how unstable the orbit is.
+    """
+    figure = new_figure(8.0, 5.2, f"{len(rows)} periodic orbits: energy, period and stability")
+    axes = figure.subplots()
+    energies = np.array([row.energy for row in rows])
+    shells = np.unique(np.round(energies, 9))
+    height = SPREAD * (float(np.diff(shells).min()) if shells.size > 1 else 1.0)
+    sizes = np.log10(np.array([row.instability for row in rows]))
+    offsets = height * sizes / max(float(sizes.max()), 1e-9)
+    for kind, (colour, marker, label) in KINDS.items():
+        here = np.array([row.stability == kind for row in rows])
+        if here.any():
+            across = np.array([row.period for row in rows])[here]
+            axes.plot(across, (energies + offsets)[here], marker, color=colour, markersize=4.5, alpha=0.75,
+                      markeredgewidth=0, linestyle="none", label=f"{label} ({int(here.sum())})")  # fmt: skip
+    for shell in shells if shells.size < 12 else []:
+        axes.axhline(shell, color="0.75", linewidth=0.7, zorder=0)
+    dress(axes, "period (s)", "energy (J), raised by log10 |largest multiplier|")
+    if shells.size < 12:
+        axes.set_yticks(shells)
+    axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
+    return figure
+
+
+def instability(rows: Sequence[Row]) -> Figure:
+    """Histogram of ln |largest multiplier| / period, the mean rate (1/s) at which neighbours leave."""
+    figure = new_figure(8.0, 4.6, f"{len(rows)} periodic orbits: how fast neighbours leave")
+    axes = figure.subplots()
+    rates = {kind: [np.log(row.instability) / row.period for row in rows if row.stability == kind] for kind in KINDS}
+    top = max((max(values) for values in rates.values() if values), default=1.0)
+    bins = np.linspace(0.0, max(top, 1e-3), 31)
+    kinds = [kind for kind in KINDS if rates[kind]]
+    axes.hist(
+        [rates[kind] for kind in kinds], bins=list(bins), stacked=True, color=[KINDS[kind][0] for kind in kinds],
+        label=[f"{kind} ({len(rates[kind])})" for kind in kinds],
+    )  # fmt: skip
+    dress(axes, "ln |largest multiplier| / period (1/s)", "orbits")
+    axes.legend(frameon=False)
+    return figure
+
+
+def discovery_curves(atlas: Atlas) -> Figure:
+    """Distinct orbits against processor time of every search, and Chao's estimate of how many there are."""
+    figure = new_figure(8.0, 5.0, "Distinct orbits found, and how many such starts can find (Chao1)")
+    axes = figure.subplots()
+    searches = atlas.select([int, float, int], "SELECT id, energy, seed FROM searches ORDER BY id")
+    for k, (search, energy, seed) in enumerate(searches):
+        seconds, distinct, estimate = discovery(atlas, search)
+        if not len(seconds):
+            continue
+        colour = COLOURS[k % len(COLOURS)]
+        name = f"{energy:g} J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
+        axes.plot(seconds, distinct, color=colour, label=name)
+        settled = np.arange(len(seconds)) >= min(50, len(seconds) // 4)  # earlier it is mostly noise
+        axes.plot(seconds[settled], estimate[settled], color=colour, linestyle=":", linewidth=1.2)
+    dress(axes, "processor time (s)", "distinct orbits (dotted: estimate)")
+    axes.set_ylim(bottom=0)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.12))
     return figure

@@ -5,21 +5,23 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
 from orbitfinder._runtime import __version__
+from orbitfinder._runtime.caches import Kept
 from orbitfinder.records.family import Family
 from orbitfinder.site.explorers import atlas_data, atlas_values, choices, family_data, family_values
-from orbitfinder.site.gather import AtlasFile, Gathered, evenly
-from orbitfinder.site.motion import Films, packed
+from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
+from orbitfinder.site.motion import Simulator, packed
 from orbitfinder.site.orbits import Entry, orbit_data, orbit_values
 from orbitfinder.site.text import ASSETS, mechanism, number, plural, rendered, script_data, size, slug_maker
-from orbitfinder.site.verdicts import Judge
 from orbitfinder.site.writing import MARK, mark
 
 WEIGHT = "@@WEIGHT@@"
 SPEAK_EVERY = 10
+NOT_ASKED = "it was not asked for"
 PLOTS = ("plotly-basic.min.js", "plots.js")
 SCRIPTS = {
     "gallery": ("gallery.js",),
@@ -113,35 +115,37 @@ class Site:
 def build_site(found: Gathered, settings: Settings | None = None, say: Progress | None = None) -> tuple[Site, Summary]:
     """All pages of everything gathered, in memory."""
     settings, tell = settings or Settings(), say or (lambda _: None)
-    site, films, slug = Site(settings), Films(), slug_maker()
+    site, simulator, slug = Site(settings), Simulator(), slug_maker()
     entries = []
     for file in found.orbits:
-        entries.append(Entry(file, films.orbit(file.document, file.dense), slug(file.document["name"])))
+        entries.append(Entry(file, simulator.orbit(file.document, file.dense), slug(file.document["name"])))
     tell(f"{plural(len(entries), 'orbit')} drawn")
     links: list[Link] = []
     motions: dict[str, Any] = {}
     families = slug_maker()
     for family in found.families:
-        links.append(_add_family(site, family, families(family.name), films, motions))
+        links.append(_add_family(site, family, families(family.name), simulator, motions))
         tell(f"family {family.name}: {plural(len(family.points), 'point')}")
     atlases = slug_maker()
     for atlas in found.atlases:
-        link, shown = _add_atlas(site, atlas, films, (atlases(atlas.name), slug), motions)
+        link, shown = _add_atlas(site, atlas, simulator, (atlases(atlas.name), slug), motions)
         links.insert(found.atlases.index(atlas), link)
         entries += shown
         tell(f"atlas {atlas.name}: {plural(atlas.total, 'orbit')}")
-    entries = _judged(entries, Judge(settings.verify), tell)
+    entries = _judged(entries, settings.verify, tell)
     for entry in entries:
         _add_orbit(site, entry)
     _add_gallery(site, entries, links, motions)
     return site, Summary(len(entries), len(found.families), len(found.atlases), site.finish())
 
 
-def _judged(entries: Sequence[Entry], judge: Judge, tell: Progress) -> list[Entry]:
-    """The entries with their verdicts."""
-    found: list[Entry] = []
+def _judged(entries: Sequence[Entry], verify: bool, tell: Progress) -> list[Entry]:
+    """The entries with their verdicts, those of equal records found once."""
+    found, known = list[Entry](), Kept[Verdict](max(1, len(entries)))
     for entry in entries:
-        found.append(replace(entry, verdict=judge.verdict(entry.file)))
+        document = entry.document
+        verdict = known(entry.file.text, partial(judged, document)) if verify else recorded(document, NOT_ASKED)
+        found.append(replace(entry, verdict=verdict))
         if len(found) % SPEAK_EVERY == 0 or len(found) == len(entries):
             tell(f"{len(found)} of {plural(len(entries), 'orbit')} judged")
     return found
@@ -153,8 +157,8 @@ def _add_orbit(site: Site, entry: Entry) -> None:
     site.add("orbit", f"orbits/{entry.slug}.html", values, ("orbit", orbit_data(entry)), about)
 
 
-def _add_family(site: Site, family: Family, slug: str, films: Films, motions: dict[str, Any]) -> Link:
-    data, path, words = family_data(family, films), f"families/{slug}.html", mechanism(family.system)
+def _add_family(site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any]) -> Link:
+    data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
     values = family_values(family, data["items"]) | {"title": f"Family {family.name}"}
     site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of the {words}.")
     energies = data["columns"]["energy"]
@@ -171,7 +175,7 @@ def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:
 
 
 def _add_atlas(
-    site: Site, atlas: AtlasFile, films: Films, slugs: tuple[str, Callable[[str], str]], motions: dict[str, Any]
+    site: Site, atlas: AtlasFile, simulator: Simulator, slugs: tuple[str, Callable[[str], str]], motions: dict[str, Any]
 ) -> tuple[Link, list[Entry]]:
     """The page of an atlas; returns its link and the orbits that get a card and a page of their own."""
     entries: list[Entry] = []
@@ -180,7 +184,7 @@ def _add_atlas(
     for place, one in atlas.orbits:
         label = "" if named else f"{atlas.name}, orbit {place}"
         slug = slugs[1](str(one.document["name"]) if named else f"{atlas.name}-{place}")
-        entries.append(Entry(one, films.orbit(one.document), slug, atlas.name, label))
+        entries.append(Entry(one, simulator.orbit(one.document), slug, atlas.name, label))
     own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
     data, path = atlas_data(atlas.name, entries, {one.slug for one in own}), f"atlases/{slugs[0]}.html"
     about = f"An atlas of {plural(atlas.total, 'periodic orbit')}, energy against period."
@@ -193,13 +197,13 @@ def _add_atlas(
 def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Link], motions: dict[str, Any]) -> None:
     motions = motions | {entry.slug: packed(entry.motion) for entry in entries if entry.motion}
     counts = plural(len(entries), "orbit") if entries else "No single orbits"
-    summary = counts + (f", {_tally(entries)}." if entries else ".")
+    summary = counts + (f", {_counted(entries)}." if entries else ".")
     about = f"A gallery of {plural(len(entries), 'periodic orbit')} of mechanical systems, each moving in real time."
     values = {"title": site.settings.title, "summary": summary, "entries": entries, "links": links} | choices(entries)
     site.add("gallery", "index.html", values, ("gallery", motions), about)
 
 
-def _tally(entries: Sequence[Entry]) -> str:
+def _counted(entries: Sequence[Entry]) -> str:
     """How many were certified, rejected and not checked when the page was made."""
     verdicts = [entry.verdict.certified for entry in entries]
     named = {True: "certified when this page was made", False: "rejected", None: "not checked here"}

@@ -10,24 +10,27 @@ import numpy as np
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import system_at
 from orbitfinder.site.gather import evenly
-from orbitfinder.site.motion import Films, packed
+from orbitfinder.site.motion import Simulator, packed
 from orbitfinder.site.orbits import Entry
-from orbitfinder.site.text import EVENTS, mechanism, number, plural, symmetry_words
+from orbitfinder.site.text import mechanism, number, plural, symmetry_words
 
 MOST_POINTS = 60
 """Points of a family that can be seen moving; all points are on the plot."""
 MOST_EVENTS = 60
-UNITS = {"energy": "J", "period": "s"}
 
 
-def family_items(family: Family, films: Films) -> list[dict[str, Any]]:
+def family_items(family: Family, simulator: Simulator) -> list[dict[str, Any]]:
     """The points and events that can be picked, in order along the family."""
-    found = [(family.points[k].arclength, _item(family.points[k], films)) for k in spread(family.points, MOST_POINTS)]
+    points = family.points
+    chosen = [points[k] for k in spread(points, MOST_POINTS)]
+    found = [(one.arclength, _item(one, one.system, one, simulator)) for one in chosen]
     rare = [event for event in family.events if event.kind != "resonance"]
     common = [event for event in family.events if event.kind == "resonance"]
     kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
     kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
-    found += [(event.arclength, _event_item(family, event, films)) for event in kept]
+    for event in kept:
+        before = points[min(max(event.index, 0), len(points) - 1)]
+        found.append((event.arclength, _item(event, system_at(family.system, event.free), before, simulator)))
     return [item for _, item in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -42,61 +45,38 @@ def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     return sorted({int(np.abs(length - one).argmin()) for one in wanted} | {0, len(points) - 1})
 
 
-def event_words(event: Event) -> str:
-    """An event in words: its kind and detail."""
-    return f"{EVENTS.get(event.kind, event.kind)} {event.detail}".strip()
-
-
-def _item(point: FamilyPoint, films: Films) -> dict[str, Any]:
-    motion = films.member(point.system, point)
+def _item(one: FamilyPoint | Event, system: Mapping[str, Any], at: FamilyPoint, simulator: Simulator) -> dict[str, Any]:
+    """A point or an event; `at` is the point itself, or the one before an event, which does not carry all of it."""
+    motion, point, event = simulator.member(system, one), one is at, one if isinstance(one, Event) else None
     return {
-        "energy": point.energy,
-        "period": point.period,
-        "value": point.value,
-        "action": point.action,
-        "closure": point.closure,
-        "stability": point.stability,
-        "symmetry": symmetry_words(point.symmetry),
-        "multipliers": [[mu.real, mu.imag] for mu in point.floquet_multipliers.tolist()],
-        "event": "",
-        "kind": "",
+        "energy": one.energy,
+        "period": one.period,
+        "value": at.value if event is None else event.parameter,
+        "action": at.action if point else None,
+        "closure": at.closure if point else None,
+        "stability": at.stability,
+        "symmetry": symmetry_words(one.symmetry),
+        "multipliers": [[mu.real, mu.imag] for mu in at.floquet_multipliers.tolist()],
+        "event": "" if event is None else f"{event.kind.replace('_', ' ')} {event.detail}".strip(),
+        "kind": "" if event is None else event.kind,
         "motion": packed(motion) if motion else None,
     }
 
 
-def _event_item(family: Family, event: Event, films: Films) -> dict[str, Any]:
-    """An event; what it does not carry itself is that of the point before it."""
-    before = family.points[min(max(event.index, 0), len(family.points) - 1)]
-    motion = films.member(system_at(family.system, event.free), event)
-    return {
-        "energy": event.energy,
-        "period": event.period,
-        "value": event.parameter,
-        "action": None,
-        "closure": None,
-        "stability": before.stability,
-        "symmetry": symmetry_words(event.symmetry),
-        "multipliers": [[mu.real, mu.imag] for mu in before.floquet_multipliers.tolist()],
-        "event": event_words(event),
-        "kind": event.kind,
-        "motion": packed(motion) if motion else None,
-    }
-
-
-def family_data(family: Family, films: Films) -> dict[str, Any]:
+def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
     """What the family page's script works with."""
     columns = {name: family.values(name).tolist() for name in ("energy", "period", "action", "closure", "value")}
     return {
         "page": "family",
         "name": family.name,
         "parameter": family.parameter,
-        "unit": UNITS.get(family.parameter, ""),
+        "unit": family.unit,
         "columns": columns
         | {
             "stable": [point.stability != "unstable" for point in family.points],
             "largest": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in family.points],
         },
-        "items": family_items(family, films),
+        "items": family_items(family, simulator),
     }
 
 
@@ -121,7 +101,7 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
     return {
         "family": family,
         "items": items,
-        "columns": ["energy", "period"] if family.parameter in UNITS else ["value", "energy", "period"],
+        "columns": ["energy", "period"] if family.unit else ["value", "energy", "period"],
         "heads": {"value": family.parameter, "energy": "energy, J", "period": "period, s"},
         "listed": "" if listed == len(events) else left_out,
         "summary": summary,

@@ -1,4 +1,4 @@
-"""From paths to what they hold: orbits, families and atlases, checked, in a reproducible order."""
+"""From paths to what they hold: orbits, families and atlases, checked, in a reproducible order; what is certified."""
 
 from __future__ import annotations
 
@@ -10,13 +10,22 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime import __version__
 from orbitfinder.atlas.store import Atlas, orbit_of
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import FORMAT as FAMILY
 from orbitfinder.records.family import Family, load_family
-from orbitfinder.records.orbit import AGAIN, dense_samples, orbit_in, orbit_to_document
+from orbitfinder.records.orbit import (
+    AGAIN,
+    certificate_to_document,
+    dense_samples,
+    orbit_from_document,
+    orbit_in,
+    orbit_to_document,
+)
 from orbitfinder.records.orbit import FORMAT as ORBIT
 from orbitfinder.records.reading import json_file
 from orbitfinder.records.store import DATABASES, kind_of, member
@@ -147,14 +156,14 @@ def _orbit(document: Any, where: str) -> OrbitFile:
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
     """The atlas of a JSON list of orbit documents."""
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    orbits.sort(key=_order)
+    orbits.sort(key=lambda one: _order(one.document["energy"], float(one.document["period"])))
     chosen = tuple((k + 1, orbits[k]) for k in evenly(len(orbits), MOST_ITEMS))
     return AtlasFile(file.stem, len(orbits), chosen)
 
 
-def _order(one: OrbitFile) -> tuple[float, float]:
+def _order(energy: float, period: float) -> tuple[float, float]:
     """Energy, its last digits (those of a search at one energy) left out, then period."""
-    return float(f"{one.document['energy']:.9g}"), float(one.document["period"])
+    return float(f"{energy:.9g}"), period
 
 
 def _from_database(file: Path) -> AtlasFile:
@@ -162,7 +171,64 @@ def _from_database(file: Path) -> AtlasFile:
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:
-        rows = sorted(atlas.rows(), key=lambda row: (float(f"{row.energy:.9g}"), row.period))
+        rows = sorted(atlas.rows(), key=lambda row: _order(row.energy, row.period))
         chosen = [(k + 1, rows[k].id) for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((k, _orbit(atlas.document(number), f"{file}: orbit {number}")) for k, number in chosen)
     return AtlasFile(file.stem, len(rows), orbits)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The checks of an orbit, recomputed here or, where `unchecked` says why not, as its file has them."""
+
+    checks: Sequence[Mapping[str, Any]]
+    passed: bool
+    unchecked: str = ""
+
+    @property
+    def certified(self) -> bool | None:
+        """True or False by what was recomputed; None where nothing was."""
+        return None if self.unchecked else self.passed
+
+    @property
+    def words(self) -> str:
+        """Whose word it is."""
+        if not self.unchecked:
+            return f"Recomputed from the numbers of the file when this page was made, by orbitfinder {__version__}."
+        if not self.checks:
+            return f"The file carries no certificate, and none was computed here: {self.unchecked}."
+        return f"As the file has it; not checked here: {self.unchecked}."
+
+    @property
+    def failures(self) -> str:
+        """Names of the checks that failed."""
+        return ", ".join(str(check.get("name", "")).replace("_", " ") for check in self.checks if not check["passed"])
+
+
+def judged(document: Mapping[str, Any]) -> Verdict:
+    """The certificate of an orbit, recomputed as `orbitfinder verify` does without --trust."""
+    orbit = orbit_from_document(document)
+    try:
+        model = build_model(orbit.system)
+    except OrbitfinderError as error:
+        return recorded(document, str(error))
+    if (orbit.state.shape, len(orbit.winding)) != ((len(model.state_names),), model.degrees_of_freedom):
+        return Verdict([_failed("record", "state or winding does not belong to the system")], False)
+    try:
+        found = certificate_to_document(certify(orbit, model))
+    except OrbitfinderError as error:
+        return Verdict([_failed("record", str(error))], False)
+    return Verdict(found["checks"], found["passed"])
+
+
+def _failed(name: str, note: str) -> dict[str, Any]:
+    return {"name": name, "value": None, "tolerance": None, "passed": False, "note": note}
+
+
+def recorded(document: Mapping[str, Any], why: str) -> Verdict:
+    """What the file says."""
+    found = document.get("certificate")
+    listed = found.get("checks") if isinstance(found, Mapping) else None
+    checks = [one for one in listed or () if isinstance(one, Mapping)] if isinstance(listed, list) else []
+    told = [dict(one) | {"passed": one.get("passed") is True} for one in checks]
+    return Verdict(told, False, " ".join(why.split()).rstrip("."))

@@ -65,7 +65,7 @@ def resampled(times: np.ndarray, states: np.ndarray, period: float, count: int, 
     return np.hstack([spline(moments), spline(moments, 1)])
 
 
-class Films:
+class Simulator:
     """Motions of orbits; models and their equations are built once per system and parameters."""
 
     def __init__(self) -> None:

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.site.gather import OrbitFile
+from orbitfinder.problemfile.write import orbit_name, orbit_text
+from orbitfinder.site.gather import OrbitFile, Verdict, evenly
 from orbitfinder.site.motion import Motion, histories, packed
-from orbitfinder.site.recipe import commands, problem_name, problem_text
 from orbitfinder.site.text import coordinate, mechanism, number
-from orbitfinder.site.verdicts import Verdict
 
 MOST_PORTRAITS = 6
 """Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
@@ -56,8 +55,8 @@ class Entry:
 
 def orbit_values(entry: Entry) -> dict[str, Any]:
     """What the template of an orbit page is filled with."""
-    document, motion, problem = entry.document, entry.motion, problem_text(entry.document)
-    name = problem_name(document)
+    document, motion, name = entry.document, entry.motion, orbit_name(entry.document)
+    problem = orbit_text(document)
     return {
         "entry": entry,
         "document": document,
@@ -71,7 +70,7 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
         "proof": _recorded_proof(entry),
         "name": name,
         "problem": problem,
-        "commands": commands(document) if problem else f"orbitfinder verify {name}.json\n",
+        "commands": (f"orbitfinder run {name}.toml\n" if problem else "") + f"orbitfinder verify {name}.json\n",
     }
 
 
@@ -108,8 +107,7 @@ def shown(motion: Motion) -> list[int]:
     candidates = list(range(n))
     if n > 6 and any(motion.angles) and not all(motion.angles):
         candidates = [k for k in candidates if motion.angles[k]]
-    picks = np.linspace(0, len(candidates) - 1, min(len(candidates), MOST_PORTRAITS)).round().astype(int)
-    return [candidates[k] for k in np.unique(picks)]
+    return [candidates[k] for k in evenly(len(candidates), MOST_PORTRAITS)]
 
 
 def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float, float]]:
@@ -130,7 +128,7 @@ def orbit_data(entry: Entry) -> dict[str, Any]:
     """What the orbit page's script works with."""
     document, motion = entry.document, entry.motion
     data: dict[str, Any] = {
-        "name": problem_name(document),
+        "name": orbit_name(document),
         "title": entry.title,
         "period": float(document["period"]),
         "multipliers": document["floquet_multipliers"],

@@ -20,16 +20,6 @@ COUNTS = ("", "single", "double", "triple", "quadruple", "quintuple", "sextuple"
 BARS = {3: "three-bar", 4: "four-bar", 5: "five-bar", 6: "six-bar", 7: "seven-bar", 8: "eight-bar"}
 NAMES = {"henon_heiles": "Hénon-Heiles", "van_der_pol": "Van der Pol", "duffing": "Duffing",
          "forced_duffing": "forced Duffing", "restricted_three_body": "restricted three-body"}  # fmt: skip
-EVENTS = {
-    "fold": "fold",
-    "branch_point": "branch point",
-    "period_doubling": "period doubling",
-    "torus": "torus",
-    "resonance": "resonance",
-    "collision": "collision",
-    "stability_change": "stability change",
-}
-SYMMETRIES = {"none": "no symmetry"}
 
 
 def rendered(template: str, /, **values: Any) -> str:
@@ -112,7 +102,7 @@ def plural(count: int, noun: str) -> str:
 
 def symmetry_words(name: str) -> str:
     """A symmetry for reading."""
-    return SYMMETRIES.get(name, name.replace("+", " and "))
+    return "no symmetry" if name == "none" else name.replace("+", " and ")
 
 
 PAGES = Environment(

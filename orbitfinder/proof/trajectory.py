@@ -21,7 +21,7 @@ PIECES = 8
 
 
 @dataclass(frozen=True)
-class Tour:
+class Trajectory:
     """The orbit's horizon enclosed: `steps` of every segment, derivatives (2n square) over the horizon.
 
     `box` (unknowns) holds every zero; all other boxes follow from it.
@@ -57,18 +57,18 @@ class Tour:
         return step.at(arb(fmpq(after.numerator, after.denominator)))
 
 
-def tour(equations: Equations, box: Vector, settings: Settings) -> Tour:
-    """The tour of a box of unknowns that holds every zero, itself made smaller by the operator once more."""
+def trajectory(equations: Equations, box: Vector, settings: Settings) -> Trajectory:
+    """The trajectories from a box of unknowns that holds every zero, itself made smaller by the operator once more."""
     again = krawczyk(equations, box, settings)
     both = [x.intersection(y) for x, y in zip(box, again.image, strict=True)]
     size = 2 * equations.field.size
     total = identity(size)
     for arc in again.arcs:
         total = block(arc[1], size, 0, size) * total
-    return Tour(equations.field, equations.formulation, both, [arc[3] for arc in again.arcs], total)
+    return Trajectory(equations.field, equations.formulation, both, [arc[3] for arc in again.arcs], total)
 
 
-def monodromy(found: Tour) -> Any:
+def monodromy(found: Trajectory) -> Any:
     """dx(T)/dx(0) (2n square) from the horizon's, by the symmetry."""
     phi, size = found.horizon_matrix, 2 * found.formulation.size
     root, power = found.formulation.symmetry.root(
@@ -81,7 +81,7 @@ def monodromy(found: Tour) -> Any:
     return root * root if power == 2 else root
 
 
-def positive_mass(found: Tour) -> bool:
+def positive_mass(found: Trajectory) -> bool:
     """True when the mass matrix is positive definite at every state on the way (L D L^T of its enclosures)."""
     return all(positive_definite(found.field.mass(step.reach)) for steps in found.steps for step in steps)
 
@@ -99,12 +99,12 @@ def positive_definite(matrix: Any) -> bool:
     return True
 
 
-def moves(found: Tour) -> bool:
+def moves(found: Trajectory) -> bool:
     """True when some component of the field is provably not zero at the first node."""
     return any(not x.contains(0) for x in found.field.rates(found.first)[: 2 * found.formulation.size])
 
 
-def escape(found: Tour) -> tuple[Fraction, int] | None:
+def escape(found: Trajectory) -> tuple[Fraction, int] | None:
     """A fraction of the period within which one component, which is also returned, moves one way only.
 
     Until then the orbit has not been back at its first state.
@@ -130,7 +130,7 @@ def _ball(number: Fraction) -> Any:
     return arb(fmpq(number.numerator, number.denominator))
 
 
-def minimal_period(found: Tour, angles: Sequence[bool]) -> tuple[bool, int, str]:
+def minimal_period(found: Trajectory, angles: Sequence[bool]) -> tuple[bool, int, str]:
     """Whether T is proved minimal, the largest k for which T/k was looked at, and what stood in the way.
 
     A period T/k below the escape time is impossible; for the other k, x(T/k) must differ from x(0) in
@@ -155,7 +155,7 @@ def _apart(difference: Any, angle: bool) -> bool:
     return not (difference / (2 * arb.pi())).contains_integer() if angle else not difference.contains(0)
 
 
-def reduced(found: Tour, matrix: Any) -> Any:
+def reduced(found: Trajectory, matrix: Any) -> Any:
     """The monodromy on the energy surface modulo the flow (2n - 2 square).
 
     With f the field, g = grad E, g Phi = g and Phi f = f; in a basis (f, W, u) with g W = 0 the matrix
