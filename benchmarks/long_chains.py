@@ -56,7 +56,7 @@ def one_size(links: int, amplitude: float) -> dict[str, Any]:
     import orbitfinder as of
     from orbitfinder.guesses.balance import FEWEST
     from orbitfinder.guesses.modes import normal_mode
-    from orbitfinder.integrate.threads import one_thread
+    from orbitfinder.integrate.evaluate import one_thread
     from orbitfinder.orbits import long_chain
 
     row: dict[str, Any] = {"links": links, "start_mb": peak()}

@@ -21,11 +21,11 @@ from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem
 from .mechanics.chain import chain as chain
+from .mechanics.chain import chain_dae as chain_dae
 from .mechanics.constrained import constrained as constrained
 from .mechanics.lagrange import Symbols as Symbols
 from .mechanics.lagrange import lagrange as lagrange
 from .mechanics.linkage import linkage as linkage
-from .mechanics.maximal import chain_dae as chain_dae
 from .mechanics.model import Baumgarte as Baumgarte
 from .mechanics.model import Invariant as Invariant
 from .mechanics.model import Model as Model

@@ -1,12 +1,11 @@
 """What is special to closed linkages: assembly, states, modes, joint forces, the native DAE's simulation."""
 
 from orbitfinder._runtime.front import fronted
-from orbitfinder.guesses.equilibria import linkage_equilibrium
-from orbitfinder.guesses.modes import linkage_mode, linkage_modes
+from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes
 from orbitfinder.guesses.returns import first_return
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
+from orbitfinder.mechanics.chain import maximal_states, minimal_states
 from orbitfinder.mechanics.linkage import assemble, joint_forces, linkage_rates, linkage_state, minimal_linkage
-from orbitfinder.mechanics.maximal import maximal_states, minimal_states
 
 __all__ = [
     "DaeSettings", "assemble", "first_return", "joint_forces", "linkage_equilibrium", "linkage_mode", "linkage_modes",

@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 
 from orbitfinder.integrate.dop853 import integrate, vector_field
+from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.hamilton import canonical
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import energies
-from orbitfinder.orbits.evidence import ClosureCheck, gather
-from orbitfinder.orbits.formulations import Hamiltonian
+from orbitfinder.orbits.evidence import ClosureCheck, Hamiltonian, gather
 from orbitfinder.orbits.measure import frame
 from orbitfinder.systems import henon_heiles, pendulum_on_cart
 

@@ -11,11 +11,10 @@ from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.idas import DaeSettings, algebraic, simulate_dae
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.chain import chain, chain_dae, maximal_states, minimal_states
 from orbitfinder.mechanics.constrained import constrained
 from orbitfinder.mechanics.factorise import solve_positive_definite
 from orbitfinder.mechanics.lagrange import Symbols
-from orbitfinder.mechanics.maximal import chain_dae, maximal_states, minimal_states
 from orbitfinder.mechanics.model import Baumgarte
 
 GRAVITY = 9.8

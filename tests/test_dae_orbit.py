@@ -13,8 +13,7 @@ from scipy.special import ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli as main
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.equilibria import linkage_equilibrium
-from orbitfinder.guesses.modes import linkage_mode, linkage_modes
+from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes
 from orbitfinder.guesses.returns import first_return
 from orbitfinder.integrate.cvodes import transition
 from orbitfinder.integrate.dop853 import integrate
@@ -105,7 +104,9 @@ def test_forward_sensitivities_agree_with_the_reduced_variational_equations():
     problem = of.Problem(model, of.Guess(np.concatenate([theta, np.zeros(3)]), 1.0))
     flow = build_dae_flow(problem.model, (), problem.boundary.unfolded(problem.model))
     x0 = ca.MX.sym("x0", 18)
-    found = flow.plain_end(0.0, x0, 0.3, np.zeros(len(flow.unfolded)), [])
+    names, inputs = flow.inputs()
+    plain = ca.Function("plain", inputs, [flow.integrated(inputs)], names, ["xf"])
+    found = plain(0.0, x0, 0.3, np.zeros(len(flow.unfolded)), [])
     forward = ca.Function("forward", [x0], [found, ca.jtimes(found, x0, ca.DM.eye(18))])
     end, matrix = (part.full().squeeze() for part in forward(problem.guess.state))
     other, expected = transition(flow, problem.guess.state, 0.3)

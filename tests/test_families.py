@@ -23,8 +23,7 @@ from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.stability import matching
 from orbitfinder.families.start import begin, curve_of
-from orbitfinder.guesses.equilibria import equilibria
-from orbitfinder.guesses.modes import mode_problem, normal_modes, oscillating
+from orbitfinder.guesses.modes import equilibria, mode_problem, normal_modes, oscillating
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.continued import at_place

@@ -184,7 +184,7 @@ def test_motion_through_a_dead_point_is_refused():
     """A parallelogram's bars all come into line in one turn: no two bars can be left out."""
     model = linkage([0.5, 1.0, 0.5], ground=(0.0, 1.0))
     start = np.array([0.3, np.pi / 2, 0.3 + np.pi, 9.0, 0.0, 9.0])
-    from orbitfinder.mechanics.maximal import maximal_states
+    from orbitfinder.mechanics.chain import maximal_states
 
     problem = Problem(model, Guess(maximal_states(model, start), 1.0))
     with pytest.raises(InputError, match="dead point"):

@@ -24,7 +24,7 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.chain_lagrange import chain_lagrange, is_long
 from orbitfinder.mechanics.model import energies
-from orbitfinder.orbits import evidence, formulations
+from orbitfinder.orbits import evidence
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import gather
 from orbitfinder.orbits.find import find_orbit
@@ -219,23 +219,23 @@ def test_evidence_agrees_with_hamiltons_equations(monkeypatch):
 
 def test_half_a_period_gives_the_multipliers_of_the_whole(twelve, monkeypatch):
     """Of a reflection symmetric motion; one that is not at -x(0) after T/2 is followed all the way."""
-    lengths, transitions = [], formulations._chain_pieces
+    lengths, transitions = [], evidence._chain_pieces
 
     def noted(closed, state, duration, units):
         lengths.append(duration / twelve.period)
         return transitions(closed, state, duration, units)
 
-    monkeypatch.setattr(formulations, "_chain_pieces", noted)
+    monkeypatch.setattr(evidence, "_chain_pieces", noted)
     turns = np.zeros(12, int)
     half = gather(chain(12), twelve.state, twelve.period, turns)
     assert lengths == [0.5]
-    monkeypatch.setattr(formulations, "REFLECTED", -1.0)
+    monkeypatch.setattr(evidence, "REFLECTED", -1.0)
     whole = gather(chain(12), twelve.state, twelve.period, turns)
     assert lengths == [0.5, 1.0]
     assert largest_difference(half.floquet.multipliers, whole.floquet.multipliers) <= 1e-8
     assert half.symplectic <= 1e-9 and half.trivial <= 1e-9
     monkeypatch.undo()
-    monkeypatch.setattr(formulations, "_chain_pieces", noted)
+    monkeypatch.setattr(evidence, "_chain_pieces", noted)
     gather(chain(12), twelve.samples[64] * 1.0001, twelve.period, turns)
     assert lengths[-1] == pytest.approx(1.0)
 

@@ -5,9 +5,17 @@ import numpy as np
 import pytest
 
 from orbitfinder.integrate.cvodes import build_flow, sample
-from orbitfinder.mechanics.chain import FORMULATIONS, chain, inertial_forces, outboard_balances, recursive_acceleration
-from orbitfinder.mechanics.chain_symbols import chain_symbols, chain_system
-from orbitfinder.mechanics.maximal import chain_dae, maximal_states
+from orbitfinder.mechanics.chain import (
+    FORMULATIONS,
+    chain,
+    chain_dae,
+    chain_symbols,
+    chain_system,
+    inertial_forces,
+    maximal_states,
+    outboard_balances,
+    recursive_acceleration,
+)
 from orbitfinder.mechanics.model import energies
 
 STATES = 200

@@ -9,7 +9,7 @@ from orbitfinder.errors import CountError, InputError
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.hamilton import canonical
+from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, lagrange
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify

@@ -9,8 +9,7 @@ import pytest
 
 import orbitfinder as of
 from orbitfinder.errors import ConvergenceError, CountError, InputError
-from orbitfinder.integrate.cvodes import build_flow
-from orbitfinder.integrate.second import transition_function
+from orbitfinder.integrate.cvodes import build_flow, transition_function
 from orbitfinder.loops.conditions import Constraint
 from orbitfinder.loops.ipopt import SolveSettings, hessian
 from orbitfinder.loops.shooting import transcribe

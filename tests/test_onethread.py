@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import orbitfinder as of
 from orbitfinder._runtime.processes import NAMES, children_see
-from orbitfinder.integrate.threads import one_thread
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.orbits import certify as certifying
 from orbitfinder.orbits import find as solve
 

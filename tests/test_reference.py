@@ -16,8 +16,8 @@ from orbitfinder.integrate.dop853 import (
     integrate,
     vector_field,
 )
+from orbitfinder.mechanics.canonical import canonical
 from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.hamilton import canonical
 
 
 def pendulum(n: int = 1):

@@ -16,8 +16,7 @@ from orbitfinder.loops.shooting import Shooting, transcribe
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
-from orbitfinder.orbits.find import initial_nodes
-from orbitfinder.orbits.prepare import at_section
+from orbitfinder.orbits.find import at_section, initial_nodes
 
 
 def shoot(problem: Problem) -> Shooting:

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.guesses.equilibria import reach_of, resting_place
-from orbitfinder.guesses.modes import normal_modes
+from orbitfinder.guesses.modes import normal_modes, reach_of, resting_place
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.march import rounded, uniform

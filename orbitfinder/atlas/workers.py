@@ -29,7 +29,7 @@ from orbitfinder.atlas.attempt import CONTINUATION, Attempt, attempt
 from orbitfinder.atlas.signature import Numbers
 from orbitfinder.atlas.starts import Context, Target, context_of, strategy_of
 from orbitfinder.errors import InputError, LimitError, OrbitfinderError
-from orbitfinder.integrate.threads import one_thread
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.mechanics.catalogue import build_model
 
 LONGEST_START = 120.0

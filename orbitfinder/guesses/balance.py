@@ -269,15 +269,15 @@ def along_family(
     """
     model, pin, start = problem.model, problem.pin[0], np.asarray(problem.guess.state, float)[: len(shapes)]
     linear = _linear(model, pin, start, squared, shapes)
-    walked, rest, power = pin, 0.0, 1
+    followed, rest, power = pin, 0.0, 1
     if pin.name == "period":
         largest = int(np.abs(start).argmax())
-        walked = Pin(model.state_names[largest], float(start[largest]))
+        followed = Pin(model.state_names[largest], float(start[largest]))
     if pin.name == "energy":
         rest, power = energy(model, np.zeros(2 * start.size)), 2
 
     def at(fraction: float) -> PinRow:
-        return pinned(replace(walked, value=rest + fraction**power * (walked.value - rest)))
+        return pinned(replace(followed, value=rest + fraction**power * (followed.value - rest)))
 
     if linear is None:
         return None

@@ -1,27 +1,164 @@
-"""Starting points that need no search: the linear normal modes of an equilibrium.
+"""Starting points that need no search: where a system rests, and the linear normal modes about it.
+
+With L(theta, mu) = V(theta) + mu.phi(theta): an equilibrium under constraints has grad L = 0 and phi = 0.
+Source: J. Nocedal, S. J. Wright, Numerical Optimization, section 18.1 (the reduced Hessian).
 
 To every imaginary pair of eigenvalues i w of an equilibrium of a conservative system, of which no
 other is an integer multiple, belongs a family of periodic orbits whose period tends to 2 pi / w and
 whose shape to the linear mode (A. M. Lyapunov, 1907; K. R. Meyer, D. C. Offin, Introduction to
 Hamiltonian Dynamical Systems and the N-Body Problem (2017), section 9.2). Under constraints the small motions
-are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space of J (see `equilibria`).
+are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space of J.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.optimize import minimize, root
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.equilibria import linkage_equilibrium, stationary_terms
-from orbitfinder.integrate.equations import at_rest
+from orbitfinder.integrate.equations import at_rest, under_constraints
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.constrained import tangent_basis
-from orbitfinder.mechanics.linkage import assemble, linkage_state
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
+from orbitfinder.mechanics.model import Model, wrapped
+
+DESCENTS = 16
+FLAT = 1e-4
+"""Slope (J per rad or m) at which a descent has reached a minimum; only its energy is asked for."""
+STARTS = 24
+"""Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
+NEWTON_STEPS = 60
+
+
+def equilibria(model: Model) -> list[np.ndarray]:
+    """The 2^n equilibria of a chain, every link hanging or upright, hanging first. Raises `InputError`."""
+    if model.system.get("kind") != "chain":
+        raise InputError("equilibria: known in advance for chains only; give the equilibrium's coordinates")
+    return [np.pi * np.array(choice, float) for choice in product((0, 1), repeat=model.degrees_of_freedom)]
+
+
+def resting_place(model: Model, energy: float) -> np.ndarray:
+    """Coordinates (n) of an equilibrium below an energy (J): the one near q = 0, which may be a barrier, or a minimum.
+
+    Raises `InputError` when there is none.
+    """
+
+    def potential(q: np.ndarray) -> float:
+        return float(model.potential(q, model.parameter_values))
+
+    place = equilibrium(model)
+    if energy <= potential(place):
+        place = min([place, *minima(model)], key=potential)
+    lowest = potential(place)
+    if energy <= lowest:
+        shown = 0.0 if abs(lowest) < FLAT * abs(energy) else lowest
+        raise InputError(f"energy: {energy:.9g} J is not above {shown:.9g} J, the system at rest; give a larger energy")
+    return place
+
+
+def minima(model: Model) -> list[np.ndarray]:
+    """Coordinates (n each) of minima of the potential, met going down from places about q = 0."""
+    reach, random = reach_of(model), np.random.default_rng(0)
+    found = [
+        minimize(lambda q: float(model.potential(q, model.parameter_values)), reach * random.uniform(-1, 1, reach.size))
+        for _ in range(DESCENTS)
+    ]
+    # a potential without a floor leads away from every minimum
+    return [one.x for one in found if np.all(np.abs(one.x) < 4 * reach) and np.abs(one.jac).max() < FLAT]
+
+
+def reach_of(model: Model) -> np.ndarray:
+    """How far (n) from an equilibrium positions are drawn: half a turn, or 2."""
+    return np.where(model.angular, np.pi, 2.0)
+
+
+def equilibrium(model: Model) -> np.ndarray:
+    """Coordinates (n) of the minimum of the potential nearest to q = 0."""
+    n = model.degrees_of_freedom
+
+    def potential(q: np.ndarray) -> float:
+        return float(model.potential(q, model.parameter_values))
+
+    zero = np.zeros(n)
+    slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
+    if np.abs(slopes).max() < 1e-11 * max(1.0, abs(potential(zero))):
+        return zero
+    found = minimize(potential, zero, method="BFGS", options={"gtol": 1e-11}).x
+
+    def force(q: np.ndarray) -> np.ndarray:
+        return np.asarray(model.acceleration(0.0, q, zero, model.parameter_values).full().ravel())
+
+    return np.asarray(root(force, found, tol=1e-15).x)
+
+
+def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
+    """Link angles (n, rad) of an equilibrium: the stationary point near `guess`, or the lowest one found.
+
+    Without a guess the potential is minimised on the constraint from some two dozen assemblies. Raises
+    `InputError` when Newton's method finds none.
+    """
+    if guess is not None:
+        return _stationary(model, np.asarray(guess, float))
+    lengths, ground = dimensions(model)
+    random = np.random.default_rng(0)
+    found = []
+    for _ in range(STARTS):
+        start = np.arctan2(ground[1], ground[0]) + random.uniform(-np.pi, np.pi, lengths.size)
+        try:
+            theta = _stationary(model, _descended(model, assemble(model, {}, guess=start)))
+        except InputError:
+            continue
+        found.append((float(under_constraints(model).potential(theta)), theta))
+    if not found:
+        raise InputError("linkage: no equilibrium found; give angles near one as guess=")
+    theta = min(found, key=lambda entry: entry[0])[1]
+    return wrapped(theta, np.ones(theta.size, bool))
+
+
+def stationary_terms(model: Model, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    """(grad L, phi) for the mu of least |grad L|, J, d2L/dtheta2 and M at link angles (n)."""
+    rest = under_constraints(model)
+    if theta.shape != (rest.size,):
+        raise InputError(f"equilibrium: shape {theta.shape} for {rest.size} bars; give the angle of each, in rad")
+    slope, jacobian, gap = (part.full() for part in rest.first(theta))
+    forces = np.linalg.lstsq(jacobian.T, -slope, rcond=None)[0]
+    residual = np.vstack([slope + jacobian.T @ forces, gap]).ravel()
+    return residual, jacobian, rest.second(theta, forces).full(), rest.mass(theta).full()
+
+
+def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
+    """Newton's method on grad L = 0, phi = 0."""
+    theta: np.ndarray = start.copy()
+    for _ in range(NEWTON_STEPS):
+        residual, jacobian, hessian, _ = stationary_terms(model, theta)
+        corner = np.zeros((len(jacobian), len(jacobian)))
+        step = np.linalg.lstsq(np.block([[hessian, jacobian.T], [jacobian, corner]]), -residual, rcond=None)[0]
+        step = step[: theta.size]
+        theta = theta + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-300))
+        if np.abs(step).max() < 1e-13:
+            check_regular(dimensions(model)[0], theta)
+            return theta
+    raise InputError(f"linkage: no equilibrium found near {np.array2string(start, precision=4)}; give other angles")
+
+
+def _descended(model: Model, start: np.ndarray) -> np.ndarray:
+    """Near a minimum of the potential on the constraint, by SLSQP."""
+    rest = under_constraints(model)
+    closure = {
+        "type": "eq", "fun": lambda x: rest.first(x)[2].full().ravel(), "jac": lambda x: rest.first(x)[1].full()
+    }  # fmt: skip
+    result = minimize(
+        lambda x: float(rest.potential(x)), start, jac=lambda x: rest.first(x)[0].full().ravel(), method="SLSQP",
+        constraints=[closure], options={"ftol": 1e-10, "maxiter": 200},
+    )  # fmt: skip
+    return np.asarray(result.x)
+
 
 AMPLITUDE = 0.02
 """Largest deviation (rad or m) at which a family is begun, unless said otherwise."""
@@ -37,8 +174,6 @@ def normal_modes(
     K u = w^2 M u with M = d2T/dv2 and K = d2V/dq2 at the equilibrium (default: q = 0, hanging).
     Source: Goldstein, Classical Mechanics, section 6.2.
     """
-    from scipy.linalg import eigh
-
     n = model.degrees_of_freedom
     place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
     if place.shape != (n,):
@@ -118,8 +253,6 @@ def linkage_modes(
     model: Model, equilibrium: Sequence[float] | np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies (n - 2, rad^2/s^2, slowest first) and shapes (n x n-2) in the link angles."""
-    from scipy.linalg import eigh
-
     theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
     _, jacobian, hessian, mass = stationary_terms(model, theta)
     basis = tangent_basis(jacobian)

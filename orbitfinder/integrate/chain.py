@@ -3,7 +3,7 @@
 The state is marched by CasADi on the O(n) accelerations of the Model. The variations of all columns are a
 product of dense matrices at each stage, which in the closed form costs a third of what n directional
 derivatives of the recursion cost when compiled, and a twelfth of what they cost interpreted (100 links: 0.3,
-1.0 and 3.8 ms). Both march with the eighth-order coefficients of `runge_kutta`.
+1.0 and 3.8 ms). Both march with the eighth-order coefficients of `rk8`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.integrate import DOP853
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.rk8 import AGREEMENT, refined
+from orbitfinder.integrate.rk8 import AGREEMENT, folded, one_step, refined
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange
 from orbitfinder.mechanics.model import Model, vector_field
 
@@ -50,22 +50,18 @@ class Quarter:
 
     @cached_property
     def march(self) -> ca.Function:
-        """(x, h) -> x after CHUNK Runge-Kutta steps."""
-        x, h = ca.MX.sym("x", 2 * self.links), ca.MX.sym("h")
-        stages: list[ca.MX] = []
-        for row in DOP853.A:
-            stages.append(self.field(0.0, x + h * _combined(row, stages) if stages else x, [], []))
-        return ca.Function("step", [x, h], [x + h * _combined(DOP853.B, stages)]).fold(CHUNK)
+        """((t, x), h) -> (t, x) after CHUNK Runge-Kutta steps."""
+        return folded(one_step(self.field, ca.MX.sym), CHUNK, 1)
 
     def path(self, state: np.ndarray, duration: float, count: int, inner: int = 1) -> np.ndarray:
         """States (count + 1 x 2n) at equal times from `state` (2n), CHUNK `inner` steps between two of them."""
         states, h = [np.asarray(state, float)], duration / (count * CHUNK * inner)
         for _ in range(count):
-            x: object = states[-1]
+            z = ca.DM(np.append(0.0, states[-1]))
             for _ in range(inner):
                 limit.check()
-                x = self.march(x, h)
-            states.append(x.full().ravel())  # type: ignore[attr-defined]
+                z = self.march(z, h)
+            states.append(z.full().ravel()[1:])
         found = np.asarray(states)
         if not np.all(np.isfinite(found)):
             raise IntegrationError("the state is not finite", time=0.0, state=found[0])
@@ -117,7 +113,3 @@ class Quarter:
             found = self.closed.variational(0.0, np.concatenate([state, direction])).reshape(2, -1)
             apart = max(apart, float((np.abs(found - wanted).max(1) / np.abs(wanted).max(1)).max()))
         return apart
-
-
-def _combined(weights: np.ndarray, stages: list[ca.MX]) -> ca.MX:
-    return sum(float(w) * k for w, k in zip(weights, stages, strict=False) if w != 0.0)

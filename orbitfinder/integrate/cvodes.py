@@ -5,14 +5,18 @@ The state and its derivatives are one system of ordinary differential equations,
     x' = f(t, x, s),    Phi' = (df/dx) Phi,    w_k' = (df/dx) w_k + df/ds_k,
 
 solved together under one error control (Adams, functional iteration), because the derivatives
-that CasADi makes of an integrator can be silently wrong (casadi issue 4383) and are slower.
+that CasADi makes of an integrator can be silently wrong (casadi issue 4383) and are slower. Where a
+derivative of Phi is wanted too it is integrated likewise,
+
+    (dPhi/da)' = A dPhi/da + (dA/dx dx/da + dA/da) Phi    for every initial value and parameter a, A = df/dx.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -90,20 +94,24 @@ class Flow:
     @cached_property
     def derivatives(self) -> ca.Function:
         """The variational integrator; built when first asked for, since it is large for long chains."""
-        names, inputs = self._inputs()
+        names, inputs = self.inputs()
         outputs = _variational(self.field, self.settings, inputs, self.units)
         return ca.Function("flow_derivatives", inputs, outputs, names, ["xf", "sensitivity"])
 
     @cached_property
     def end(self) -> ca.Function:
-        """The state integrator with the variational equations as its custom Jacobian."""
-        names, inputs = self._inputs()
+        """The integrator of the state with the variational equations as its custom Jacobian."""
+        names, inputs = self.inputs()
         jacobian = custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
         options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
-        end = _plain(self.field, self.settings, inputs, self.units)
-        return ca.Function("flow_end", inputs, [end], names, ["xf"], options)
+        return ca.Function("flow_end", inputs, [self.integrated(inputs)], names, ["xf"], options)
 
-    def _inputs(self) -> tuple[list[str], list[ca.MX]]:
+    def integrated(self, inputs: list[ca.MX]) -> ca.MX:
+        """The state at the end, with CasADi's own derivatives."""
+        return _plain(self.field, self.settings, inputs, self.units)
+
+    def inputs(self) -> tuple[list[str], list[ca.MX]]:
+        """Names and symbols of what its functions are given."""
         names = ["t0", "x0", "duration", "s", "free"]
         sizes = [1, self.field.size1_in(1), 1, len(self.unfolded), len(self.free)]
         return names, [ca.MX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
@@ -240,14 +248,8 @@ def transition(flow: Flow, state: np.ndarray, duration: float, start: float = 0.
 def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float, start: float) -> list[Any]:
     state = check_state(flow.model, state)
     free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
-    error: Exception | None = None
-    with captured() as output, alarm():
-        try:
-            result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
-        except RuntimeError as failure:
-            error = failure
-    if error is not None:
-        raise integration_error(f"{output.text}\n{error}", state, start, duration)
+    with sundials(state, start, duration):
+        result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
     numbers = [value.full().squeeze() if value.shape[1] == 1 else value.full() for value in result]
     if not all(np.all(np.isfinite(number)) for number in numbers):
         raise integration_error("the state is not finite", state, start, duration)
@@ -266,16 +268,22 @@ def sample(flow: Flow, state: np.ndarray, duration: float, count: int, start: fl
     steps = dict(flow.settings.options(), max_num_steps=20 * flow.settings.max_steps)
     chosen = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
     packed = ca.vertcat(start, duration, ca.DM.zeros(len(flow.unfolded)), ca.vec(chosen))
-    error: Exception | None = None
+    with sundials(state, start, duration):
+        solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
+        return np.asarray(solver(x0=state, p=packed)["xf"].full().T)
+
+
+@contextlib.contextmanager
+def sundials(state: np.ndarray, start: float, duration: float, segment: int | None = None) -> Iterator[None]:
+    """What an integrator prints inside the block is kept back, and its failure becomes one `IntegrationError`."""
+    failure: RuntimeError | None = None
     with captured() as output, alarm():
         try:
-            solver = ca.integrator("samples", "cvodes", problem, 0, grid, steps)
-            states = solver(x0=state, p=packed)["xf"].full().T
-        except RuntimeError as failure:
-            error = failure
-    if error is not None:
-        raise integration_error(f"{output.text}\n{error}", state, start, duration)
-    return np.asarray(states)
+            yield
+        except RuntimeError as error:
+            failure = error
+    if failure is not None:
+        raise integration_error(f"{output.text}\n{failure}", state, start, duration, segment) from None
 
 
 def integration_error(
@@ -298,3 +306,84 @@ def integration_error(
     reason = next((said for pattern, said in causes.items() if re.search(pattern, text)), None)
     last = text.strip().splitlines()[-1][:200] if text.strip() else "no message"
     return IntegrationError(reason or last, segment=segment, time=time, state=np.asarray(state))
+
+
+def transition_function(flow: Flow) -> ca.Function:
+    """Phi(t0, x0, duration, s, free) (2n x 2n) with a Jacobian in all of its arguments.
+
+    The system has m + m K + m^2 K unknowns for m = 2n and K = m + unfoldings + freed parameters (two
+    links: 104), so this is for a handful of degrees of freedom.
+    """
+    names, inputs = flow.inputs()
+    t0, state, duration, s, free = inputs
+    size, unfolded = state.numel(), s.numel()
+    count = size + unfolded + free.numel()
+    end, columns, second = _second_integrated(flow, inputs, count)
+    matrix, slope = columns[:, :size], _field_slope(flow)
+    last = slope(t0 + duration, end, s, free) @ matrix
+    later = ca.MX(size**2, 1)
+    if flow.model.forced:
+        first = ca.vec(matrix @ slope(t0, state, s, free)) + second[:, :size] @ flow.field(t0, state, s, free)
+        later = ca.vec(last) - first
+    blocks = [later, second[:, :size], ca.vec(last), second[:, size : size + unfolded], second[:, size + unfolded :]]
+    known = ca.MX.sym("out_matrix", size, size)
+    outputs = [f"jac_matrix_{name}" for name in names]
+    jacobian = ca.Function("jac_transition", [*inputs, known], blocks, [*names, "out_matrix"], outputs)
+    options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
+    plain = flow.derivatives(*inputs)[1][:, :size]
+    return ca.Function("transition", inputs, [plain], names, ["matrix"], options)
+
+
+def _field_slope(flow: Flow) -> ca.Function:
+    """A(t, x, s, free) = df/dx."""
+    arguments = _arguments(flow)
+    return ca.Function("slope", arguments, [ca.densify(ca.jacobian(flow.field(*arguments), arguments[1]))])
+
+
+def _arguments(flow: Flow) -> list[Any]:
+    symbol: Any = ca.SX.sym if flow.field.is_a("SXFunction") else ca.MX.sym
+    return [symbol(f"a{k}", flow.field.size1_in(k)) for k in range(4)]
+
+
+def _second_rates(flow: Flow, count: int) -> ca.Function:
+    """(t, x, s, free, C, D) -> rates of x (m), C = dx/da (m x K) and D = dvec(Phi)/da (m^2 x K)."""
+    t, x, s, free = _arguments(flow)
+    size, extra, symbol = x.numel(), s.numel() + free.numel(), type(x).sym
+    columns, second = symbol("columns", size, count), symbol("second", size**2, count)
+    matrix = symbol("matrix", size, size)
+    rate = flow.field(t, x, s, free)
+    first = ca.jtimes(rate, x, columns)
+    if extra:
+        given = ca.horzcat(ca.jacobian(rate, s), ca.jacobian(rate, free))
+        first += ca.horzcat(type(x)(size, size), given)
+    turned = ca.vec(ca.jtimes(rate, x, matrix))
+    slopes = ca.jtimes(turned, x, columns) + ca.jtimes(turned, ca.vec(matrix), second)
+    if extra:
+        slopes += ca.horzcat(type(x)(size**2, size), ca.jacobian(turned, s), ca.jacobian(turned, free))
+    inner = ca.Function("inner", [t, x, s, free, columns, second, matrix], [rate, first, slopes])
+    again = [*_arguments(flow), symbol("columns", size, count), symbol("second", size**2, count)]
+    return ca.Function("rates", again, inner(*again, again[4][:, :size]))
+
+
+def _second_integrated(flow: Flow, inputs: list[ca.MX], count: int) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """x, dx/da and dvec(Phi)/da at the end of a segment."""
+    size = inputs[1].numel()
+    _, x, s, free = _arguments(flow)
+    symbol = type(x).sym
+    clock, t0, span = symbol("clock"), symbol("t0"), symbol("span")
+    lengths = [size, size * count, size**2 * count]
+    whole = symbol("whole", sum(lengths))
+    parts = ca.vertsplit(whole, [0, lengths[0], lengths[0] + lengths[1], sum(lengths)])
+    moved = _second_rates(flow, count)(
+        t0 + clock * span, parts[0], s, free, ca.reshape(parts[1], size, count), ca.reshape(parts[2], size**2, count)
+    )
+    packed = ca.vertcat(t0, span, s, free)
+    ode = span * ca.vertcat(*[ca.vec(part) for part in moved])
+    solver = ca.integrator(
+        "second_order", "cvodes", {"t": clock, "x": whole, "p": packed, "ode": ode}, 0, 1, flow.settings.options()
+    )
+    unit = ca.vec(ca.horzcat(ca.MX.eye(size), ca.MX.zeros(size, count - size)))
+    start = ca.vertcat(inputs[1], ca.densify(unit), ca.MX.zeros(lengths[2]))
+    end = solver(x0=start, p=ca.vertcat(inputs[0], inputs[2], *inputs[3:]))["xf"]
+    found = ca.vertsplit(end, [0, lengths[0], lengths[0] + lengths[1], sum(lengths)])
+    return found[0], ca.reshape(found[1], size, count), ca.reshape(found[2], size**2, count)

@@ -15,10 +15,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import DOP853, ode
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.buffered import Buffered
+from orbitfinder.integrate.evaluate import Buffered
 
 VectorField = Callable[[float, np.ndarray], np.ndarray]
 TOGETHER = 64
@@ -87,7 +88,7 @@ def scaled(field: VectorField, units: np.ndarray) -> VectorField:
     """The field of y / units, so that one tolerance is right for components of all sizes."""
 
     def call(t: float, y: np.ndarray) -> np.ndarray:
-        return field(t, y * units) / units
+        return np.asarray(field(t, y * units) / units)
 
     if hasattr(field, "memory"):
         time, state, rate, evaluate = field.memory
@@ -174,15 +175,13 @@ def integrate_in(
     longest_step: float = np.inf,
 ) -> np.ndarray:
     """`integrate` with the components measured in `units`; states in their own."""
-    return integrate(scaled(field, units), start / units, times, settings, longest_step) * units
+    return np.asarray(integrate(scaled(field, units), start / units, times, settings, longest_step) * units)
 
 
 def _stepped(
     steps: _Steps, start: np.ndarray, times: np.ndarray, settings: ReferenceSettings, longest: float
 ) -> np.ndarray:
     """The state at the last time; accepted steps are noted where states between are wanted."""
-    from scipy.integrate import ode
-
     # DOP853 adds up its steps: multiples of the clock's resolution add up exactly, others drift by 6e-14 in 800
     tick = float(np.spacing(np.abs(times[[0, -1]]).max()))
     solver: Any = ode(steps.rate).set_integrator(
@@ -222,8 +221,6 @@ def _root(error: BaseException) -> BaseException:
 
 def _between(steps: _Steps, times: np.ndarray) -> np.ndarray:
     """States at times between steps: one step of SciPy's DOP853 from the accepted one before, for all at once."""
-    from scipy.integrate import DOP853
-
     before = np.searchsorted(steps.moments, times, side="right") - 1
     moments, states = np.asarray(steps.moments)[before], np.asarray(steps.states)[before]
     spans = times - moments

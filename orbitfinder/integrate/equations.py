@@ -7,32 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.caches import Kept, Same
-from orbitfinder.integrate.buffered import Buffered
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.mechanics.hamilton import Canonical, canonical
-from orbitfinder.mechanics.holonomic import Holonomic, HolonomicEquations, holonomic, holonomic_equations
+from orbitfinder.integrate.evaluate import Buffered
+from orbitfinder.mechanics.canonical import Canonical, canonical, coordinates
 from orbitfinder.mechanics.model import Model, vector_field
 
 KEPT = 16
 """Sets of equations that are remembered."""
 
 _derived = Kept[Any](KEPT)
+T = TypeVar("T")
 
 
 def hamilton(model: Model) -> Canonical:
     """Hamilton's equations of a Model with its parameter values."""
     return _remembered(model, canonical)
-
-
-def constrained_hamilton(model: Model) -> tuple[Holonomic, HolonomicEquations]:
-    """The coordinates of a Model under constraints, with its parameter values, and Hamilton's equations in them."""
-    return _remembered(model, _constrained)
 
 
 def accelerations(model: Model) -> ca.Function:
@@ -91,11 +86,6 @@ def prepare(model: Model, effort: float | None = None) -> None:
     _derived[_key(model, _plain)] = compiled(accelerations(model), effort=effort)
 
 
-def _constrained(model: Model) -> tuple[Holonomic, HolonomicEquations]:
-    system = holonomic(model)
-    return system, holonomic_equations(system)
-
-
 def _plain(model: Model) -> ca.Function:
     field = vector_field(model, (), ())
     t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * model.degrees_of_freedom)
@@ -129,7 +119,7 @@ class Rest:
 
 
 def _rest(model: Model) -> Rest:
-    system = holonomic(model)
+    system = coordinates(model)
     q, v = ca.SX.sym("q", system.size), ca.SX.sym("v", system.size)
     potential, phi = system.potential(q), system.constraint(q)
     mu = ca.SX.sym("mu", phi.numel())
@@ -145,5 +135,6 @@ def _key(model: Model, derive: Callable[..., Any]) -> tuple[Any, ...]:
     return (derive, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
 
 
-def _remembered(model: Model, derive: Callable[..., Any]) -> Any:
-    return _derived(_key(model, derive), lambda: derive(model))
+def _remembered(model: Model, derive: Callable[[Model], T]) -> T:
+    found: T = _derived(_key(model, derive), lambda: derive(model))
+    return found

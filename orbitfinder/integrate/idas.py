@@ -14,24 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime.arguments import check_fields
-from orbitfinder._runtime.limit import alarm
 from orbitfinder._runtime.notebook import brief
-from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.cvodes import (
     Flow,
     IntegratorSettings,
-    check_tolerances,
-    custom_jacobian,
     integration_error,
     remembered,
+    sundials,
 )
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE
 from orbitfinder.mechanics.model import Invariant, Model, constraint_of, energies
@@ -47,7 +42,7 @@ method, asked for 5e-15, then converges or not as the rounding falls, and IDAS h
 
 
 @dataclass(frozen=True)
-class DaeSettings:
+class DaeSettings(IntegratorSettings):
     """Tolerances of IDAS; the one place where they are defaulted."""
 
     relative_tolerance: float = 5e-15
@@ -55,10 +50,6 @@ class DaeSettings:
     """both near the floor: on the triple pendulum IDAS still works at 3e-15 and fails at 2e-15"""
     max_steps: int = 1_000_000
     """internal steps between two output times after which the integration is given up"""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        check_tolerances(self.relative_tolerance, self.absolute_tolerance, self.max_steps)
 
     def options(self) -> dict[str, Any]:
         """The same in CasADi's words.
@@ -122,9 +113,8 @@ def simulate_dae(
     if not (np.isfinite(duration) and duration > 0) or count < 2:
         raise InputError(f"duration, count: need duration > 0 and count >= 2, got {duration!r} and {count!r}")
     times = np.linspace(0.0, duration, count)
-    error: Exception | None = None
-    with captured() as output, alarm():
-        try:
+    try:
+        with sundials(start, 0.0, 1.0):  # its time is in s already, because the DAE is not scaled to [0, 1]
             z0 = algebraic(model, start[None, :], np.zeros(1))[0]
             n = model.degrees_of_freedom
             # without x' at the start IDAS takes it for 0 and fails its first error test
@@ -133,23 +123,15 @@ def simulate_dae(
             solver = ca.integrator("dae", "idas", dae(model), 0.0, list(times), options)
             plain = ca.vertcat(0.0, 1.0, ca.DM.zeros(4 * n), unit)  # x itself and not a deviation, in seconds
             states = solver(x0=start, z0=z0 / unit, p=plain)["xf"].full().T
-        except RuntimeError as failure:
-            error = failure
-    if error is not None:
-        raise dae_error(f"{output.text}\n{error}", start, settings)
-    if not np.all(np.isfinite(states)):
-        raise dae_error("the state is not finite", start, settings)
+        if not np.all(np.isfinite(states)):
+            raise integration_error("the state is not finite", start, 0.0, 1.0)
+    except IntegrationError as error:
+        tightest = min(settings.relative_tolerance, settings.absolute_tolerance)
+        if tightest >= 1e-12:
+            raise
+        reason = f"{error.reason} (or the tolerance {tightest:g} is below what round-off allows here: try 1e-12)"
+        raise IntegrationError(reason, time=error.time, state=error.state) from None
     return trajectory(model, times, states, settings)
-
-
-def dae_error(text: str, start: np.ndarray, settings: DaeSettings) -> IntegrationError:
-    """One typed error; SUNDIALS' time is in s already, because the DAE is not scaled to [0, 1]."""
-    found = integration_error(text, start, 0.0, 1.0)
-    tightest = min(settings.relative_tolerance, settings.absolute_tolerance)
-    if tightest >= 1e-12:
-        return found
-    reason = f"{found.reason} (or the tolerance {tightest:g} is below what round-off allows here: try 1e-12)"
-    return IntegrationError(reason, time=found.time, state=found.state)
 
 
 def dae(model: Model, free: Sequence[str] = (), unfolded: Sequence[Invariant] = ()) -> dict[str, ca.SX]:
@@ -182,11 +164,8 @@ def algebraic_unit(z0: Any) -> Any:
 
 def trajectory(model: Model, times: np.ndarray, states: np.ndarray, settings: DaeSettings) -> DaeTrajectory:
     """A DaeTrajectory around states (k x 2n), everything else recomputed from them."""
-    constraint, n, count = constraint_of(model), model.degrees_of_freedom, len(states)
-    q, v = states.T[:n], states.T[n:]
-    p = np.tile(model.parameter_values[:, None], (1, count))
-    phi = constraint.phi.map(count)(q, p).full()
-    rate = constraint.rate.map(count)(q, v, p).full()
+    constraint, (q, v) = constraint_of(model), np.split(states.T, 2)
+    phi, rate = model.along(constraint.phi, q), model.along(constraint.rate, q, v)
     return DaeTrajectory(
         model, settings, times, states, algebraic(model, states, times),
         np.abs(phi).max(axis=0), np.abs(rate).max(axis=0), np.sum(energies(model, states), axis=0),
@@ -196,11 +175,8 @@ def trajectory(model: Model, times: np.ndarray, states: np.ndarray, settings: Da
 def algebraic(model: Model, states: np.ndarray, times: np.ndarray | None = None) -> np.ndarray:
     """(a, lambda) (k x n+m) at states (k x 2n) by the linear system of the DAE, in m/s^2, rad/s^2, N."""
     rows = np.atleast_2d(np.asarray(states, float))
-    count, n = len(rows), model.degrees_of_freedom
-    clock = np.zeros(count) if times is None else np.asarray(times, float)
-    p = np.tile(model.parameter_values[:, None], (1, count))
-    solved = constraint_of(model).algebraic.map(count)
-    return np.asarray(solved(clock[None, :], rows.T[:n], rows.T[n:], p).full().T)
+    clock = np.zeros(len(rows)) if times is None else np.asarray(times, float)
+    return model.along(constraint_of(model).algebraic, clock[None, :], *np.split(rows.T, 2)).T
 
 
 def check_consistent(model: Model, state: np.ndarray) -> np.ndarray:
@@ -235,21 +211,8 @@ class DaeFlow(Flow):
 
     dae_settings: DaeSettings = SEGMENT_SETTINGS
 
-    @cached_property
-    def plain_end(self) -> ca.Function:
-        """IDAS on the DAE, `plain_end(t0, x0, duration, s, free)` -> x(t0 + duration); CasADi's own derivatives."""
-        names, inputs = self._inputs()
-        return ca.Function("dae_end", inputs, [self._integrated(inputs)], names, ["xf"])
-
-    @cached_property
-    def end(self) -> ca.Function:
-        """The same integrator with the variational equations as its Jacobian."""
-        names, inputs = self._inputs()
-        jacobian = custom_jacobian(self.field, self.derivatives, inputs, names, self.model.forced)
-        options = {"custom_jacobian": jacobian, "never_inline": True, "jac_penalty": 0}
-        return ca.Function("flow_end", inputs, [self._integrated(inputs)], names, ["xf"], options)
-
-    def _integrated(self, inputs: list[ca.MX]) -> ca.MX:
+    def integrated(self, inputs: list[ca.MX]) -> ca.MX:
+        """IDAS on the DAE."""
         t0, x0, duration, s, free = inputs
         model, n = self.model, self.model.degrees_of_freedom
         problem = dae(model, self.free, self.unfolded)

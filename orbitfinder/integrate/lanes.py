@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime import PROCESSORS
-from orbitfinder.integrate.buffered import Buffered
+from orbitfinder.integrate.evaluate import Buffered
 
 LANES = max(1, min(4, int(os.environ.get(PROCESSORS, os.cpu_count() or 1))))
 CHUNK = 64

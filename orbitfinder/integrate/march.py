@@ -17,15 +17,12 @@ import numpy as np
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.lanes import STAGES, Lanes
-from orbitfinder.integrate.rk8 import step_of, variational_field
+from orbitfinder.integrate.rk8 import agree, refined, step_of, variational_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
 QUANTUM = 4
 """Numbers of steps are rounded up to a multiple of this, so that few different marches are made."""
-AGREEMENT = 1e-12
-"""Two step sizes must agree to this; the finer result is then some 2^8 times better than that."""
-MOST_DOUBLINGS = 7
 
 
 @dataclass(frozen=True)
@@ -162,14 +159,12 @@ class March:
 
     def refined_ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh."""
-        coarse = self.ends(nodes, mesh, tail)
-        for _ in range(MOST_DOUBLINGS):
-            mesh = doubled(mesh)
-            fine = self.ends(nodes, mesh, tail)
-            if np.abs(fine - coarse).max() <= AGREEMENT * max(1.0, float(np.abs(fine).max())):
-                break
-            coarse = fine
-        return fine, mesh
+
+        def path(times: int) -> tuple[np.ndarray, np.ndarray]:
+            finer = divided(mesh, times)
+            return self.ends(nodes, finer, tail), finer
+
+        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0]))
 
     def _clock(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """The times (N) at which the segments begin, 0 where they do not matter."""
@@ -188,9 +183,9 @@ def rounded(steps: float) -> int:
     return max(1, int(np.ceil(steps / QUANTUM))) * QUANTUM
 
 
-def doubled(mesh: np.ndarray) -> np.ndarray:
-    """The mesh with every step halved."""
-    return np.asarray(np.interp(np.arange(2 * mesh.size - 1) / 2, np.arange(mesh.size), mesh))
+def divided(mesh: np.ndarray, times: int) -> np.ndarray:
+    """The mesh with every step cut into so many."""
+    return np.asarray(np.interp(np.arange(times * (mesh.size - 1) + 1) / times, np.arange(mesh.size), mesh))
 
 
 def _parameters(mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:

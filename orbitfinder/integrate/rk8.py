@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -58,11 +58,11 @@ def march(
     count = steps
     while count % 2 == 0 and count > LONGEST:  # so that every doubling is marched by the same function
         count //= 2
-    walk = compiled(marcher(field, count), effort=interpreted_seconds(field, EVALUATIONS))
+    several = compiled(marcher(field, count), effort=interpreted_seconds(field, EVALUATIONS))
     parameters = np.tile(np.concatenate([[duration / steps], tail])[:, None], (1, count))
     paths = [np.concatenate([[start], state])[:, None]]
     for _ in range(steps // count):
-        paths.append(walk(paths[-1][:, -1], parameters).full())
+        paths.append(several(paths[-1][:, -1], parameters).full())
     path = np.hstack(paths)
     if not np.all(np.isfinite(path)):
         raise IntegrationError("the state is not finite", time=start, state=np.asarray(state))
@@ -76,11 +76,12 @@ EVALUATIONS = 100_000
 AGREEMENT = 1e-12
 """Two step sizes must agree to this; the finer result is then some 2^8 times better than that"""
 MOST_DOUBLINGS = 7
+T = TypeVar("T")
 
 
 def agree(coarse: np.ndarray, fine: np.ndarray, units: tuple[float, ...] = ()) -> bool:
-    """True when two step sizes lead to one state (2n)."""
-    sizes = np.asarray(units) if units else np.ones(fine.size)
+    """True when two step sizes lead to one state (2n), or to the same of several."""
+    sizes = np.asarray(units) if units else 1.0
     return bool(np.abs((fine - coarse) / sizes).max() <= AGREEMENT * max(1.0, float(np.abs(fine / sizes).max())))
 
 
@@ -104,10 +105,8 @@ def refined_march(
     )
 
 
-def refined(
-    path: Callable[[int], np.ndarray], steps: int, agreed: Callable[[np.ndarray, np.ndarray], bool]
-) -> np.ndarray:
-    """The path by 2, 4, ... times so many steps: the first that half its steps confirm, or the last."""
+def refined(path: Callable[[int], T], steps: int, agreed: Callable[[T, T], bool]) -> T:
+    """What a path is by 2, 4, ... times so many steps: the first that half its steps confirm, or the last."""
     coarse = path(steps)
     for _ in range(MOST_DOUBLINGS):
         steps *= 2

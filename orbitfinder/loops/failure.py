@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from orbitfinder._runtime.limit import alarm
-from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.cvodes import integration_error
+from orbitfinder.integrate.cvodes import integration_error, sundials
 from orbitfinder.loops.shooting import Shooting
 from orbitfinder.mechanics.model import energy
 
@@ -150,13 +148,8 @@ def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     duration = period * problem.boundary.fraction / layout.segments
     ends = []
     for k, node in enumerate(nodes):
-        with captured() as output, alarm():
-            try:
-                ends.append(shooting.flow.end(k * duration, node, duration, unfolding, free).full().ravel())
-            except RuntimeError as error:
-                text = str(error)
-        if len(ends) <= k:
-            raise integration_error(f"{output.text}\n{text}", node, k * duration, duration, segment=k)
+        with sundials(node, k * duration, duration, k):
+            ends.append(shooting.flow.end(k * duration, node, duration, unfolding, free).full().ravel())
     reached = np.asarray(ends)
     gaps = np.abs(reached[:-1] - nodes[1:]).max(axis=1)
     rows = shooting.rows(w, reached.T).full().ravel()

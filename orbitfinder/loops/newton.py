@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.march import Varied, doubled
+from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import Solver, eliminated
 from orbitfinder.loops.loop import Loop, Unknowns
 
@@ -81,7 +81,7 @@ class Newton:
         rows = self._rows(w)
         for _ in range(self.settings.most_doublings):
             w, rows, solver = self._chord(w, rows, solver, self.settings.rough)
-            w = replace(w, mesh=doubled(w.mesh))
+            w = replace(w, mesh=divided(w.mesh, 2))
             coarse, rows = rows, self._rows(w)
             if np.abs(rows - coarse).max() <= self.settings.agreement * scale:
                 break

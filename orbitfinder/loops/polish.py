@@ -9,10 +9,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from orbitfinder._runtime.limit import alarm
-from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.cvodes import Flow, integration_error
+from orbitfinder.integrate.cvodes import Flow, sundials
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS, agree, march, refined_march
 from orbitfinder.loops.shooting import Shooting
 
@@ -97,14 +95,9 @@ def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
 
 def jacobian_at(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     """dg/dw by the variational equations; CVODES' failure becomes an `IntegrationError`."""
-    failure: RuntimeError | None = None
-    with captured() as output, alarm():
-        try:
-            return np.asarray(shooting.jacobian(w).full())
-        except RuntimeError as error:
-            failure = error
     nodes, period = shooting.layout.nodes(w), shooting.layout.tail(w)[0]
-    raise integration_error(f"{output.text}\n{failure}", nodes[0], 0.0, period / len(nodes))
+    with sundials(nodes[0], 0.0, period / len(nodes)):
+        return np.asarray(shooting.jacobian(w).full())
 
 
 def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from orbitfinder.integrate.idas import check_consistent
 from orbitfinder.loops.conditions import Constraint, Expression, Pin, check_bounds, check_constraint, check_pin
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Symmetry, named, time_dependent
-from orbitfinder.mechanics.maximal import maximal_states
+from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.model import Model
 
 CLOSURE_TOLERANCE = 1e-12

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from orbitfinder.integrate.cvodes import Flow, build_flow, end_state
-from orbitfinder.integrate.second import transition_function
+from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition_function
 from orbitfinder.loops.conditions import Variables, boundary_rows, constrained_brake_rows, pin_row
 from orbitfinder.loops.loop import Layout
 from orbitfinder.loops.problem import Problem, boundary_constants

@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder.errors import InputError, closest
-from orbitfinder.mechanics.chain import chain
-from orbitfinder.mechanics.library import FUNCTIONS
+from orbitfinder.mechanics.chain import chain, chain_dae
+from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
-from orbitfinder.mechanics.maximal import chain_dae
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import system_at
 
-BUILT_IN = "orbitfinder.systems"
 REBUILDABLE = ("chain", "linkage")
 """Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
 

@@ -1,26 +1,347 @@
-"""The n-link pendulum (open planar chain of rods) in absolute angles, derived in four ways that agree."""
+"""The vocabulary of every chain: its description, symbols, links, directions, positions and energies.
+
+Angles theta_i are measured from the downward vertical, x points down, y to the right; link i has
+e_i = (cos theta_i, sin theta_i) along it and n_i = (-sin theta_i, cos theta_i) across it. The planar cross
+product r x f = r_x f_y - r_y f_x is positive from e to n.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.chain_symbols import (
-    ChainSymbols,
-    Numbers,
-    chain_energies,
-    chain_model,
-    chain_symbols,
-    chain_system,
-    cross,
-    directions,
-)
-from orbitfinder.mechanics.factorise import acceleration_function
-from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
-from orbitfinder.mechanics.maximal import dae_chain
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.constrained import constrained_model
+from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function
+from orbitfinder.mechanics.lagrange import Symbols, Terms, energy_invariant, mass_matrix_and_bias, mechanical_model
+from orbitfinder.mechanics.model import Baumgarte, Invariant, Model, constraint_of
+
+Numbers = float | Sequence[float] | np.ndarray
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link's quantities as expressions: length, mass, inertia about its centre, offset of it."""
+
+    length: Any
+    mass: Any
+    inertia: Any
+    offset: Any
+    """distance of the centre of mass from the upper joint, in m"""
+
+
+@dataclass(frozen=True)
+class ChainSymbols(Symbols):
+    """Angles and rates (the coordinates and velocities) and parameters of a chain, its links written in them."""
+
+    links: tuple[Link, ...] = ()
+    gravity: Any = 0.0
+
+
+def per_link(name: str, value: Numbers, links: int, lowest: float, inclusive: bool = False) -> list[float]:
+    """A scalar or one number per link as a list; `InputError` names the field and the value."""
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: must be numbers, got {value!r}; give one number or one per link") from None
+    if numbers.ndim == 0:
+        numbers = np.full(links, float(numbers))
+    if numbers.shape != (links,):
+        raise InputError(f"{name}: {numbers.size} numbers for {links} links; give one number or one per link")
+    if not np.all(np.isfinite(numbers)):
+        raise InputError(f"{name}: must be finite, got {value}; replace NaN and infinity by numbers")
+    if np.any(numbers < lowest) or (not inclusive and np.any(numbers == lowest)):
+        bound = f"at least {lowest:g}" if inclusive else f"greater than {lowest:g}"
+        raise InputError(f"{name}: must be {bound}, got {value}; check the sign and the unit")
+    return [float(number) for number in numbers]
+
+
+def chain_system(
+    links: int,
+    length: Numbers = 1.0,
+    mass: Numbers = 1.0,
+    inertia: Numbers | None = None,
+    com: Numbers = 0.5,
+    *,
+    gravity: float = 9.8,
+    formulation: str = "recursive",
+) -> dict[str, Any]:
+    """The plain description (JSON) that a chain is built from, checked."""
+    if isinstance(links, bool) or not isinstance(links, (int, np.integer)) or links < 1:
+        raise InputError(f"links: must be a whole number of at least 1, got {links!r}; give the number of links")
+    if not isinstance(gravity, (int, float, np.number)) or not np.isfinite(gravity):
+        raise InputError(f"gravity: must be finite, got {gravity!r}; use 9.8 on Earth, 0 for none")
+    count = int(links)
+    system: dict[str, Any] = {
+        "kind": "chain",
+        "links": count,
+        "length": per_link("length", length, count, 0.0),
+        "mass": per_link("mass", mass, count, 0.0),
+        "com": per_link("com", com, count, -np.inf),
+        "gravity": float(gravity),
+        "formulation": formulation,
+    }
+    if inertia is not None:
+        system["inertia"] = per_link("inertia", inertia, count, 0.0, inclusive=True)
+        lever = [m * (c * s) ** 2 for m, c, s in zip(system["mass"], system["com"], system["length"], strict=True)]
+        if any(i == 0 and level == 0 for i, level in zip(system["inertia"], lever, strict=True)):
+            raise InputError(
+                "inertia: a link with inertia 0 and com 0 has no resistance to rotation; "
+                "give it an inertia or move its centre of mass off the joint"
+            )
+    return system
+
+
+def chain_symbols(system: dict[str, Any]) -> ChainSymbols:
+    """Symbols and link expressions for a chain; a default inertia follows mass and length."""
+    count = system["links"]
+    fields = [name for name in ("length", "mass", "inertia", "com") if name in system]
+    names = [f"{name}{i + 1}" for name in fields for i in range(count)] + ["gravity"]
+    values = [value for name in fields for value in system[name]] + [system["gravity"]]
+    parameters = ca.SX.sym("p", len(names))
+    columns = {name: parameters[k * count : (k + 1) * count] for k, name in enumerate(fields)}
+    links = []
+    for i in range(count):
+        length, mass = columns["length"][i], columns["mass"][i]
+        inertia = columns["inertia"][i] if "inertia" in columns else mass * length**2 / 12
+        links.append(Link(length, mass, inertia, columns["com"][i] * length))
+    return ChainSymbols(
+        ca.SX.sym("theta", count), ca.SX.sym("thetadot", count), parameters,
+        tuple(names), tuple(values), links=tuple(links), gravity=parameters[-1],
+    )  # fmt: skip
+
+
+def directions(angle: Any) -> tuple[Any, Any]:
+    """e (along the link) and n (across it) for an angle from the downward vertical."""
+    cosine, sine = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(cosine, sine), ca.vertcat(-sine, cosine)
+
+
+def cross(arm: Any, force: Any) -> Any:
+    """Moment arm x force of two plane vectors (2 each), a scalar."""
+    return arm[0] * force[1] - arm[1] * force[0]
+
+
+def geometry(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Joints (2 x n+1, m, the first is the fixed one), centres of mass (2 x n, m) and their velocities (2 x n, m/s)."""
+    joints, centres, velocities, joint_velocity = [ca.SX.zeros(2)], [], [], ca.SX.zeros(2)
+    for i, link in enumerate(symbols.links):
+        along, across = directions(symbols.coordinates[i])
+        rate = symbols.velocities[i]
+        centres.append(joints[-1] + link.offset * along)
+        velocities.append(joint_velocity + link.offset * rate * across)
+        joints.append(joints[-1] + link.length * along)
+        joint_velocity = joint_velocity + link.length * rate * across
+    return ca.horzcat(*joints), ca.horzcat(*centres), ca.horzcat(*velocities)
+
+
+def chain_energies(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX]:
+    """Kinetic energy sum 1/2 m v_G.v_G + 1/2 I w^2 and potential energy -sum m g x_G, in J."""
+    _, centres, velocities = geometry(symbols)
+    kinetic, potential = ca.SX(0), ca.SX(0)
+    for i, link in enumerate(symbols.links):
+        kinetic += 0.5 * link.mass * ca.sumsqr(velocities[:, i]) + 0.5 * link.inertia * symbols.velocities[i] ** 2
+        potential -= link.mass * symbols.gravity * centres[0, i]
+    return kinetic, potential
+
+
+def chain_invariants(symbols: ChainSymbols, kinetic: ca.SX, potential: ca.SX) -> list[Invariant]:
+    """Energy; without gravity also the angular momentum about the fixed joint, sum_i dT/dthetadot_i."""
+    q, v, p = symbols.coordinates, symbols.velocities, symbols.parameters
+    found = [energy_invariant(kinetic, potential, q, v, p)]
+    if symbols.parameter_values[-1] == 0.0:
+        turn = ca.SX.ones(q.numel())
+        found.append(
+            Invariant(
+                "angular_momentum",
+                ca.Function("angular_momentum", [q, v, p], [ca.sum1(ca.gradient(kinetic, v))]),
+                ca.Function("angular_momentum_unfolding", [q, v, p], [turn]),
+                ca.Function("rotation", [q, v, p], [ca.vertcat(turn, ca.SX.zeros(q.numel()))]),
+            )
+        )
+    return found
+
+
+def chain_model(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.Function) -> Model:
+    """A chain's Model around accelerations a(t, q, v, p), whichever way they were derived."""
+    q, p = symbols.coordinates, symbols.parameters
+    kinetic, potential = chain_energies(symbols)
+    joints, centres, _ = geometry(symbols)
+    return mechanical_model(
+        acceleration,
+        Terms(kinetic, potential),
+        symbols,
+        [f"theta{i + 1}" for i in range(len(symbols.links))],
+        invariants=chain_invariants(symbols, kinetic, potential),
+        system=system,
+        angles=(True,) * len(symbols.links),
+        points=ca.Function("points", [q, p], [joints]),
+        centres=ca.Function("centres", [q, p], [centres]),
+    )
+
+
+@dataclass(frozen=True)
+class Body:
+    """One link's motion in maximal coordinates: (x_G, y_G, theta) and its two derivatives (3 each)."""
+
+    place: ca.SX
+    rate: ca.SX
+    acceleration: ca.SX
+
+    def end(self, arm: Any) -> tuple[ca.SX, ca.SX]:
+        """Position and acceleration (2 each) of the point at `arm` (m) along the link from its centre.
+
+        r = r_G + s e,  r'' = a_G + s (alpha n - omega^2 e).
+        """
+        along, across = directions(self.place[2])
+        turning = self.acceleration[2] * across - self.rate[2] ** 2 * along
+        return self.place[:2] + arm * along, self.acceleration[:2] + arm * turning
+
+
+def chain_dae(
+    links: int,
+    length: Numbers = 1.0,
+    mass: Numbers = 1.0,
+    inertia: Numbers | None = None,
+    com: Numbers = 0.5,
+    *,
+    gravity: float = 9.8,
+    baumgarte: Baumgarte | Sequence[float] | None = None,
+) -> Model:
+    """The n-link pendulum as a native DAE: 6n states (q, v), q = (x_G, y_G, theta) per link.
+
+    Arguments as for `chain`; lambda are the forces (2 per joint, N) on each link at its upper joint.
+    Baumgarte terms are off unless given, as in the report (section 2.2). Raises `InputError`.
+    """
+    stabilisation = baumgarte_of(baumgarte, Baumgarte())
+    system = chain_system(links, length, mass, inertia, com, gravity=gravity, formulation="dae")
+    system["baumgarte"] = [stabilisation.alpha, stabilisation.beta]
+    return maximal_chain(chain_symbols(system), system, stabilisation)
+
+
+def baumgarte_of(given: Baumgarte | Sequence[float] | None, default: Baumgarte) -> Baumgarte:
+    """Stabilisation as given: an object, the two numbers of a description, or none for the default."""
+    if given is None or isinstance(given, Baumgarte):
+        return given or default
+    numbers = np.asarray(given, float)
+    if numbers.shape != (2,) or not np.all(np.isfinite(numbers)) or np.any(numbers < 0):
+        raise InputError(f"baumgarte: need [alpha, beta], both at least 0 in 1/s, got {given!r}")
+    return Baumgarte(float(numbers[0]), float(numbers[1]))
+
+
+def dae_chain(symbols: ChainSymbols) -> ca.Function:
+    """The chain's angular accelerations a(t, q, v, p), got from the maximal-coordinate equations.
+
+    The linear system for (a, lambda) is solved at the maximal state that the angles and rates imply,
+    where phi and phidot vanish, and the angular accelerations are picked out of a.
+    """
+    model, count = maximal_chain(symbols, {}, Baumgarte()), len(symbols.links)
+    constraint, n = constraint_of(model), model.degrees_of_freedom
+    assert constraint.lift is not None
+    symbol: Any = ca.SX.sym if constraint.algebraic.is_a("SXFunction") else ca.MX.sym
+    t, q, v, p = symbol("t"), symbol("q", count), symbol("v", count), symbol("p", model.parameter_values.size)
+    state = constraint.lift(q, v, p)
+    return ca.Function("acceleration", [t, q, v, p], [constraint.algebraic(t, state[:n], state[n:], p)[2:n:3]])
+
+
+def maximal_chain(
+    symbols: ChainSymbols, system: dict[str, Any], baumgarte: Baumgarte, ground: ca.SX | None = None
+) -> Model:
+    """The chain, or with `ground` (2, m) the closed chain whose tip is pinned there, as a native DAE."""
+    count = len(symbols.links)
+    joints = count + (ground is not None)
+    q, v, a = (ca.SX.sym(name, 3 * count) for name in ("q", "v", "a"))
+    reactions = ca.SX.sym("R", 2 * joints)
+    bodies = [Body(q[at], v[at], a[at]) for at in (slice(3 * i, 3 * i + 3) for i in range(count))]
+    kinetic, potential = ca.SX(0), ca.SX(0)
+    for link, body in zip(symbols.links, bodies, strict=True):
+        kinetic += 0.5 * link.mass * ca.sumsqr(body.rate[:2]) + 0.5 * link.inertia * body.rate[2] ** 2
+        potential -= link.mass * symbols.gravity * body.place[0]
+    position, second = joint_constraints(symbols, bodies, ground)
+    balances = link_balances(symbols, bodies, ca.reshape(reactions, 2, joints))
+    points, centres, velocities = geometry(symbols)
+    angles, rates, p = symbols.coordinates, symbols.velocities, symbols.parameters
+    at_angles = ca.Function("geometry", [angles, p], [points, centres])
+    points, q_centres = at_angles(q[2::3], p)
+    lifted = ca.vertcat(ca.vec(ca.vertcat(centres, angles.T)), ca.vec(ca.vertcat(velocities, rates.T)))
+    return constrained_model(
+        LinearBalances.of(balances, second, a, reactions),
+        position,
+        Terms(kinetic, potential),
+        Symbols(q, v, p, symbols.parameter_names, symbols.parameter_values),
+        baumgarte,
+        [f"{name}{i + 1}" for i in range(count) for name in ("x", "y", "theta")],
+        force_names=[f"R{i + 1}{axis}" for i in range(joints) for axis in "xy"],
+        angles=(False, False, True) * count,
+        points=ca.Function("points", [q, p], [points]),
+        centres=ca.Function("centres", [q, p], [q_centres]),
+        lift=ca.Function("lift", [angles, rates, p], [lifted]),
+        system=system,
+    )
+
+
+def link_balances(symbols: ChainSymbols, bodies: list[Body], reactions: ca.SX) -> ca.SX:
+    """Residuals (3n) of two linear and one angular momentum balance per link (N, N, N m).
+
+    With R_i on link i at its upper joint, -R_i+1 at its lower joint, G_i its centre of mass:
+    m a_G = R_i - R_i+1 + m g e_x,   I alpha = r_{upper/G} x R_i - r_{lower/G} x R_i+1.
+    Source: the report, section 2.2; angular momentum is taken about G.
+    """
+    rows: list[ca.SX] = []
+    for i, (link, body) in enumerate(zip(symbols.links, bodies, strict=True)):
+        along, _ = directions(body.place[2])
+        upper = reactions[:, i]
+        lower = reactions[:, i + 1] if i + 1 < reactions.shape[1] else ca.SX(2, 1)
+        weight = ca.vertcat(link.mass * symbols.gravity, 0)
+        rows.append(link.mass * body.acceleration[:2] - (upper - lower + weight))
+        moment = cross(-link.offset * along, upper) - cross((link.length - link.offset) * along, lower)
+        rows.append(link.inertia * body.acceleration[2] - moment)
+    return ca.vertcat(*rows)
+
+
+def joint_constraints(symbols: ChainSymbols, bodies: list[Body], ground: ca.SX | None) -> tuple[ca.SX, ca.SX]:
+    """phi and its second derivative, two rows per joint: upper end of a link minus lower end of the last.
+
+    The first joint is at the origin; with `ground` a last one holds ground minus the tip.
+    """
+    last_position, last_acceleration = ca.SX.zeros(2), ca.SX.zeros(2)
+    positions, accelerations = [], []
+    for link, body in zip(symbols.links, bodies, strict=True):
+        upper_position, upper_acceleration = body.end(-link.offset)
+        positions.append(upper_position - last_position)
+        accelerations.append(upper_acceleration - last_acceleration)
+        last_position, last_acceleration = body.end(link.length - link.offset)
+    if ground is not None:
+        positions.append(ground - last_position)
+        accelerations.append(-last_acceleration)
+    return ca.vertcat(*positions), ca.vertcat(*accelerations)
+
+
+def maximal_states(model: Model, states: np.ndarray) -> np.ndarray:
+    """Maximal states (6n, or k x 6n) from states in the angles and rates (2n, or k x 2n)."""
+    lift = constraint_of(model).lift
+    if lift is None:
+        raise InputError("this system has no link angles to start from; give its state in its own coordinates")
+    rows = np.atleast_2d(np.asarray(states, float))
+    count = model.degrees_of_freedom // 3
+    if rows.shape[1] != 2 * count:
+        raise InputError(f"state: {rows.shape[1]} numbers for {count} links; give {count} angles, then {count} rates")
+    lifted = model.along(lift, rows.T[:count], rows.T[count:]).T
+    return np.asarray(lifted[0] if np.ndim(states) == 1 else lifted)
+
+
+def minimal_states(model: Model, states: np.ndarray) -> np.ndarray:
+    """Angles and rates (2n, or k x 2n) of maximal states (6n, or k x 6n): theta and thetadot picked out."""
+    if constraint_of(model).lift is None:
+        raise InputError("this system has no link angles to go to; use its own coordinates")
+    rows, size = np.asarray(states, float), len(model.state_names)
+    if rows.ndim == 0 or rows.shape[-1] != size:
+        raise InputError(f"states: shape {rows.shape}; give {size} numbers, or rows of that many")
+    return np.asarray(rows[..., 2::3])
 
 
 def chain(

@@ -15,10 +15,17 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.chain_symbols import ChainSymbols, Numbers, chain_symbols, chain_system
+from orbitfinder.mechanics.chain import (
+    ChainSymbols,
+    Numbers,
+    baumgarte_of,
+    chain_symbols,
+    chain_system,
+    maximal_chain,
+    maximal_states,
+)
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.maximal import baumgarte_of, maximal_chain, maximal_states
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 
 DEFAULT_BAUMGARTE = Baumgarte(10.0, 10.0)

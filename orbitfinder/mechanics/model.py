@@ -150,6 +150,12 @@ class Model:
             values[self.parameter_index(name)] = symbols[position]
         return values
 
+    def along(self, function: ca.Function, *columns: np.ndarray) -> np.ndarray:
+        """A function of (..., p) at k columns of its other arguments, p the model's own: k blocks of columns."""
+        count = columns[0].shape[1]
+        values = np.tile(self.parameter_values[:, None], (1, count))
+        return np.asarray(function.map(count)(*columns, values).full())
+
     def parameter_index(self, name: str) -> int:
         """Position of a physical parameter; `InputError` names the known ones."""
         if name not in self.parameter_names:
@@ -225,10 +231,7 @@ def energy(model: Model, state: np.ndarray) -> float:
 def energies(model: Model, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Kinetic and potential energy (two arrays of k) along states (k x 2n), in J. Raises `InputError`."""
     q, v = np.split(check_states(model, states).T, 2)
-    count = q.shape[1]
-    p = np.tile(model.parameter_values[:, None], (1, count))
-    kinetic = model.kinetic.map(count)(q, v, p).full().ravel()
-    return kinetic, model.potential.map(count)(q, p).full().ravel()
+    return model.along(model.kinetic, q, v).ravel(), model.along(model.potential, q).ravel()
 
 
 def positions(model: Model, states: np.ndarray, which: str = "points") -> np.ndarray:
@@ -238,7 +241,6 @@ def positions(model: Model, states: np.ndarray, which: str = "points") -> np.nda
     function = model.points if which == "points" else model.centres
     if function is None:
         raise InputError(f"this system declares no {which}; pass {which}= when you build it")
-    q = check_states(model, states).T[: model.degrees_of_freedom]
-    count = q.shape[1]
-    wide = function.map(count)(q, np.tile(model.parameter_values[:, None], (1, count))).full()
-    return np.asarray(wide.reshape(2, count, -1).transpose(1, 0, 2))
+    rows = check_states(model, states)
+    flat = model.along(function, rows.T[: model.degrees_of_freedom])
+    return flat.reshape(2, len(rows), -1).transpose(1, 0, 2)

@@ -6,16 +6,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import InputError, IntegrationError
-from orbitfinder.integrate.threads import one_thread
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents
-from orbitfinder.orbits.evidence import Evidence, constraint_defect, gather, native_closure, second_closure
+from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
-from orbitfinder.orbits.formulations import VARIED
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document
 
@@ -229,8 +230,6 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
 
     States between samples come from a periodic spline of the deviation; the certificate integrates to T/k.
     """
-    from scipy.interpolate import CubicHermiteSpline
-
     n = states.shape[1] // 2
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     moments = times[-1] / np.asarray(covers, float)
@@ -300,8 +299,6 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     """Largest relative distance between recorded and recomputed multipliers, matched one to one."""
-    from scipy.optimize import linear_sum_assignment
-
     recorded, found = orbit.floquet_multipliers, floquet.multipliers
     if recorded.shape != found.shape:
         return float("inf")
@@ -353,12 +350,8 @@ class _Nearby:
         self.here = self._accelerations(self.moments, self.rows)
 
     def _accelerations(self, moments: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        n = self.model.degrees_of_freedom
-        found = self.model.acceleration.map(len(rows))(moments[None], rows.T[:n], rows.T[n:], self._values(len(rows)))
-        return np.asarray(found.full().T * self.period / self.units[n:])
-
-    def _values(self, count: int) -> np.ndarray:
-        return np.tile(self.model.parameter_values[:, None], (1, count))
+        found = self.model.along(self.model.acceleration, moments[None], *np.split(rows.T, 2))
+        return np.asarray(found.T * self.period / np.split(self.units, 2)[1])
 
     def _differ(self, there: np.ndarray) -> float:
         """Largest relative difference from the accelerations here, where both are finite."""
@@ -399,5 +392,4 @@ class _Nearby:
 
     def _constants(self, one: Invariant, states: np.ndarray) -> np.ndarray:
         """An invariant's values (k) at states (k x 2n)."""
-        q, v = np.split(states.T, 2)
-        return np.asarray(one.value.map(len(states))(q, v, self._values(len(states))).full().ravel())
+        return self.model.along(one.value, *np.split(states.T, 2)).ravel()

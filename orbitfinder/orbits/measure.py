@@ -166,7 +166,5 @@ def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:
     kinetic, _ = energies(model, states)
     rate = 2.0 * kinetic
     if model.gyroscopic is not None:
-        q, v = np.split(np.asarray(states).T, 2)
-        count = len(states)
-        rate += model.gyroscopic.map(count)(q, v, np.tile(model.parameter_values[:, None], (1, count))).full().ravel()
+        rate += model.along(model.gyroscopic, *np.split(np.asarray(states).T, 2)).ravel()
     return float(trapezoid(rate, times))

@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import eig
 
 from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.integrate.cvodes import Flow, build_flow
@@ -191,8 +192,9 @@ def _peak(
     heights: list[float] = []
     for _ in range(ROUNDS):
         ready = _at_peak(problem, place, times, states)
-        shooting = transcribe(ready, _nodes(ready, count), flow)
-        start = shooting.layout.join(_nodes(ready, count), ready.guess.period, free)
+        nodes = guessed_nodes(ready, count)
+        shooting = transcribe(ready, nodes, flow)
+        start = shooting.layout.join(nodes, ready.guess.period, free)
         w = followed(shooting, settings, report, start)
         free = shooting.layout.tail(w)[2]
         times, states = _orbit(shooting, w)
@@ -245,7 +247,7 @@ def _flat(place: int, n: int) -> Callable[[Variables], object]:
     return lambda variables: variables.start[place + n] if place < n else variables.acceleration[place - n]
 
 
-def _nodes(problem: Problem, count: int) -> np.ndarray:
+def guessed_nodes(problem: Problem, count: int) -> np.ndarray:
     """Node states (count x 2n) from the guess's trajectory."""
     guess = problem.guess
     assert guess.times is not None and guess.states is not None
@@ -296,8 +298,6 @@ def rank(orbit: Orbit) -> tuple[float, float]:
 
 def instability_of(monodromy: np.ndarray, trivial: int, conservative: bool) -> tuple[float, np.ndarray]:
     """The measure of a monodromy (m x m) and its derivative in each entry (m x m)."""
-    from scipy.linalg import eig
-
     values, left, right = eig(monodromy, left=True, right=True)
     kept = np.argsort(-np.abs(values - 1.0))[: values.size - trivial]
     sizes = [_size(complex(values[k]), conservative) for k in kept]
@@ -336,7 +336,7 @@ class _Largest(ca.Callback):  # type: ignore[misc]
         self.slope: ca.Callback | None = None
         self.construct("largest", {"enable_fd": False})
 
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+    def get_sparsity_in(self, _: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self.size, self.size)
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
@@ -372,7 +372,7 @@ class _Slope(ca.Callback):  # type: ignore[misc]
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self.of.size, self.of.size) if i == 0 else ca.Sparsity.dense(1, 1)
 
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+    def get_sparsity_out(self, _: int) -> ca.Sparsity:
         return ca.Sparsity.dense(1, self.of.size**2)
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:

@@ -22,8 +22,8 @@ from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Newton, NewtonSettings
 from orbitfinder.loops.problem import Guess, Problem, loop_of, segments_needed
 from orbitfinder.orbits.certify import certified
+from orbitfinder.orbits.find import at_forcing_period
 from orbitfinder.orbits.measure import measure
-from orbitfinder.orbits.prepare import at_forcing_period
 from orbitfinder.records.orbit import Orbit
 
 STANDSTILL = 1e-6

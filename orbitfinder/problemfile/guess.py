@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.guesses.equilibria import linkage_equilibrium
-from orbitfinder.guesses.modes import linkage_mode, normal_mode
+from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode
 from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.problem import Guess
+from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
-from orbitfinder.mechanics.maximal import maximal_states
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.schema import GuessTable
 from orbitfinder.records.reading import file_bytes

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import InputError, OrbitfinderError
-from orbitfinder.guesses.equilibria import linkage_equilibrium
-from orbitfinder.guesses.modes import linkage_mode, linkage_modes, normal_mode, normal_modes
+from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, linkage_modes, normal_mode, normal_modes
 from orbitfinder.guesses.returns import close_returns, recurrences
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.loops.problem import Guess

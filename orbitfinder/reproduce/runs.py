@@ -10,9 +10,8 @@ import numpy as np
 
 from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, sample, transition
 from orbitfinder.integrate.idas import DaeSettings, DaeTrajectory, simulate_dae
-from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.chain import chain, chain_dae, maximal_states, minimal_states
 from orbitfinder.mechanics.linkage import assemble, linkage, linkage_rates, linkage_state
-from orbitfinder.mechanics.maximal import chain_dae, maximal_states, minimal_states
 from orbitfinder.mechanics.model import Baumgarte, energies, positions
 from orbitfinder.reproduce.facts import FIGURE_OF_METHOD, METHODS, TITLES, TOLERANCE
 from orbitfinder.show.animate import save_animation, simulation_clip

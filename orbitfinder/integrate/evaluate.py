@@ -1,12 +1,21 @@
-"""CasADi functions called on NumPy's memory, without the lists that DM goes through on its way to an array.
+"""How CasADi's functions are evaluated: on NumPy's memory, and with linear algebra on one processor.
 
-A march of 350 steps has 17,000 results: as a DM they take 1 ms to convert, 30 times what they take to copy.
+A march of 350 steps has 17,000 results: as a DM they take 1 ms to convert, 30 times what they take to copy. Our
+matrices are small, and BLAS threads spin between calls rather than help: on two processors a mode of 100 links took
+156 s of processor time on one thread and was not finished after 790 s on two; a five-bar linkage 0.48 s of wall and of
+processor time on one, 0.49 and 0.74 s on two.
 """
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from functools import lru_cache
+
 import casadi as ca
 import numpy as np
+import scipy.linalg  # noqa: F401  SciPy brings a BLAS of its own beside NumPy's
+import threadpoolctl
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
@@ -50,3 +59,25 @@ def _dense(function: ca.Function) -> ca.Function:
     symbols = [ca.MX.sym(f"i{k}", *one.shape) for k, one in enumerate(inside)]
     arguments = [ca.project(symbol, one) for symbol, one in zip(symbols, inside, strict=True)]
     return ca.Function("dense", symbols, [ca.densify(one) for one in function.call(arguments)])
+
+
+class Casadi(threadpoolctl.OpenBLASController):  # type: ignore[misc]
+    """The OpenBLAS in CasADi's wheel, which MUMPS factorises IPOPT's systems with."""
+
+    internal_api = "casadi_openblas"
+    filename_prefixes = ("libcasadi-tp-openblas",)
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> threadpoolctl.ThreadpoolController:
+    """The BLAS libraries of this process, looked for once: that takes 10 ms, a limit 10 us."""
+    ca.has_nlpsol("ipopt")  # loads it
+    threadpoolctl.register(Casadi)
+    return threadpoolctl.ThreadpoolController()
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """The BLAS of this process on one thread inside the block, or in the function that this decorates."""
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield

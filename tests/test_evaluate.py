@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.buffered import Buffered
+from orbitfinder.integrate.evaluate import Buffered
 
 
 def example() -> ca.Function:

@@ -1,0 +1,150 @@
+"""Hamilton's equations of a Model in as few coordinates as it offers: the certificate's formulation.
+
+The finder works on accelerations, under constraints on balances with Baumgarte terms; here everything is derived from
+the energies and the constraints alone, without stabilisation:
+
+    q' = v with p = dL/dv(q, v),    p' = dL/dq(q, v) + Q + J^T lambda,    J q' = 0,
+
+a chain or linkage under constraints in its link angles (an open chain has no constraint left, a linkage the two of its
+last pivot), any other system in its own coordinates. Sources: Goldstein, Classical Mechanics, section 8.1;
+E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section VII.1.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.mechanics.factorise import UNROLLED_FACTORISATION_LIMIT, solve_positive_definite
+from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
+from orbitfinder.mechanics.model import Model
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Energies and constraints in k coordinates q, the parameters' values put in.
+
+    `kinetic(q, v)`, `potential(q)`, `constraint(q)` = phi (m); `chosen` (2k) picks (q, v) out of a state (2n) of the
+    model, to which `lift(q, v)` leads back where it is another.
+    """
+
+    kinetic: ca.Function
+    potential: ca.Function
+    constraint: ca.Function
+    chosen: np.ndarray
+    lift: ca.Function | None = None
+
+    @property
+    def size(self) -> int:
+        """k, the number of coordinates."""
+        return int(self.chosen.size // 2)
+
+
+@dataclass(frozen=True)
+class Canonical:
+    """Canonical equations in y = (q, momentum), 2k numbers.
+
+    `field(t, y)` is y'; `variational(t, z)` is z' for z = (y, vec Y, S) with Y' = (dy'/dy) Y
+    and S' = momentum.v the rate of the action; `momentum(q, v)` is dL/dv, `lift(q, v)` the Jacobian (2k x 2k)
+    of y in (q, v); `tangent(y)` is the matrix (2m x 2k) of (d phi, d(J q')), 0 along motions.
+    """
+
+    coordinates: Coordinates
+    field: ca.Function
+    variational: ca.Function
+    momentum: ca.Function
+    lift: ca.Function
+    tangent: ca.Function
+
+
+def coordinates(model: Model) -> Coordinates:
+    """A Model described in its link angles where it has them under constraints, else in its own coordinates."""
+    n, values, constraint = model.degrees_of_freedom, model.parameters(), model.constraint
+    lift = None if constraint is None else constraint.lift
+    size = n if lift is None else n // 3
+    symbol = _symbol(model, size)
+    q, v = symbol("q", size), symbol("v", size)
+    state = ca.vertcat(q, v) if lift is None else lift(q, v, values)
+    place, rate = state[:n], state[n:]
+    # the joints of an open chain hold identically in the angles; only the rows after them are left
+    rows = type(q)(0, 1) if constraint is None else constraint.phi(place, values)[0 if lift is None else 2 * size :]
+    kept = np.arange(n) if lift is None else np.arange(2, n, 3)
+    return Coordinates(
+        kinetic=ca.Function("kinetic", [q, v], [model.kinetic(place, rate, values)]),
+        potential=ca.Function("potential", [q], [model.potential(place, values)]),
+        constraint=ca.Function("constraint", [q], [rows]),
+        chosen=np.concatenate([kept, kept + n]),
+        lift=None if lift is None else ca.Function("lift", [q, v], [state]),
+    )
+
+
+def _symbol(model: Model, size: int) -> Any:
+    """Scalars where the mass matrix is factorised in the graph."""
+    scalar = model.constraint is not None or size <= UNROLLED_FACTORISATION_LIMIT
+    return ca.SX.sym if scalar else ca.MX.sym
+
+
+def canonical(model: Model) -> Canonical:
+    """Hamilton's equations from L = T + G - V (G linear in v) through the Legendre transform.
+
+    v = M(q)^-1 (momentum - dT/dv at v = 0), dH/dp = v, -dH/dq = dL/dq(q, v) at that v.
+    """
+    system, values = coordinates(model), model.parameters()
+    k, symbol = system.size, _symbol(model, system.size)
+    t, q, v, y = symbol("t"), symbol("q", k), symbol("v", k), symbol("y", 2 * k)
+    kinetic, potential, phi = system.kinetic(q, v), system.potential(q), system.constraint(q)
+    if model.gyroscopic is not None:
+        kinetic += model.gyroscopic(q, v, values)
+    momentum = ca.gradient(kinetic, v)
+    legendre = ca.Function("legendre", [q, v], [momentum, ca.jacobian(momentum, v)])
+    offset, matrix = legendre(y[:k], type(y)(ca.DM.zeros(k)))
+    if symbol is ca.SX.sym:
+        velocity = solve_positive_definite(matrix, y[k:] - offset)
+    else:
+        velocity = ca.solve(matrix, y[k:] - offset, "ldl")
+    slope = ca.gradient(kinetic - potential, q) + _reaction(kinetic, potential, phi, q, v)
+    force = ca.Function("slope", [q, v], [slope])(y[:k], velocity)
+    if model.forces is not None:
+        force += model.forces(t, y[:k], velocity, values)
+    rate = ca.vertcat(velocity, force)
+    lower = ca.horzcat(ca.jacobian(momentum, q), ca.jacobian(momentum, v))
+    upper = ca.horzcat(type(y).eye(k), type(y)(k, k))
+    level = ca.Function("level", [q, v], [ca.vertcat(phi, ca.jtimes(phi, q, v))])(y[:k], velocity)
+    return Canonical(
+        coordinates=system,
+        field=ca.Function("canonical_field", [t, y], [rate]),
+        variational=_variational(t, y, rate),
+        momentum=ca.Function("momentum", [q, v], [momentum]),
+        lift=ca.Function("lift", [q, v], [ca.densify(ca.vertcat(upper, lower))]),
+        tangent=ca.Function("tangent", [y], [ca.densify(ca.jacobian(level, y))]),
+    )
+
+
+def _reaction(kinetic: Any, potential: Any, phi: Any, q: Any, v: Any) -> Any:
+    """J^T lambda: with M a + h = J^T lambda and J a + Jdot v = 0, lambda = (J M^-1 J^T)^-1 (J M^-1 h - Jdot v)."""
+    if not phi.numel():
+        return 0.0
+    mass, bias = mass_matrix_and_bias(kinetic, potential, q, v)
+    jacobian = ca.jacobian(phi, q)
+    weighted, free = solve_positive_definite(mass, jacobian.T), solve_positive_definite(mass, bias)
+    right = jacobian @ free - ca.jtimes(jacobian @ v, q, v)
+    return jacobian.T @ solve_positive_definite(jacobian @ weighted, right)
+
+
+def _variational(t: Any, y: Any, rate: Any) -> ca.Function:
+    """z' for z = (y, vec Y, S) from y'(t, y)."""
+    size, scalar = y.numel(), isinstance(y, ca.SX)
+    columns = type(y).sym("Y", size, size)
+    # in scalars the Jacobian times Y has two thirds of the operations of one directional derivative a column
+    slopes = ca.jacobian(rate, y) @ columns if scalar else ca.jtimes(rate, y, columns)
+    variation = ca.vertcat(rate, ca.vec(slopes), ca.dot(y[size // 2 :], rate[: size // 2]))
+    if scalar:
+        inputs = ca.vertcat(y, ca.vec(columns), ca.SX.sym("S"))
+    else:  # MX functions take pure symbols only
+        inputs = ca.MX.sym("z", size + size**2 + 1)
+        inner = ca.Function("inner", [t, y, columns], [variation])
+        variation = inner(t, inputs[:size], ca.reshape(inputs[size:-1], size, size))
+    return ca.Function("canonical_variational", [t, inputs], [variation])

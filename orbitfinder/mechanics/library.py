@@ -1,0 +1,301 @@
+"""Built-in systems, for problem files with kind = "python" and for Python: each function returns a Model.
+
+Only what is listed in `FUNCTIONS` can be named in a problem file without --trust.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.lagrange import Symbols, lagrange
+from orbitfinder.mechanics.model import Model
+
+BUILT_IN = "orbitfinder.systems"
+
+
+@dataclass(frozen=True)
+class _Ingredients:
+    """Symbols of a system: coordinates q, velocities v, time t and parameters by name with their values."""
+
+    q: ca.SX
+    v: ca.SX
+    t: ca.SX
+    values: Mapping[str, float]
+    parameters: ca.SX
+
+    def __getitem__(self, name: str) -> Any:
+        """The symbol of one parameter."""
+        return self.parameters[list(self.values).index(name)]
+
+    def model(self, function: str, kinetic: ca.SX, potential: ca.SX, *, fixed: Any = None, **parts: Any) -> Model:
+        """The Model of these energies, described so that a file can have it rebuilt.
+
+        `fixed` are arguments that are no parameters, `parts` those of `lagrange`; a frequency is the forcing's.
+        """
+        names, values = tuple(self.values), tuple(self.values.values())
+        clock = 2 * np.pi / self["frequency"] if "frequency" in self.values else None
+        symbols = Symbols(self.q, self.v, self.parameters, names, values, self.t, clock)
+        arguments = {**(fixed or {}), **self.values}
+        system = {"kind": "python", "module": BUILT_IN, "function": function, "arguments": arguments}
+        return lagrange(kinetic, potential, symbols, system=system, **parts)
+
+
+def _ingredients(
+    count: int, positive: Mapping[str, float] | None = None, signed: Mapping[str, float] | None = None
+) -> _Ingredients:
+    """Symbols for `count` coordinates and these parameters; `InputError` for a number that cannot be meant."""
+    values: dict[str, float] = {}
+    for name, value in {**(positive or {}), **(signed or {})}.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+            raise InputError(f"system.arguments.{name}: must be a finite number, got {value!r}; check the value")
+        if name in (positive or {}) and value <= 0:
+            raise InputError(f"system.arguments.{name}: must be positive, got {value!r}; check the sign and the unit")
+        values[name] = float(value)
+    return _Ingredients(
+        ca.SX.sym("q", count), ca.SX.sym("v", count), ca.SX.sym("t"), values, ca.SX.sym("p", len(values))
+    )
+
+
+def _whole(name: str, value: int, most: int) -> int:
+    """A count between 1 and `most`, or `InputError`."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
+        raise InputError(f"system.arguments.{name}: must be a whole number from 1 to {most}, got {value!r}")
+    return value
+
+
+def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
+    """x'' + stiffness x + cubic x^3 = 0: a spring that hardens (cubic > 0) or softens, mass 1.
+
+    With stiffness < 0 < cubic it is the double well. Its period is an elliptic integral (Nayfeh,
+    Mook, Nonlinear Oscillations, 1979, section 2.3).
+    """
+    made = _ingredients(1, signed={"stiffness": stiffness, "cubic": cubic})
+    q, v = made.q, made.v
+    potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
+    return made.model("duffing", v**2 / 2, potential, names=["x"], points=_slider(made))
+
+
+def double_well(depth: float = 0.25, distance: float = 1.0) -> Model:
+    """Unit mass in V = depth ((x / distance)^2 - 1)^2: minima at +-distance, barrier `depth` J at 0."""
+    made = _ingredients(1, positive={"depth": depth, "distance": distance})
+    potential = made["depth"] * ((made.q / made["distance"]) ** 2 - 1) ** 2
+    return made.model("double_well", made.v**2 / 2, potential, names=["x"], points=_slider(made))
+
+
+def van_der_pol(damping: float = 1.0) -> Model:
+    """x'' - damping (1 - x^2) x' + x = 0: one attracting limit cycle, no first integral.
+
+    Source: B. van der Pol, Philosophical Magazine 2 (1926) 978-992.
+    """
+    made = _ingredients(1, signed={"damping": damping})
+    q, v = made.q, made.v
+    return made.model(
+        "van_der_pol", v**2 / 2, q**2 / 2, forces=made["damping"] * (1 - q**2) * v, names=["x"], points=_slider(made)
+    )
+
+
+def forced_duffing(
+    stiffness: float = 1.0, cubic: float = 1.0, damping: float = 0.1, force: float = 0.3, frequency: float = 1.2
+) -> Model:
+    """x'' + damping x' + stiffness x + cubic x^3 = force cos(frequency t), frequency in rad/s.
+
+    Source: J. Guckenheimer, P. Holmes, Nonlinear Oscillations, Dynamical Systems, and Bifurcations
+    of Vector Fields (1983), section 2.2.
+    """
+    made = _ingredients(
+        1, {"frequency": frequency}, {"stiffness": stiffness, "cubic": cubic, "damping": damping, "force": force}
+    )
+    q, v = made.q, made.v
+    potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
+    push = made["force"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
+    return made.model("forced_duffing", v**2 / 2, potential, forces=push, names=["x"], points=_slider(made))
+
+
+def forced_pendulum(
+    length: float = 1.0,
+    mass: float = 1.0,
+    gravity: float = 9.8,
+    damping: float = 0.5,
+    torque: float = 2.0,
+    frequency: float = 2.0,
+) -> Model:
+    """m l^2 theta'' + damping theta' + m g l sin(theta) = torque cos(frequency t), a point mass on a rod."""
+    made = _ingredients(
+        1,
+        {"length": length, "mass": mass, "frequency": frequency},
+        {"gravity": gravity, "damping": damping, "torque": torque},
+    )
+    q, v, arm = made.q, made.v, made["length"]
+    kinetic, potential = made["mass"] * (arm * v) ** 2 / 2, -made["mass"] * made["gravity"] * arm * ca.cos(q)
+    drive = made["torque"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
+    return made.model(
+        "forced_pendulum", kinetic, potential, forces=drive, names=["theta"], angles=[True], points=_rod(made)
+    )
+
+
+def vibrated_pendulum(
+    length: float = 1.0,
+    gravity: float = 9.8,
+    damping: float = 0.1,
+    amplitude: float = 0.1,
+    frequency: float = 60.0,
+) -> Model:
+    """A pendulum (unit mass) whose pivot is shaken vertically by amplitude cos(frequency t), in m and rad/s.
+
+    The pivot's motion enters through the kinetic energy. Above frequency x amplitude =
+    sqrt(2 g l) the upright position is stable: P. L. Kapitza, Soviet Physics JETP 21 (1951) 588.
+    """
+    made = _ingredients(
+        1,
+        {"length": length, "frequency": frequency},
+        {"gravity": gravity, "damping": damping, "amplitude": amplitude},
+    )
+    q, v, arm = made.q, made.v, made["length"]
+    pivot = made["amplitude"] * ca.cos(made["frequency"] * made.t)
+    place = ca.vertcat(pivot + arm * ca.cos(q), arm * ca.sin(q))
+    velocity = ca.jtimes(place, q, v) + ca.jacobian(place, made.t)
+    return made.model(
+        "vibrated_pendulum", ca.sumsqr(velocity) / 2, -made["gravity"] * place[0], forces=-made["damping"] * v,
+        names=["theta"], angles=[True], points=_rod(made),
+    )  # fmt: skip
+
+
+def rotating_hoop(radius: float = 1.0, mass: float = 1.0, gravity: float = 9.8, spin: float = 4.0) -> Model:
+    """A bead on a vertical hoop that turns at `spin` rad/s: T = m r^2 (theta'^2 + spin^2 sin^2 theta) / 2.
+
+    What is conserved is the Jacobi integral, not the energy (Goldstein, Classical Mechanics,
+    section 2.7). Above spin = sqrt(g / r) the bottom is unstable.
+    """
+    made = _ingredients(1, {"radius": radius, "mass": mass}, {"gravity": gravity, "spin": spin})
+    q, v, r = made.q, made.v, made["radius"]
+    kinetic = made["mass"] * r**2 * (v**2 + (made["spin"] * ca.sin(q)) ** 2) / 2
+    weight = -made["mass"] * made["gravity"] * r * ca.cos(q)
+    return made.model(
+        "rotating_hoop", kinetic, weight, names=["theta"], angles=[True], points=r * ca.horzcat(ca.SX.zeros(2),
+        ca.vertcat(ca.cos(q), ca.sin(q))),
+    )  # fmt: skip
+
+
+def _slider(made: _Ingredients) -> ca.SX:
+    return ca.horzcat(ca.SX.zeros(2), ca.vertcat(0, made.q))
+
+
+def _rod(made: _Ingredients) -> ca.SX:
+    return made["length"] * ca.horzcat(ca.SX.zeros(2), ca.vertcat(ca.cos(made.q), ca.sin(made.q)))
+
+
+MOST_CARTS = 200
+
+
+def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 29.4, gravity: float = 9.8) -> Model:
+    """The swinging spring: a mass on a massless spring of natural length `length` (m) in a vertical plane.
+
+    Coordinates x (down) and y (right) of the mass, in m. At stiffness = 3 m g / l the bounce is
+    twice as fast as the swing and each feeds the other: P. Lynch, "Resonant motions of the
+    three-dimensional elastic pendulum", Int. J. Non-Linear Mechanics 37 (2002) 345-367.
+    """
+    made = _ingredients(2, {"length": length, "mass": mass, "stiffness": stiffness}, {"gravity": gravity})
+    q, v = made.q, made.v
+    stretch = ca.norm_2(q) - made["length"]
+    potential = made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * q[0]
+    return made.model(
+        "spring_pendulum", made["mass"] * ca.sumsqr(v) / 2, potential, names=["x", "y"],
+        points=ca.horzcat(ca.SX.zeros(2), q), centres=q,
+    )  # fmt: skip
+
+
+def pendulum_on_cart(
+    cart: float = 1.0, mass: float = 1.0, length: float = 1.0, gravity: float = 9.8, stiffness: float = 0.0
+) -> Model:
+    """A point mass on a rod of `length` (m) that hangs from a cart (mass `cart`, kg) on a level track.
+
+    Coordinates y (the cart, m, to the right) and theta (the rod, rad). `stiffness` (N/m) ties the
+    cart to its place; without it the horizontal momentum is conserved as well as the energy.
+    """
+    tied = {} if stiffness == 0 else {"stiffness": stiffness}
+    made = _ingredients(2, {"cart": cart, "mass": mass, "length": length, **tied}, {"gravity": gravity})
+    q, v, arm = made.q, made.v, made["length"]
+    bob = ca.vertcat(arm * ca.cos(q[1]), q[0] + arm * ca.sin(q[1]))
+    kinetic = made["cart"] * v[0] ** 2 / 2 + made["mass"] * ca.sumsqr(ca.jtimes(bob, q, v)) / 2
+    potential = -made["mass"] * made["gravity"] * bob[0]
+    if tied:
+        potential += made["stiffness"] * q[0] ** 2 / 2
+    return made.model(
+        "pendulum_on_cart", kinetic, potential, names=["y", "theta"], angles=[False, True],
+        points=ca.horzcat(ca.vertcat(0, q[0]), bob),
+    )  # fmt: skip
+
+
+def cart_chain(
+    carts: int = 3, mass: float = 1.0, stiffness: float = 1.0, cubic: float = 0.0, quadratic: float = 0.0
+) -> Model:
+    """`carts` equal carts on a track between two walls, joined by equal springs.
+
+    Each spring has energy stiffness s^2 / 2 + quadratic s^3 / 3 + cubic s^4 / 4 in its stretch s:
+    with `cubic` the beta-chain of E. Fermi, J. Pasta, S. Ulam, Los Alamos report LA-1940 (1955).
+    """
+    count = _whole("carts", carts, MOST_CARTS)
+    made = _ingredients(count, {"mass": mass, "stiffness": stiffness}, {"cubic": cubic, "quadratic": quadratic})
+    q = made.q
+    stretch = ca.vertcat(q, 0) - ca.vertcat(0, q)
+    potential = ca.sum1(
+        made["stiffness"] * stretch**2 / 2 + made["quadratic"] * stretch**3 / 3 + made["cubic"] * stretch**4 / 4
+    )
+    places = ca.vertcat(0, q, 0) + ca.SX(range(count + 2))
+    return made.model(
+        "cart_chain", made["mass"] * ca.sumsqr(made.v) / 2, potential, names=[f"y{i + 1}" for i in range(count)],
+        points=ca.horzcat(ca.SX.zeros(count + 2), places).T, fixed={"carts": count},
+    )  # fmt: skip
+
+
+def henon_heiles(coupling: float = 1.0) -> Model:
+    """H = (px^2 + py^2 + x^2 + y^2) / 2 + coupling (x^2 y - y^3 / 3); with coupling 1 it escapes at 1/6.
+
+    Source: M. Henon, C. Heiles, Astronomical Journal 69 (1964) 73-79.
+    """
+    made = _ingredients(2, signed={"coupling": coupling})
+    x, y = made.q[0], made.q[1]
+    potential = ca.sumsqr(made.q) / 2 + made["coupling"] * (x**2 * y - y**3 / 3)
+    return made.model(
+        "henon_heiles", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x),
+        centres=ca.vertcat(-y, x),
+    )  # fmt: skip
+
+
+def restricted_three_body(ratio: float = 0.012277471) -> Model:
+    """A light body near two heavy ones (masses 1 - ratio and ratio) on circles, in their rotating frame.
+
+    T = ((x' - y)^2 + (y' + x)^2) / 2, V = -(1 - ratio) / r1 - ratio / r2, heavy bodies at (-ratio, 0)
+    and (1 - ratio, 0): the kinetic energy has terms linear in the rates, and what is conserved is the
+    Jacobi integral. Orbits may have the symmetry "mirror": x(-t) = x(t), y(-t) = -y(t).
+    Source: V. Szebehely, Theory of Orbits (1967), section 1.5; units there.
+    """
+    made = _ingredients(2, {"ratio": ratio})
+    (x, y), (u, w), small = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["ratio"]
+    kinetic = ((u - y) ** 2 + (w + x) ** 2) / 2
+    potential = -(1 - small) / ca.sqrt((x + small) ** 2 + y**2) - small / ca.sqrt((x - 1 + small) ** 2 + y**2)
+    model = made.model("restricted_three_body", kinetic, potential, names=["x", "y"], points=ca.vertcat(-y, x))
+    return replace(model, symmetries=(("mirror", -1, (1, -1)),))
+
+
+def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quartic: float = 1.0) -> Model:
+    """Unit mass in V = (a x^2 + b y^2) / 2 + quartic x^2 y^2: two springs coupled at fourth order."""
+    made = _ingredients(2, {"stiffness_x": stiffness_x, "stiffness_y": stiffness_y}, {"quartic": quartic})
+    x, y = made.q[0], made.q[1]
+    potential = (made["stiffness_x"] * x**2 + made["stiffness_y"] * y**2) / 2 + made["quartic"] * (x * y) ** 2
+    return made.model("planar_oscillator", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x))
+
+
+FUNCTIONS: dict[str, Callable[..., Model]] = {
+    one.__name__: one
+    for one in (
+        cart_chain, double_well, duffing, forced_duffing, forced_pendulum, henon_heiles, pendulum_on_cart,
+        planar_oscillator, restricted_three_body, rotating_hoop, spring_pendulum, van_der_pol, vibrated_pendulum,
+    )
+}  # fmt: skip
