@@ -50,8 +50,8 @@ def as_csv(names: list[str], rows: list[dict[str, Any]]) -> bytes:
 def as_parquet(names: list[str], rows: list[dict[str, Any]]) -> bytes:
     """A Parquet file. Raises `InputError` without the extra `parquet`."""
     try:
-        import pyarrow
-        from pyarrow import parquet
+        import pyarrow  # noqa: PLC0415  an extra
+        from pyarrow import parquet  # noqa: PLC0415  an extra
     except ImportError as error:
         raise InputError("--to: parquet needs pyarrow; pip install 'orbitfinder[parquet]', or use csv") from error
     columns = {name: [row[name] for row in rows] for name in names}

@@ -151,7 +151,7 @@ class Inline(Workers):
         """Remember the start until somebody asks for results."""
         self._waiting.append(job)
 
-    def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
+    def results(self, timeout: float) -> list[tuple[Job, Attempt]]:  # noqa: ARG002  that of the others
         """Do the start."""
         if not self._waiting:
             return []
@@ -333,7 +333,7 @@ class Cluster(Workers):
 
 def _distributed() -> Any:
     try:
-        import distributed
+        import distributed  # noqa: PLC0415  an extra
     except ImportError as error:
         raise InputError(
             "--scheduler: needs Dask; pip install 'orbitfinder[cluster]', or use --workers for this machine"

@@ -426,8 +426,8 @@ def _writable_by_others(about: os.stat_result) -> bool:
     """Group members count as others, but for those of a group that has its user's name and no other member."""
     if about.st_mode & stat.S_IWOTH or not about.st_mode & stat.S_IWGRP:
         return bool(about.st_mode & stat.S_IWOTH)
-    import grp
-    import pwd
+    import grp  # noqa: PLC0415  Windows has it not
+    import pwd  # noqa: PLC0415
 
     try:
         group, user = grp.getgrgid(about.st_gid), pwd.getpwuid(os.getuid())

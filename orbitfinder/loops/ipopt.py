@@ -86,7 +86,7 @@ class _Watch(ca.Callback):  # type: ignore[misc]
     def get_name_in(self, i: int) -> str:
         return str(ca.nlpsol_out(i))
 
-    def get_name_out(self, i: int) -> str:
+    def get_name_out(self, i: int) -> str:  # noqa: ARG002  CasADi's signature
         return "stop"
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
