@@ -102,7 +102,7 @@ def context_of(model: Model, target: Target) -> Context:
     unfolded = {name: SYMMETRIES[name].unfolded(model) for name in known if name in imposed}
     one = Context(
         model, target,
-        equations={name: Equations(model, SYMMETRIES[name]) for name in unfolded},
+        equations={name: Equations(model, SYMMETRIES[name], alone=True) for name in unfolded},
         flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
         strategies=tuple(name for name in TURNS if possible(name, known)), mirrors=found,

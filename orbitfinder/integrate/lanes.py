@@ -32,9 +32,13 @@ FEW = 16
 
 
 class Lanes:
-    """The marches and evaluations of one owner; one thread at a time, for they have one work space each."""
+    """The marches and evaluations of one owner; one thread at a time, for they have one work space each.
 
-    def __init__(self) -> None:
+    `alone` keeps them on one processor, where the others have work already.
+    """
+
+    def __init__(self, alone: bool = False) -> None:
+        self._alone = alone
         self._along = lru_cache(maxsize=256)(_along)
         self._across = lru_cache(maxsize=64)(_across)
         self._single = lru_cache(maxsize=64)(Buffered)
@@ -49,7 +53,7 @@ class Lanes:
         `starts` (N x ...) of the segments, `parameters` (M x ...) of the steps.
         """
         count, steps = len(starts), len(parameters) // len(starts)
-        lanes = _lanes(step, count, steps * STAGES)
+        lanes = 1 if self._alone else _lanes(step, count, steps * STAGES)
         edges = np.arange(lanes + 1) * count // lanes
         runs = [self._along(step, steps, int(edges[k + 1] - edges[k]), path, k) for k in range(lanes)]
 
@@ -64,7 +68,7 @@ class Lanes:
         count = len(arguments[0])
         width = count if count <= FEW else CHUNK
         begins = range(0, count, width)
-        lanes = _lanes(function, len(begins), width * stages)
+        lanes = 1 if self._alone else _lanes(function, len(begins), width * stages)
         maps = [self._across(function, width, lane) for lane in range(lanes)]
 
         def filled(lane: int) -> list[np.ndarray]:

@@ -47,10 +47,12 @@ class March:
     along. `tail` is (T, s, free) everywhere. Not to be shared by threads: its functions have one work space each.
     """
 
-    def __init__(self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None) -> None:
+    def __init__(
+        self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None, alone: bool = False
+    ) -> None:
         self.field, self.forced, self.integrand = field, forced, integrand
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
-        self._lanes = Lanes()
+        self._lanes = Lanes(alone)
 
     @property
     def columns(self) -> int:

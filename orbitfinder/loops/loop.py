@@ -150,19 +150,21 @@ class Equations:
     """Everything about a loop that depends on the equations alone: built once, used for any number of guesses.
 
     `quantities(x, free)` gives what conditions may name, by the invariants' order, then the energy, then where there is
-    one the forcing period: values, d/dx, d/dfree. `action` says whether the action is integrated with the motion.
+    one the forcing period: values, d/dx, d/dfree. `action` says whether the action is integrated with the motion,
+    `alone` whether that keeps to one processor.
     """
 
     model: Model
     symmetry: Symmetry
     free: tuple[str, ...] = ()
     action: bool = False
+    alone: bool = False
     march: March = field(init=False)
 
     def __post_init__(self) -> None:
         flow = vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
         rate = _action_rate(self.model, flow, self.free) if self.action else None
-        object.__setattr__(self, "march", March(flow, self.model.forced, rate))
+        object.__setattr__(self, "march", March(flow, self.model.forced, rate, self.alone))
 
     @property
     def size(self) -> int:
