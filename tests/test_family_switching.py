@@ -184,6 +184,7 @@ def test_a_family_in_memory_is_that_of_a_folder(tmp_path, monkeypatch):
     assert family_to_document(family)["events"] == family_to_document(kept)["events"]
     assert np.array_equal(family.values("period"), kept.values("period"))
     branch = of.switch_branch(family, 2)
+    assert of.switch_branch(family, family.events[2]).name == branch.name
     assert branch.start.direction == pytest.approx(
         of.switch_branch(tmp_path / family.name / "family.json", 2).start.direction
     )

@@ -82,6 +82,7 @@ MADE_BY = {
     "Clip": "orbit_clip(orbit) makes one",
     "Baumgarte": "Baumgarte(alpha, beta) makes one",
     "Family": "follow_family(origin) makes one, load_family(path) reads one",
+    "Event": "family.events[k] is one",
     "FamilySettings": "FamilySettings(directions=...) makes them",
     "SolveSettings": "SolveSettings(max_iterations=...) makes them",
     "IntegratorSettings": "IntegratorSettings(relative_tolerance=...) makes them",

@@ -274,16 +274,19 @@ class Branch:
 
 def switch_branch(
     family: Family | str | Path,
-    event: int,
+    event: int | Event,
     branch: int = 1,
     *,
     settings: FamilySettings | None = None,
     model: Model | None = None,
 ) -> Branch:
-    """The `branch`-th of the branches that leave a family (or its family.json) at the event with this index.
+    """The `branch`-th of the branches that leave a family (or its family.json) at an event, or at that of a number.
 
     `follow_family` follows it. Raises what `branches` raises, and `InputError` where there are fewer branches.
     """
+    if isinstance(event, Event):
+        family = family if isinstance(family, Family) else load_family(family)
+        event = next((k for k, one in enumerate(family.events) if one is event), -1)
     found = branches(family, event, settings, model)
     if not 1 <= branch <= len(found):
         raise InputError(f"--branch: {branch} asked for, {len(found)} found at event {event}; give 1 to {len(found)}")
