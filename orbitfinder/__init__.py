@@ -27,6 +27,7 @@ _MOVED |= {
     "ConstrainedModel": "orbitfinder.ConstrainedModel has gone: it is a Model with a constraint",
     "find_dae_orbit": "orbitfinder.find_dae_orbit has gone: find_orbit takes Models with a constraint too",
     "dae_problem": "orbitfinder.dae_problem has gone: Problem takes Models with a constraint too",
+    "Refined": "orbitfinder.Refined has gone: it is what Refiner.refine returns",
     "certify_dae": "orbitfinder.certify_dae has gone: certify takes orbits of Models with a constraint too",
 }
 """Names of 0.1 that are elsewhere now; for one version"""

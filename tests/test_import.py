@@ -62,6 +62,11 @@ def test_unknown_name_is_an_attribute_error():
         _ = orbitfinder.chian
 
 
+def test_a_misspelt_name_is_answered_with_the_one_that_was_meant():
+    said = subprocess.run([sys.executable, "-c", "import orbitfinder; orbitfinder.find_orbti"], capture_output=True)
+    assert b"Did you mean: 'find_orbit'?" in said.stderr
+
+
 def test_dir_lists_unloaded_names():
     assert set(orbitfinder.__all__) <= set(dir(orbitfinder))
 
@@ -105,4 +110,4 @@ def test_every_value_shows_itself_in_one_line():
     """An Orbit printed 9,669 characters once, a Family 103,434."""
     for name, value in values().items():
         shown = repr(value)
-        assert shown.startswith(f"{name}(") and "\n" not in shown and len(shown) <= 300, shown
+        assert shown.startswith(f"{name}(") and "\n" not in shown and len(shown) <= 300 and "=nan" not in shown, shown

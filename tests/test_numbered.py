@@ -51,6 +51,27 @@ def test_every_point_is_an_orbit(path):
     assert np.array_equal(one.shooting_nodes, family.points[k].shooting_nodes)
 
 
+def test_an_orbit_without_samples_is_drawn(tmp_path):
+    """A family's point and an atlas's orbit have none; save_figures and orbit_clip asked for an orbit.npz."""
+    with Atlas(ATLAS) as atlas:
+        stored = atlas.orbit(1)
+    for one in (of.load_orbit(f"{QUICK[1]}#3"), stored):
+        assert len(one.samples) == 0
+        assert len(of.save_figures(one, tmp_path / one.name)) == 4
+        assert len(of.orbit_clip(one).points) > 10
+
+
+def test_an_atlas_is_asked_for_one_of_its_orbits():
+    assert "an atlas database; give one orbit of it by its id: " in run("verify", ATLAS, code=2)
+    with pytest.raises(InputError, match=r"triple\.sqlite#1"):
+        of.load_orbit(ATLAS)
+
+
+def test_a_family_is_followed_from_one_of_its_points():
+    with pytest.raises(InputError, match=r"origin: a Family; give one of its points, or a branch"):
+        of.follow_family(load_family(QUICK[0]))
+
+
 @pytest.fixture(scope="module")
 def grown(tmp_path_factory) -> Path:
     """A family.json with its family.npz, in the formulation of half a period, begun at a point of another family."""

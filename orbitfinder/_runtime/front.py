@@ -22,7 +22,8 @@ def door(
 
     def getattr_(name: str) -> Any:
         if name not in names:
-            raise AttributeError(gone.get(name) or f"module {package!r} has no attribute {name!r}")
+            said = gone.get(name) or f"module {package!r} has no attribute {name!r}"
+            raise AttributeError(said, name=name, obj=module)  # Python adds what may have been meant
         value = fronted(load(name), package)
         setattr(module, name, value)
         return value

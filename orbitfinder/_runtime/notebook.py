@@ -35,7 +35,7 @@ def brief(*names: str) -> Callable[[Any], str]:
 
     def text(self: Any) -> str:
         found = {name: _short(getattr(self, name, None)) for name in names}
-        said = ", ".join(f"{name}={value}" for name, value in found.items() if value)
+        said = ", ".join(f"{name}={value}" for name, value in found.items() if value not in ("", "nan"))
         return f"{type(self).__name__}({said})"
 
     return text

@@ -127,7 +127,7 @@ def prove(files: tuple[Path, ...], record: bool, trust: bool, **given: Any) -> N
         if proof.proved and record and file.exists():
             write_entry(file, proof)
         elif proof.proved and record:
-            note(f"{file}: the proof is not recorded: one orbit of a file has no entry for it")
+            note(f"{file}: the proof is not recorded, which only an orbit.json can be given")
         results.append({"file": str(file), "name": orbit.name} | entry(proof))
         _print_proof(f"{file} ({orbit.name})", proof)
     passed = all(result["proved"] for result in results)

@@ -75,6 +75,8 @@ def follow_family(
     """
     settings = replace(settings or FamilySettings(), parameter=parameter)
     settings = settings if points is None else replace(settings, points=points)
+    if isinstance(origin, Family):
+        raise InputError("origin: a Family; give one of its points, or a branch: switch_branch(family, event)")
     origin = load_orbit(origin) if isinstance(origin, (str, Path)) else origin
     label = name or str(getattr(origin, "name", ""))
     if out is not None and not label:

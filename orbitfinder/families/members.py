@@ -37,9 +37,11 @@ class Motion:
 
 
 def whole(orbit: Orbit, model: Model) -> Orbit:
-    """The orbit with samples over its period; a point of a family as an Orbit of its own, certified, with the symmetry
-    that it has and not only its formulation's.
+    """The orbit with samples over its period, integrated where it has none; a point of a family as an Orbit of its own,
+    certified, with the symmetry that it has and not only its formulation's.
     """
+    if len(orbit.samples) > 1:
+        return orbit
     if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
         times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     else:

@@ -48,6 +48,8 @@ def load_orbit(path: str | Path) -> Orbit:
     export, counted from 0 as in the file's list. A point of a family is an Orbit too. Raises `InputError`.
     """
     file, number = member(path)
+    if number is None and file.suffix in DATABASES and file.is_file():
+        raise InputError(f"{path}: an atlas database; give one orbit of it by its id: {path}#1")
     if number is None:
         return read_orbit(file)
     kind = kind_of(file)

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
+from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.records.orbit import Orbit
@@ -69,14 +70,12 @@ def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
 
 
 def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSettings | None = None) -> Clip:
-    """A seamless clip of an orbit from its dense samples."""
+    """A seamless clip of an orbit from its dense samples; without them it is integrated again."""
     settings = settings or AnimationSettings()
     model = model or build_model(orbit.system)
-    if len(orbit.samples) < 2:
-        raise InputError(f"{orbit.name}: no samples to animate; keep orbit.npz beside orbit.json")
     if model.points is None:
         raise InputError(f"{orbit.name}: this system declares no points to draw; pass points= when you build it")
-    n = model.degrees_of_freedom
+    n, orbit = model.degrees_of_freedom, whole(orbit, model)
     spline = CubicHermiteSpline(orbit.times, orbit.samples[:, :n], orbit.samples[:, n:])
     periods, frames = loop_frames(orbit.period, settings)
     moments = (np.arange(frames) * (periods * orbit.period / frames)) % orbit.period

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError
-from orbitfinder.families.members import Motion, motions
+from orbitfinder.families.members import Motion, motions, whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies, positions
 from orbitfinder.records.family import Family
@@ -33,10 +33,10 @@ MOST_IN_LEGEND = 12
 def save_figures(orbit: Orbit, folder: str | Path, model: Model | None = None) -> list[Path]:
     """Write the four figures of an orbit as PNG files; returns their paths.
 
-    `model` is needed only for systems that no file describes. Raises `InputError` when the orbit
-    carries no samples.
+    `model` is needed only for systems that no file describes. An orbit without samples is integrated again.
     """
     model = model or build_model(orbit.system)
+    orbit = whole(orbit, model)
     figures = {
         "time_histories": time_histories(orbit, model),
         "phase_portraits": phase_portraits(orbit, model),
