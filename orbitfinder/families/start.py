@@ -201,7 +201,7 @@ def corrected(
 ) -> Start:
     """Correct a first guess on successively better meshes."""
     for _ in range(2):
-        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0, 0.0))
+        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0.0))
     try:
         found = correct(curve, place, aim, reference, reach)
     except (ConvergenceError, IntegrationError) as error:

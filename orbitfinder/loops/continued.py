@@ -47,7 +47,6 @@ class Solution:
     place: Unknowns
     march: Varied
     jacobian: np.ndarray
-    iterations: int
     residual: float
 
 
@@ -148,11 +147,11 @@ def correct(
             step = np.linalg.lstsq(whole, -rows, rcond=1e-12)[0]
         moved = w.moved(step)
         if ready:
-            return Solution(moved, path, jacobian, iteration, largest)
+            return Solution(moved, path, jacobian, largest)
         if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:
-            moved = replace(moved, mesh=fit(curve, Solution(w, path, jacobian, iteration, largest)))
+            moved = replace(moved, mesh=fit(curve, Solution(w, path, jacobian, largest)))
             fit = None
         w, previous = moved, largest
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
@@ -201,7 +200,7 @@ def advanced(w: Unknowns, whole: np.ndarray, length: float, curvature: np.ndarra
 def at_place(curve: Curve, w: Unknowns) -> Solution:
     """A Solution out of unknowns that are already on the family (those read from a file)."""
     path = curve.equations.varied(w, states=True)
-    return Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0, 0.0)
+    return Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0.0)
 
 
 def bend(curve: Curve, w: Unknowns, whole: np.ndarray, other: Unknowns) -> np.ndarray:

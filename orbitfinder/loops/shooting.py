@@ -232,11 +232,6 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 
 
-def half_turns(angles: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """The multiple of pi nearest to each angle, 0 for other coordinates."""
-    return np.where(angles, np.pi * np.round(q / np.pi), 0.0)
-
-
 def phase_directions(problem: Problem, state: np.ndarray) -> list[np.ndarray]:
     """Unit normals (2n) of the hyperplanes through the guess that fix time and other symmetries."""
     model, symmetry = problem.model, problem.boundary
