@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder._runtime import locks
+from orbitfinder._runtime import interrupt, locks
 from orbitfinder.cli.group import cli
 
 ROOT = Path(__file__).parents[1]
@@ -151,6 +151,21 @@ def test_two_interrupts_leave_no_traceback(tmp_path, command, after):
     _, err = running.communicate(timeout=60)
     assert running.returncode in (130, -signal.SIGINT) and (after < 0.5 or "Traceback" not in err), err
     assert until(lambda: not session(running.pid), 10)
+
+
+def test_a_signal_in_a_destructor_is_kept_and_not_printed(capfd):
+    """Nothing can be raised there: Python would print a traceback, and the signal would be lost."""
+
+    class Falling:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+            for _ in range(10):  # where Python looks at signals
+                pass
+
+    with pytest.raises(KeyboardInterrupt), interrupt.watch():
+        Falling()
+        interrupt.check()
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_a_worker_that_dies_costs_its_job(tmp_path):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
+from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 seen: list[int] = []
@@ -25,8 +27,27 @@ def watch() -> Iterator[None]:
         yield
         return
     seen.clear()
-    with _handled(_note):
+    with _handled(_note), unheard():
         yield
+
+
+@contextlib.contextmanager
+def unheard() -> Iterator[None]:
+    """What a signal raised where nothing can be raised (a destructor, the callback of a weak reference) is not printed.
+
+    Whoever raised it has noted it, and looks at the note.
+    """
+    before = sys.unraisablehook
+
+    def hook(lost: Any) -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt | SystemExit):
+            before(lost)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 @contextlib.contextmanager

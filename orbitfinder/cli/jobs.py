@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orbitfinder._runtime import processes, streams
+from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import Progress
 from orbitfinder.errors import InputError, OrbitfinderError
@@ -278,6 +278,8 @@ _stopped: list[int] = []
 
 
 def _stop(number: int, _: object) -> None:
+    if _stopped:
+        os._exit(128 + number)
     _stopped.append(number)
     raise SystemExit(128 + number)
 
@@ -288,8 +290,8 @@ def _serve(pipe: Connection) -> None:
 
     signal.signal(signal.SIGTERM, _stop)
     streams.leave_current_folder_out()
-    with contextlib.suppress(EOFError):
-        while True:
+    with contextlib.suppress(EOFError), interrupt.unheard():
+        while not _stopped:
             pipe.send(_work(pipe.recv()))
 
 
