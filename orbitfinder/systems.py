@@ -13,6 +13,7 @@ from orbitfinder.mechanics.library import (
     restricted_three_body,
     rotating_hoop,
     spring_pendulum,
+    three_bodies,
     van_der_pol,
     vibrated_pendulum,
 )
@@ -30,6 +31,7 @@ __all__ = [
     "restricted_three_body",
     "rotating_hoop",
     "spring_pendulum",
+    "three_bodies",
     "van_der_pol",
     "vibrated_pendulum",
 ]

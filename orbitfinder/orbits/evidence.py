@@ -135,7 +135,9 @@ def canonical_motion(
     masses = masses_of(equations.coordinates.kinetic, state[chosen])
     units = units_of(equations.field, start, masses, period)
     path = integrate_in(units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD)
-    transitions, action = _pieces(vector_field(equations.equations.variational), start, units, period)
+    transitions, action = _pieces(
+        vector_field(equations.equations.variational), start, units, period, turns[chosen[: masses.size]]
+    )
     gradients, directions, constraints = equations.frame(state, start)
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
@@ -166,9 +168,13 @@ def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float) -> np.ndarr
 
 
 def _pieces(
-    variational: VectorField, start: np.ndarray, units: np.ndarray, period: float
+    variational: VectorField, start: np.ndarray, units: np.ndarray, period: float, turns: np.ndarray
 ) -> tuple[list[np.ndarray], float]:
-    """State-transition matrices (m x m) of equal pieces of a period, and the action."""
+    """State-transition matrices (m x m) of equal pieces of a period, and the action.
+
+    A gap dq of the loop adds p.dq to the integral of p.dq to first order and nothing else, whatever the size of p:
+    that is taken off, or small orbits far from the origin have an action of round-off.
+    """
     size, now, action = start.size, start, 0.0
     matrix = (units[:, None] / units[None, :]).ravel("F")
     work = float(units[: size // 2] @ units[size // 2 :]) or 1.0
@@ -179,7 +185,8 @@ def _pieces(
         end = integrate_in(measures, variational, extended, span, VARIED)[-1]
         pieces.append(end[size:-1].reshape(size, size, order="F"))
         now, action = end[:size], action + float(end[-1])
-    return pieces, action
+    missed = now - start - shift(turns, size)
+    return pieces, action - float(now[size // 2 :] @ missed[: size // 2])
 
 
 def evenly(period: float) -> np.ndarray:
