@@ -116,7 +116,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         if model.invariants or any(orbit.unfolding)
         else None,
         *_constraint_checks(orbit, model, allowed, scale, evidence),
-        *_record_checks(orbit, evidence, model, allowed, scale),
+        *_record_checks(orbit, evidence, model, replace(allowed, multipliers=max(allowed.multipliers, passing)), scale),
         *_picture_checks(pictured, evidence.reached[shares.size :], evidence),
         *_expected_checks(orbit, model),
     ]  # fmt: skip
