@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,22 +93,11 @@ class Newton:
     def _chord(
         self, w: Unknowns, rows: np.ndarray, solver: Solver, target: float
     ) -> tuple[Unknowns, np.ndarray, Solver]:
-        """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off."""
-        size = _largest(rows)
-        for _ in range(self.settings.most_evaluations):
-            if size <= target:
-                break
-            trial = w.moved(solver(rows))
-            found = self._rows(trial)
-            slow = _largest(found) > self.settings.contraction * size
-            if _largest(found) < size:
-                w, rows, size = trial, found, _largest(found)
-            if slow and size < 1e3 * self.settings.agreement:
-                break  # round-off
-            if slow:
-                self.jacobians += 1
-                solver = self._solver(w, self.loop.equations.varied(w))
-        return w, rows, solver
+        def renewed(w: Unknowns) -> Solver:
+            self.jacobians += 1
+            return self._solver(w, self.loop.equations.varied(w))
+
+        return chord(w, rows, solver, (self._rows, renewed), target, self.settings)
 
     def _rows(self, w: Unknowns) -> np.ndarray:
         self.marches += 1
@@ -124,6 +114,35 @@ class Newton:
     def _solver(self, w: Unknowns, path: Varied) -> Solver:
         self.growth = max(1.0, float(np.abs(path.transitions).max()))
         return eliminated(self.loop.linearised(w, path))
+
+
+def chord(
+    w: Unknowns,
+    rows: np.ndarray,
+    solver: Solver,
+    functions: tuple[Callable[[Unknowns], np.ndarray], Callable[[Unknowns], Solver]],
+    target: float,
+    settings: NewtonSettings,
+) -> tuple[Unknowns, np.ndarray, Solver]:
+    """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off.
+
+    `functions` give the rows and the solver of any unknowns.
+    """
+    rows_of, solver_of = functions
+    size = _largest(rows)
+    for _ in range(settings.most_evaluations):
+        if size <= target:
+            break
+        trial = w.moved(solver(rows))
+        found = rows_of(trial)
+        slow = _largest(found) > settings.contraction * size
+        if _largest(found) < size:
+            w, rows, size = trial, found, _largest(found)
+        if slow and size < 1e3 * settings.agreement:
+            break  # round-off
+        if slow:
+            solver = solver_of(w)
+    return w, rows, solver
 
 
 def _largest(rows: np.ndarray) -> float:
