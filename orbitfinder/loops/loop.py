@@ -130,14 +130,16 @@ class Equations:
     free: tuple[str, ...] = ()
     action: bool = False
     alone: bool = False
-    flow: InitVar[ca.Function | None] = None
-    """the unfolded vector field, where it is there already"""
+    given: InitVar[March | None] = None
+    """what integrates the motion, where it is there already"""
     march: March = field(init=False)
 
-    def __post_init__(self, flow: ca.Function | None) -> None:
-        flow = flow or vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
-        rate = _action_rate(self.model, flow, self.free) if self.action else None
-        object.__setattr__(self, "march", March(flow, self.model.forced, rate, self.alone))
+    def __post_init__(self, given: March | None) -> None:
+        if given is None:
+            flow = vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
+            rate = _action_rate(self.model, flow, self.free) if self.action else None
+            given = March(flow, self.model.forced, rate, self.alone)
+        object.__setattr__(self, "march", given)
 
     @property
     def size(self) -> int:

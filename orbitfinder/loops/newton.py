@@ -41,11 +41,14 @@ class NewtonSettings:
 
 
 class Newton:
-    """One run of the iteration on a loop; counts its marches of states and of states and derivatives."""
+    """One run of the iteration on a loop; counts its marches of states and of states and derivatives.
+
+    `best` is the smallest norm of the rows on the way to the last digits.
+    """
 
     def __init__(self, loop: Loop, settings: NewtonSettings) -> None:
         self.loop, self.settings = loop, settings
-        self.marches, self.jacobians, self.growth = 0, 0, 1.0
+        self.marches, self.jacobians, self.growth, self.best = 0, 0, 1.0, np.inf
 
     def solve(self, w: Unknowns, path: Varied) -> tuple[Unknowns, float]:
         """w on the mesh that confirms it, and its largest row; `path` is w's first integration.
@@ -58,14 +61,14 @@ class Newton:
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Damped steps on the coarse march until the residual is small."""
-        chosen, before, step, factor, best = self.settings, w, np.zeros(0), 1.0, np.inf
+        chosen, before, step, factor = self.settings, w, np.zeros(0), 1.0
         for _ in range(chosen.most_evaluations):
             path = path or self._varied(w)
             rows = self.loop.rows(w, path.ends) if path else np.full(1, np.inf)
             size = float(np.linalg.norm(rows))
-            if path is not None and size < best:
+            if path is not None and size < self.best:
                 solver = self._solver(w, path)
-                before, best, step = w, size, solver(rows)
+                before, self.best, step = w, size, solver(rows)
                 factor = 1.0 / max(1.0, abs(step[w.nodes.size]) / (chosen.largest_change * w.period))
                 if size < chosen.handover and factor == 1.0:
                     return w.moved(step), solver
@@ -73,7 +76,7 @@ class Newton:
                 factor /= 2
             w, path = before.moved(factor * step), None
         raise ConvergenceError(
-            f"warm refinement does not converge from this guess (residual {best:.2g}); find_orbit reaches farther"
+            f"warm refinement does not converge from this guess (residual {self.best:.2g}); find_orbit reaches farther"
         )
 
     def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, np.ndarray]:

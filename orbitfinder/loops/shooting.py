@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition_function
-from orbitfinder.integrate.march import uniform
+from orbitfinder.integrate.march import March, uniform
 from orbitfinder.loops.conditions import Variables, constrained_brake_rows
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
@@ -79,7 +79,7 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     problem.check_count()
     unfolded = problem.boundary.unfolded(problem.model)
     flow = flow or build_flow(problem.model, problem.free, unfolded, units=units_of(problem))
-    equations = Equations(problem.model, problem.boundary, problem.free, flow=flow.field)
+    equations = Equations(problem.model, problem.boundary, problem.free, given=March(flow.field, problem.model.forced))
     guess = equations.unknowns(nodes, problem.guess.period, uniform(problem.boundary.fraction, len(nodes), 1))
     far = far_end(problem, nodes, flow)
     loop = loop_of(problem, equations, guess, far, problem.pin)
