@@ -339,7 +339,7 @@ def test_states_that_overflow_are_an_integration_error():
     with pytest.raises(IntegrationError, match="the state is not finite"):
         known.states(wild[None], uniform(1.0, 1, 8), np.ones(1))
     with pytest.raises(IntegrationError, match="the variations are not finite"):
-        known.columns(wild, np.full(8, 0.125), np.eye(24)[:, :2])
+        known.variations(wild, np.full(8, 0.125), np.eye(24)[:, :2])
 
 
 def test_a_falsified_long_orbit_fails_its_certificate(twelve):
