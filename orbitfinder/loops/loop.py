@@ -22,7 +22,7 @@ import numpy as np
 
 from orbitfinder.integrate.march import March, Varied
 from orbitfinder.loops.condensed import Linearised
-from orbitfinder.loops.symmetry import Symmetry
+from orbitfinder.loops.symmetry import Symmetry, symplectic
 from orbitfinder.mechanics.model import Model, vector_field
 
 
@@ -190,6 +190,11 @@ class Equations:
     def momenta(self) -> ca.Function:
         """The Jacobian of (q, momentum) in (q, v) as a function of (x, free)."""
         return _momenta(self.model, self.free)
+
+    @cached_property
+    def symplectic(self) -> bool:
+        """Whether multipliers come in reciprocal pairs."""
+        return symplectic(self.model, self.free)
 
     @cached_property
     def _generators(self) -> tuple[ca.Function, ...]:
