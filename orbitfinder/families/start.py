@@ -19,7 +19,7 @@ from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_c
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem, clock, pinned
-from orbitfinder.loops.symmetry import NONE, Symmetry, named, off_centre, recognise, symmetries_of
+from orbitfinder.loops.symmetry import NONE, Symmetry, moved, named, off_centre, recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit
@@ -173,12 +173,11 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     return Curve(equations, known.constant, conditions, weights=known.weights)
 
 
-def entry_of(conditions: tuple[Condition, ...]) -> dict[str, Any]:
+def entry_of(curve: Curve) -> dict[str, Any]:
     """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, the period, or the clock."""
-    held = [[one.quantity, one.value] for one in conditions if one.normal is None]
-    period = next((one.value for one in conditions if one.normal is not None and one.quantity is None), None)
-    cycles = next((round(-one.weight) for one in conditions if one.normal is not None and one.quantity is not None), 0)
-    return {"held": held, "period": period} | ({"cycles": cycles} if cycles else {})
+    held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
+    period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
+    return {"held": held, "period": period} | ({"cycles": curve.cycles} if curve.cycles else {})
 
 
 @dataclass(frozen=True)
@@ -230,8 +229,9 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
         candidates = [Symmetry((seen.forward,))] if seen.forward else []
-    cycles = model.forcing_cycles(found.place.period)
-    return next((one.name for one in candidates if one.held_by(model, states[0], cycles)), NONE.name)
+    models = (model, moved(model, curve.equations.free))
+    kept = (one.name for one in candidates if all(one.held_by(each, states[0], curve.cycles) for each in models))
+    return next(kept, NONE.name)
 
 
 def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: Symmetry) -> np.ndarray:
