@@ -22,7 +22,7 @@ import numpy as np
 
 from orbitfinder.integrate.march import March, Varied
 from orbitfinder.loops.condensed import Linearised
-from orbitfinder.loops.symmetry import Symmetry
+from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
 from orbitfinder.mechanics.model import Model, vector_field
 
 
@@ -167,6 +167,11 @@ class Equations:
         return _momenta(self.model, self.free)
 
     @cached_property
+    def symplectic(self) -> bool:
+        """Whether multipliers come in reciprocal pairs, whatever the freed parameters are."""
+        return symplectic(moved(self.model, self.free))
+
+    @cached_property
     def _generators(self) -> tuple[ca.Function, ...]:
         return self.symmetry.generators(self.model)
 
@@ -227,6 +232,12 @@ class Loop:
     conditions: tuple[Condition, ...] = ()
     normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     reference: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def cycles(self) -> int:
+        """Periods of the forcing in one of the orbit, as its clock says; 0 without one."""
+        clocks = (one for one in self.conditions if one.normal is not None and one.quantity is not None)
+        return next((round(-one.weight) for one in clocks), 0)
 
     def through(self, w: Unknowns) -> Self:
         """The same loop with its phases fixed by hyperplanes through w."""
