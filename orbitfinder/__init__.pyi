@@ -7,6 +7,7 @@ from . import systems as systems
 from ._runtime import __version__ as __version__
 from ._runtime.limit import limited as limited
 from .atlas.choose import least_unstable as least_unstable
+from .atlas.merge import merge_atlases as merge_atlases
 from .atlas.search import search as search
 from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
