@@ -308,6 +308,12 @@ def boundary_constants(problem: Problem, nodes: np.ndarray, end: np.ndarray | No
     return problem.boundary.constants(problem.model.angular, start, end, problem.winding)
 
 
+def guessed_nodes(guess: Guess, shares: np.ndarray) -> np.ndarray:
+    """Node states (N x 2n) at shares of the period (N), from a guess that has a trajectory."""
+    assert guess.times is not None and guess.states is not None
+    return np.stack([np.interp(shares * guess.period, guess.times, column) for column in guess.states.T], axis=1)
+
+
 WINDING_MARGIN = 0.25
 """A motion whose angles end farther than this from whole turns (in turns) runs round in none of them."""
 
