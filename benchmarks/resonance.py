@@ -125,7 +125,9 @@ def page(found: dict[str, Curve], cpu: bool) -> str:
     for name, curve in found.items():
         errors = [min(np.abs(curve.folds - float(one))) if curve.folds.size else np.nan for one in known]
         told = [f"{one:.0e}" if "events" in name else "" for one in errors]
-        rows.append(f"| {name} | {1e3 * curve.seconds:.2f} | {len(curve.points)} | {worst(curve):.0e} | {' | '.join(told)} |")
+        rows.append(
+            f"| {name} | {1e3 * curve.seconds:.2f} | {len(curve.points)} | {worst(curve):.0e} | {' | '.join(told)} |"
+        )
     return f"""# Cost of a point on Duffing's resonance curve
 
 Written by `python benchmarks/resonance.py{" --cpu" if cpu else ""}`; {"processor" if cpu else "wall"} times, the least of

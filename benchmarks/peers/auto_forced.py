@@ -106,7 +106,9 @@ class Curve:
 class AutoForced:
     """The compiled AUTO program of one oscillator in a folder of its own; `orbit` is (t, x, v) over the first period."""
 
-    def __init__(self, folder: Path, numbers: Mapping[str, float], orbit: np.ndarray, last: float, clock: Clock) -> None:
+    def __init__(
+        self, folder: Path, numbers: Mapping[str, float], orbit: np.ndarray, last: float, clock: Clock
+    ) -> None:
         self.folder, self.last, self.clock = folder, last, clock
         (folder / "duffing.c").write_text(EQUATIONS.format(**{name: repr(float(one)) for name, one in numbers.items()}))
         drive = numbers["frequency"] * orbit[:, 0]
@@ -128,7 +130,9 @@ class AutoForced:
         limited = os.environ | ({"OMP_NUM_THREADS": str(asked.threads)} if asked.threads else {})
         began = self.clock(children=True)
         with (self.folder / "c.orbit").open() as stream:
-            subprocess.run(["./duffing.exe"], cwd=self.folder, stdin=stream, check=True, capture_output=True, env=limited)
+            subprocess.run(
+                ["./duffing.exe"], cwd=self.folder, stdin=stream, check=True, capture_output=True, env=limited
+            )
         seconds = self.clock(children=True) - began
         rows = np.atleast_2d(np.loadtxt(self.folder / "points.txt"))
         rows = rows[np.append(True, np.any(rows[1:] != rows[:-1], axis=1))]
