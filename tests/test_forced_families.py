@@ -1,4 +1,4 @@
-"""Families of driven systems: resonance curves, doublings, tori, isolas; against closed forms and numbers of 140 bits."""
+"""Families of driven systems: resonance curves, doublings, tori, isolas; by closed forms and numbers of 140 bits."""
 
 import json
 from dataclasses import replace
@@ -7,8 +7,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
-from orbitfinder.cli import main
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.branches import switch_branch
 from orbitfinder.families.folder import follow_family
@@ -41,8 +42,8 @@ def resonance(tmp_path_factory):
     """Duffing's resonance curve by the command that its problem file names."""
     folder = tmp_path_factory.mktemp("resonance")
     command = ["continue", str(PROBLEMS / "duffing-resonance.toml"), "--parameter", "frequency", "--until", "2.5"]
-    with pytest.raises(SystemExit, match="0"):
-        main([*command, "--out", str(folder)])
+    done = CliRunner().invoke(cli, [*command, "--out", str(folder)])
+    assert done.exit_code == 0, done.output
     return load_family(folder / "duffing-resonance" / "family.json"), folder / "duffing-resonance"
 
 
@@ -113,8 +114,8 @@ def pendulum(tmp_path_factory):
     second = [str(folder / "driven-pendulum" / "family.json"), "--switch", "0"]
     third = [str(folder / "driven-pendulum-0-1" / "family.json"), "--switch", "0", "--at", "1.07"]
     for command in (first, second, third):
-        with pytest.raises(SystemExit, match="0"):
-            main(["continue", *command, "--out", str(folder), "--no-figures"])
+        done = CliRunner().invoke(cli, ["continue", *command, "--out", str(folder), "--no-figures"])
+        assert done.exit_code == 0, done.output
     return [load_family(folder / f"driven-pendulum{one}" / "family.json") for one in ("", "-0-1", "-0-1-0-1")]
 
 
@@ -146,8 +147,8 @@ def test_a_known_orbit_of_the_driven_pendulum(pendulum):
     """The state at A = 1.06 by a program outside this project."""
     problem = load_problem(PROBLEMS / "driven-pendulum.toml")
     known = np.array(KNOWN["pendulum at 1.06"], float)
-    family = follow_family(replace(problem, guess=Guess(known, 1.0), model=with_parameters(problem.model, {"torque": 1.05})),
-                           "torque", until=1.06)  # fmt: skip
+    below = replace(problem, guess=Guess(known, 1.0), model=with_parameters(problem.model, {"torque": 1.05}))
+    family = follow_family(below, "torque", until=1.06)
     assert family.points[-1].state == pytest.approx(known, abs=1e-11)
 
 
@@ -157,6 +158,11 @@ def planted(field, value, w=2.5):
     y, rate = q - ca.cos(w * t), v + w * ca.sin(w * t)
     symbols = Symbols(q, v, a, ("a",), (value,), time=t, forcing_period=2 * np.pi / w)
     return lagrange(v**2 / 2, ca.SX(0), symbols, forces=field(y, rate, a) - w**2 * ca.cos(w * t), names=["q"])
+
+
+def followed(model, state, until=None):
+    """The family of a planted motion in a."""
+    return follow_family(Problem(model, Guess(state, 2 * np.pi / 2.5), name="planted"), "a", until=until, model=model)
 
 
 def test_torus_of_a_driven_system_in_closed_form():
@@ -183,7 +189,7 @@ def test_neutral_saddle_of_a_driven_system_is_no_torus():
 def test_an_isola_closes():
     """y'' = -y' - (y^2 + a^2 - 1): y = sqrt(1 - a^2) stable, y = -sqrt(1 - a^2) a saddle, folds at a = +-1."""
     model = planted(lambda y, rate, a: -rate - (y**2 + a**2 - 1), 0.0)
-    family = follow_family(Problem(model, Guess([2.0, 0.0], 2 * np.pi / 2.5), name="isola"), "a", model=model)
+    family = followed(model, [2.0, 0.0])
     assert [end.kind for end in family.ends] == ["returned"]
     folds = [event.parameter for event in family.events if event.kind == "fold"]
     assert sorted(folds) == pytest.approx([-1.0, 1.0], abs=1e-11)
@@ -194,7 +200,7 @@ def test_an_isola_closes():
 def test_parameter_that_breaks_a_symmetry():
     """At a = 0 the swing is its own mirror image, elsewhere it is not: no half period is taken for the whole."""
     model = planted(lambda y, rate, a: -rate - y + a, 0.0)
-    family = follow_family(Problem(model, Guess([1.0, 0.0], 2 * np.pi / 2.5), name="bias"), "a", until=0.5, model=model)
+    family = followed(model, [1.0, 0.0], until=0.5)
     assert family.curve["symmetry"] == "none"
     assert [point.state[0] - point.value for point in family.points] == pytest.approx([1.0] * len(family.points))
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import limit, locks
-from orbitfinder.errors import InputError, LimitError
+from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
@@ -78,7 +78,8 @@ def follow_family(
     settings = settings if points is None else replace(settings, points=points)
     if isinstance(origin, Family):
         raise InputError("origin: a Family; give one of its points, or a branch: switch_branch(family, event)")
-    origin = load_orbit(origin) if isinstance(origin, (str, Path)) else origin
+    if isinstance(origin, (str, Path)):
+        origin = _read(origin)
     label = name or str(getattr(origin, "name", ""))
     if out is not None and not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
@@ -98,6 +99,13 @@ def follow_family(
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
         return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
+
+
+def _read(path: str | Path) -> Orbit:
+    """The orbit of a file; `InputError` says what makes an origin of other files."""
+    if Path(path).suffix in (".toml", ".py"):
+        raise InputError(f"origin: {path} is a problem file; give its Problem: load_problem({str(path)!r})")
+    return load_orbit(path)
 
 
 def parameter_of(origin: Any) -> str:
@@ -239,7 +247,8 @@ def _finish(
                 batch = batch_certified(curve, batch) if settings.certify else batch
                 if folder is not None:
                     append(folder, batch)
-                    limit.note(f"{len(batches) + 1} steps are kept in {folder}; the same command goes on from there")
+                    kept = f"{plural(len(batches) + 1, 'step')} kept in {folder}"
+                    limit.note(f"{kept}; the same command goes on from there")
                 batches.append(batch)
                 if progress:
                     progress(batch)
