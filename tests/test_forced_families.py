@@ -98,7 +98,8 @@ def test_jacobian_of_a_driven_curve_against_differences():
     """Rows of the clock, of a segment that begins later and of a freed frequency."""
     start = begin(Problem(forced_duffing(), Guess([0.9, 0.5], 5.2)), FamilySettings(parameter="frequency"), "none")
     curve, w = start.curve, start.found.place
-    matrix = curve.through(w).linearised(w, curve.equations.varied(w)).matrix()
+    curve = curve.through(w)
+    matrix = curve.linearised(w, curve.equations.varied(w)).matrix()
     assert len(w.nodes) > 1 and matrix.shape[0] + 1 == matrix.shape[1]
     for k in range(matrix.shape[1]):
         step = np.eye(matrix.shape[1])[k] * 1e-6
@@ -173,7 +174,8 @@ def test_torus_of_a_driven_system_in_closed_form():
     )
     assert kinds(family) == ["torus", "stability_change"]
     assert family.events[0].parameter == pytest.approx(0.0, abs=1e-11)
-    assert family.events[0].multiplier == pytest.approx(np.exp(2j * np.pi / 2.5).conj(), abs=1e-9)
+    assert family.curve["symmetry"] == "reflection"  # whose half map the multiplier is one of
+    assert family.events[0].multiplier ** 2 == pytest.approx(np.exp(2j * np.pi / 2.5).conj(), abs=1e-9)
 
 
 def test_neutral_saddle_of_a_driven_system_is_no_torus():
@@ -210,7 +212,7 @@ def test_driven_without_damping():
     model = forced_duffing(damping=0.0, frequency=2.6)
     problem = Problem(model, Guess([-0.05, 0.0], 2 * np.pi / 2.6), name="undamped")
     family = follow_family(problem, "frequency", until=1.7)
-    assert kinds(family) == ["resonance", "period_doubling", "resonance"]
+    assert kinds(family) == ["period_doubling", "resonance"]
     assert {point.stability for point in family.points} == {"elliptic"}
     orbit = find_orbit(problem)
     assert orbit.stability == "elliptic" and orbit.certificate.passed and certify(family.points[3], None).passed
@@ -240,7 +242,7 @@ def test_a_killed_sweep_goes_on(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("name", "said"), [
     ("energy", "do not come in families by energy.*stiffness"), ("period", "do not come in families by period"),
-    ("xdot", "by xdot"), ("forec", "unknown 'forec'.*force; use one of"),
+    ("xdot", "by xdot"), ("forec", "unknown 'forec'.*force'.; use one of freq"),
 ])  # fmt: skip
 def test_what_a_driven_system_is_not_followed_in(name, said):
     """Energy and period are no parameters of a driven motion."""
@@ -256,5 +258,6 @@ def test_a_branch_keeps_to_its_parameter(pendulum):
 
 def test_a_driven_equilibrium_is_no_orbit():
     """The hanging pendulum of a shaken pivot does not move."""
-    with pytest.raises(ConvergenceError, match="equilibrium|no orbit"):
-        begin(Problem(vibrated_pendulum(), Guess([1e-4, 0.0], 2 * np.pi / 60.0)), FamilySettings(parameter="damping"))
+    problem = Problem(vibrated_pendulum(), Guess([1e-4, 0.0], 2 * np.pi / 60.0), name="rest")
+    with pytest.raises(ConvergenceError, match="equilibrium and no orbit"):
+        follow_family(problem, "damping", points=2)
