@@ -44,7 +44,7 @@ def pin(**quantities: float) -> tuple[Pin, ...]:
 
 def boundary_rows(symmetry: Symmetry, start: Any, end: Any, constant: Any) -> Any:
     """The rows (2n) that join the end of the horizon to its start, as expressions (see `Symmetry.rows`)."""
-    first, last = (ca.sparsify(ca.DM(matrix)) for matrix in symmetry.rows(start.numel() // 2))
+    first, last = (ca.sparsify(ca.DM(matrix)) for matrix in symmetry.rows(symmetry.coordinates(start.numel())))
     return first @ start + last @ end - constant
 
 

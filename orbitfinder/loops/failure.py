@@ -6,6 +6,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import integration_error, sundials
+from orbitfinder.loops.problem import clocked
 from orbitfinder.loops.shooting import Shooting
 from orbitfinder.mechanics.model import energy
 
@@ -90,7 +91,7 @@ def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
 
 def _turning(shooting: Shooting, w: np.ndarray) -> str:
     """Invariants along whose symmetries all motion goes, x' = sum_k c_k generator_k(x) at every node, or nothing."""
-    layout, model, n = shooting.layout, shooting.problem.model, shooting.layout.size // 2
+    layout, model, n = shooting.layout, shooting.problem.model, shooting.problem.model.degrees_of_freedom
     _, unfolding, free = layout.tail(w)
     turns = [one for one in model.invariants if one.generator is not None]
     p = model.parameter_values.copy()
@@ -108,8 +109,7 @@ def _speed(shooting: Shooting, w: np.ndarray) -> float:
     """Largest rate or acceleration over the nodes, in units of the period."""
     _, unfolding, free = shooting.layout.tail(w)
     clock = shooting.problem.guess.period / (2 * np.pi)
-    n = shooting.layout.size // 2
-    scale = np.concatenate([np.full(n, clock), np.full(n, clock**2)])
+    scale = clock * clocked(shooting.problem.model, clock)
     rates = [
         shooting.flow.field(0.0, node, unfolding, free).full().ravel() * scale for node in shooting.layout.nodes(w)
     ]
@@ -126,7 +126,7 @@ def _energy_gap(shooting: Shooting) -> str:
     """A remark when the pinned energy is far from the guess's own, else nothing."""
     problem = shooting.problem
     pinned = [one.value for one in problem.pin if one.name == "energy"]
-    if not pinned:
+    if not pinned or problem.model.rates is not None:  # of rest, which the difference is measured by, nothing is known
         return ""
     own = energy(problem.model, problem.guess.state)
     n = problem.model.degrees_of_freedom

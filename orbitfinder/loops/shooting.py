@@ -109,6 +109,8 @@ def units_of(problem: Problem) -> tuple[float, ...]:
         return ()
     n, state = model.degrees_of_freedom, np.asarray(problem.guess.state, float)
     states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
+    if model.rates is not None:
+        return _units_alone(states, model.rate(0.0, state, model.parameter_values).full().ravel(), clock)
     acceleration = model.acceleration(0.0, state[:n], state[n:], model.parameter_values).full().ravel()
     places, rates = np.split(np.abs(states).max(axis=0), 2)
     lengths, pushed = np.maximum(places, rates * clock), np.abs(np.nan_to_num(acceleration)) * clock**2
@@ -116,6 +118,13 @@ def units_of(problem: Problem) -> tuple[float, ...]:
         lengths[group] = _rounded(lengths[group].max(initial=0.0) or pushed[group].max(initial=0.0))
     units = np.concatenate([lengths, lengths / _rounded(clock)])
     return () if np.all(units == 1.0) else tuple(float(one) for one in units)
+
+
+def _units_alone(states: np.ndarray, rate: np.ndarray, clock: float) -> tuple[float, ...]:
+    """What a first-order state (d) is measured in: each component by itself, that at 0 as the largest."""
+    sizes = np.maximum(np.abs(states).max(axis=0), np.abs(np.nan_to_num(rate)) * clock)
+    units = [_rounded(one) for one in np.where(sizes > 0, sizes, sizes.max())]
+    return () if all(one == 1.0 for one in units) else tuple(units)
 
 
 def _rounded(value: float) -> float:
@@ -127,8 +136,7 @@ def _unit_of_each(problem: Problem, flow: Flow, segments: int) -> tuple[float, .
     """Units of every entry of w: the flow's for nodes and period, 1 / period, the freed parameters' own sizes."""
     if not flow.units:
         return ()
-    n, model = len(flow.units) // 2, problem.model
-    clock = flow.units[0] / flow.units[n]
+    model, clock = problem.model, _rounded(problem.guess.period / (2 * np.pi))
     free = [abs(float(model.parameter_values[model.parameter_index(name)])) or 1.0 for name in problem.free]
     return (*flow.units * segments, clock, *[1.0 / clock] * len(flow.unfolded), *free)
 
@@ -239,18 +247,17 @@ def phase_directions(problem: Problem, state: np.ndarray) -> list[np.ndarray]:
     q, v, p = state[:n], state[n:], model.parameter_values
     found = []
     if not symmetry.reverses and not model.forced:
-        acceleration = model.acceleration(0.0, q, v, p).full().ravel()
-        found.append(np.concatenate([v, acceleration]))
+        found.append(model.rate(0.0, state, p).full().ravel())
     found += [one(q, v, p).full().ravel() for one in symmetry.generators(model)]
     return [direction / max(float(np.linalg.norm(direction)), 1e-300) for direction in found]
 
 
 def _scales(problem: Problem, start: np.ndarray, layout: Layout) -> tuple[np.ndarray, float]:
     nodes = layout.nodes(start)
-    n = layout.size // 2
+    n = problem.model.degrees_of_freedom
     least = FAR * np.asarray(layout.units[:n]) if layout.units else 1.0
     coordinates = np.maximum(least, np.abs(nodes[:, :n]).max(axis=0))
-    rate = max(float(np.abs(nodes[:, n:]).max()), 2 * np.pi / problem.guess.period * float(np.max(least)))
+    rate = max(float(np.abs(nodes[:, n:]).max(initial=0.0)), 2 * np.pi / problem.guess.period * float(np.max(least)))
     return coordinates, rate
 
 
@@ -258,7 +265,7 @@ def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.nda
     """Lowest and highest w."""
     coordinates, rate = _scales(problem, start, layout)
     centre, (_, _, free) = layout.nodes(start), layout.tail(start)
-    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(layout.size // 2, RATE_RANGE * rate)])
+    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(layout.size - coordinates.size, RATE_RANGE * rate)])
     unfolding = np.full(layout.unfolding, UNFOLDING_RANGE / layout.clock)
     spread = 0.95 * np.abs(free) + (free == 0)
     period = problem.guess.period
@@ -273,8 +280,8 @@ def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.nda
 
 def _weights(problem: Problem, layout: Layout, start: np.ndarray) -> np.ndarray:
     """Weights of the distance to the guess: 1 for angles in rad, or for each unit; rates and periods comparable."""
-    n, plain = layout.size // 2, replace(layout, units=())
+    n, plain = problem.model.degrees_of_freedom, replace(layout, units=())
     clock = problem.guess.period / (2 * np.pi) / layout.clock
-    node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / layout.segments
+    node = np.concatenate([np.ones(n), np.full(layout.size - n, clock**2)]) / layout.segments
     relative = 1.0 / np.maximum(np.abs(plain.tail(start)[2]), 1e-6) ** 2
     return plain.join(np.tile(node, layout.segments), (layout.clock / problem.guess.period) ** 2, relative)
