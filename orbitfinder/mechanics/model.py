@@ -141,14 +141,9 @@ class Model:
         return len(self.state_names) // (2 if self.rates is None else 1)
 
     @property
-    def symplectic(self) -> bool:
-        """True when the motion preserves areas dp dq: no forces act, or the rates are Hamilton's equations."""
+    def canonical(self) -> bool:
+        """True when the equations are Hamilton's by construction: no forces act, or the rates are those of an H."""
         return self.forces is None if self.rates is None else self.hamiltonian
-
-    @property
-    def reciprocal(self) -> bool:
-        """True when the multipliers of an orbit come in pairs mu, 1 / mu."""
-        return self.conservative and (self.rates is None or self.hamiltonian)
 
     @property
     def scalar(self) -> bool:

@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.loops.symmetry import recognise, symmetries_of
+from orbitfinder.loops.symmetry import recognise, symmetries_of, symplectic
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Invariant, Model, counted, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents
@@ -106,7 +106,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         if model.invariants or not model.forced
         else None,
         _at_most("symplectic", evidence.symplectic, allowed.symplectic, "Phi^T J Phi = J")
-        if model.symplectic
+        if model.canonical
         else None,
         _at_most(
             "unfolding", orbit.period * max(map(abs, orbit.unfolding), default=0.0), allowed.unfolding + 10 * found.gap,
@@ -269,9 +269,10 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
         _same_symmetry(orbit, evidence, model),
     ]
     # mu and 1/mu of a matrix of norm about mu, known to the integration's relative error: mu^2 of that
-    pairs = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if model.reciprocal else 0.0
+    paired = symplectic(model)
+    pairs = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if paired else 0.0
     defect = max(evidence.floquet.pair_defect, abs(orbit.pair_defect))
-    if model.reciprocal or defect:
+    if paired or defect:
         checks.append(_at_most("pair_defect", defect, pairs, "reciprocal pairs, as recorded and as found"))
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
