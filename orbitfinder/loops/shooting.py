@@ -117,6 +117,8 @@ def units_of(problem: Problem) -> tuple[float, ...]:
         return ()
     n, state = model.degrees_of_freedom, np.asarray(problem.guess.state, float)
     states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
+    if model.rates is not None:
+        return _units_alone(states, model.rate(0.0, state, model.parameter_values).full().ravel(), clock)
     acceleration = model.acceleration(0.0, state[:n], state[n:], model.parameter_values).full().ravel()
     places, rates = np.split(np.abs(states).max(axis=0), 2)
     lengths, pushed = np.maximum(places, rates * clock), np.abs(np.nan_to_num(acceleration)) * clock**2
@@ -124,6 +126,13 @@ def units_of(problem: Problem) -> tuple[float, ...]:
         lengths[group] = _rounded(lengths[group].max(initial=0.0) or pushed[group].max(initial=0.0))
     units = np.concatenate([lengths, lengths / _rounded(clock)])
     return () if np.all(units == 1.0) else tuple(float(one) for one in units)
+
+
+def _units_alone(states: np.ndarray, rate: np.ndarray, clock: float) -> tuple[float, ...]:
+    """What a first-order state (d) is measured in: each component by itself, that at 0 as the largest."""
+    sizes = np.maximum(np.abs(states).max(axis=0), np.abs(np.nan_to_num(rate)) * clock)
+    units = [_rounded(one) for one in np.where(sizes > 0, sizes, sizes.max())]
+    return () if all(one == 1.0 for one in units) else tuple(units)
 
 
 def _rounded(value: float) -> float:

@@ -62,8 +62,9 @@ def orbit_html(orbit: Orbit) -> str:
         verdict = f"as its file has it, not checked here: {verdict}"
     sizes = np.abs(orbit.floquet_multipliers)
     largest = f"{sizes.max():.6g}" if sizes.size else "none but the trivial ones"
+    energy = f"{orbit.energy:.12g} J" if np.isfinite(orbit.energy) else "none is conserved"
     rows = [
-        ("period", f"{orbit.period:.12g} s"), ("energy", f"{orbit.energy:.12g} J"),
+        ("period", f"{orbit.period:.12g} s"), ("energy", energy),
         ("closure", f"{orbit.closure:.1e}"), ("stability", orbit.stability), ("symmetry", orbit.symmetry),
         ("largest multiplier", largest), ("certificate", verdict),
     ]  # fmt: skip
@@ -81,13 +82,15 @@ def motions(system: Any, state: np.ndarray, period: float, samples: np.ndarray |
         states = samples if samples is not None and len(samples) > 1 else sampled(model, state, period)
     except OrbitfinderError:
         return ""
-    n = model.degrees_of_freedom
-    largest = int(np.argmax(np.ptp(states[:, :n], axis=0)))
-    name = model.state_names[largest]
+    moved = np.ptp(states, axis=0)
+    across, up = max(model.planes, key=lambda pair: moved[pair[0]])
+    name, against = model.state_names[across], model.state_names[up]
+    if model.rates is None:
+        against = f"rate of {name}"
     parts = []
     if model.points is not None:
         parts.append(moving_mechanism(positions(model, states), period, f"the mechanism over {period:.4g} s"))
-    parts.append(moving_portrait(states[:, largest], states[:, n + largest], period, f"rate of {name} against {name}"))
+    parts.append(moving_portrait(states[:, across], states[:, up], period, f"{against} against {name}"))
     return "".join(parts)
 
 
