@@ -55,7 +55,8 @@ def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfo
     end = end_of(flow, whole[0], (0.0, period), tail_of(flow), least_steps(1))
     return recorded(
         problem, period, end, whole, times, states, unfolding,
-        loop_action(model, flow, whole, times, states), multipliers(model, flow, whole, period, found),
+        loop_action(model, flow, whole, times, states, all(enough for _, enough in found)),
+        multipliers(model, flow, whole, period, found),
     )  # fmt: skip
 
 
@@ -191,10 +192,15 @@ def frame(model: Model, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def loop_action(model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, states: np.ndarray) -> float:
-    """The action from equal times, where half of them tell the same; else integrated on from each node (N x 2n)."""
+def loop_action(
+    model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, states: np.ndarray, tame: bool = True
+) -> float:
+    """The action from equal times, where half of them tell the same; else integrated on from each node (N x 2n).
+
+    It is integrated too where the motion is not `tame`, past a singularity.
+    """
     found = action(model, times, states)
-    if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
+    if tame and abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
         return found
     field, duration = with_action(model, flow.field), times[-1] / len(nodes)
     ends = [
