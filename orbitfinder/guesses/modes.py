@@ -236,10 +236,10 @@ def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
     found = start
     for _ in range(NEWTON_STEPS):
         force, matrix, _ = slopes(found, np.zeros(start.size))
+        if not (np.all(np.isfinite(force)) and np.all(np.isfinite(matrix))):
+            break
         step = np.linalg.lstsq(matrix, -force, rcond=1e-12)[0]
         found = found + step
-        if not np.all(np.isfinite(found)):
-            break
         if np.abs(step).max() <= 1e-14 * max(1.0, float(np.abs(found).max())):
             return found
     raise InputError(f"guess.equilibrium: no equilibrium found from {start.tolist()}; give a place nearer to one")
