@@ -6,18 +6,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.guesses.modes import gyroscopic_modes, normal_mode, rest_near
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import Symmetry, called, named
+from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.floquet import analyse
 from orbitfinder.problemfile.read import load_problem
-from orbitfinder.systems import henon_heiles, restricted_three_body, three_bodies
+from orbitfinder.records.family import load_family
+from orbitfinder.show.paths import has_path, path_views
+from orbitfinder.show.plot import save_figures
+from orbitfinder.systems import henon_heiles, restricted_three_body, three_bodies, van_der_pol
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(__file__).parent / "data"
@@ -199,6 +205,20 @@ def test_three_unequal_bodies_keep_their_integrals():
         assert float(one.value(end[:4], end[4:], p)) == pytest.approx(float(one.value(state[:4], state[4:], p)), 1e-9)
 
 
+def test_pictures_mark_bodies_and_libration_points(tmp_path):
+    """From every side that the motion has, with a name on each axis; no links of what has none."""
+    orbit = solved("howell-halo-2")
+    written = {one.name for one in save_figures(orbit, tmp_path)}
+    assert written == {"time_histories.png", "phase_portraits.png", "energy_error.png", "path.png"}
+    figure = path_views(orbit, build_model(orbit.system))
+    assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes] == [("x", "y"), ("x", "z"), ("y", "z")]
+    assert {one.get_text() for one in figure.axes[1].texts} >= {"secondary", "L1"}
+    flat = solved("sharp-3")
+    (axes,) = path_views(flat, build_model(flat.system)).axes
+    assert {one.get_text() for one in axes.texts} == {"primary", "secondary", "L1", "L2", "L3", "L4", "L5"}
+    assert not has_path(van_der_pol()) and not has_path(henon_heiles())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("known", TABLE, ids=lambda one: f"{float(one['x0']):g} {float(one['ydot0']):.5f}")
 def test_orbits_past_a_primary_are_certified(known):
@@ -218,3 +238,41 @@ def test_the_table_reaches_as_far_as_sharps():
     assert max(abs(float(one["trace_minus_2"])) for one in TABLE) > 3.5e4
     assert max(float(one["period"]) for one in TABLE) > 170
     assert sum(len(one["ydot0"].lstrip("-").replace(".", "")) >= 16 for one in TABLE) == len(TABLE)
+
+
+@pytest.mark.slow
+def test_from_a_libration_point_to_near_rectilinear_halos_by_commands(tmp_path, monkeypatch):
+    """Planar, halo and axial family of L1, the last one from the vertical family too: ends say what is there."""
+    monkeypatch.chdir(tmp_path)
+
+    def family(*arguments, name):
+        options = ("--no-figures", "--out", ".", "--name", name)
+        run = CliRunner().invoke(cli, ["continue", *map(str, arguments), *options])
+        assert run.exit_code == 0, run.output
+        return load_family(tmp_path / name / "family.json")
+
+    folder, file = ROOT / "problems" / "families", "planar/family.json"
+    forward = ("--direction", "forward", "--points")
+    planar = family(folder / "lyapunov-l1.toml", *forward, 50, name="planar")
+    vertical = family(folder / "vertical-l1.toml", *forward, 56, name="vertical")
+    halo = family(file, "--switch", 0, "--points", 80, name="halo")
+    axial, other = (
+        family(file, "--switch", 1, name="axial"),
+        family("vertical/family.json", "--switch", 0, name="other"),
+    )
+    assert [(one.kind, round(-2 * one.energy, 5)) for one in planar.events[:2]] == [
+        ("branch_point", 3.17435), ("branch_point", 3.02139),
+    ]  # fmt: skip
+    assert {one.symmetry for one in halo.points} == {"mirror"} and {one.symmetry for one in axial.points} == {"axis"}
+    near = [one for one in halo.points if one.stability == "elliptic"]
+    assert near and all(
+        abs(one.period - 2.15) < 0.05 for one in near
+    )  # near-rectilinear: stable, and close to the Moon
+    (end,) = halo.ends
+    assert end.kind == "singularity" and "q = [ 0.9879  0.     -0.00" in end.reason
+    assert np.linalg.norm(halo.points[-1].state[:3] - [1 - EARTH_MOON, 0, 0]) < 3e-3
+    for one, met in ((axial, vertical), (other, planar)):
+        (joined,) = one.ends
+        assert joined.kind == "merged"
+        births = [event.energy for event in met.events if event.kind == "branch_point"]
+        assert min(abs(one.events[-1].energy - energy) for energy in births) < 1e-7
