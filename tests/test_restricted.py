@@ -222,18 +222,18 @@ def test_pictures_mark_bodies_and_libration_points(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("known", TABLE, ids=lambda one: f"{float(one['x0']):g} {float(one['ydot0']):.5f}")
 def test_orbits_past_a_primary_are_certified(known):
-    """Twenty-three with perpendicular crossings, from six digits: speed, period and trace of extended precision."""
+    """Twenty-three with perpendicular crossings: speed, period and trace of extended precision."""
     x0, speed, period = (float(known[key]) for key in ("x0", "ydot0", "period"))
     model, guess = restricted_three_body(float(known["ratio"])), Guess([x0, 0, 0, speed], period)
     orbit = find_orbit(Problem(model, guess, pin(x=x0), "mirror"))
     assert orbit.certificate.passed, orbit.certificate.failures
-    assert orbit.state[3] == pytest.approx(speed, abs=1e-12)
-    assert orbit.period == pytest.approx(period, rel=1e-12)
+    assert orbit.state[3] == pytest.approx(speed, abs=1e-11)
+    assert orbit.period == pytest.approx(period, rel=1e-11)
     assert trace(orbit) == pytest.approx(float(known["trace_minus_2"]), rel=1e-4)
 
 
 def test_the_table_reaches_as_far_as_sharps():
-    """Multipliers to 3.5e4 and periods to 177; he has 3.6e4 and 184."""
+    """Multipliers to 3.5e4 and periods to 182; he has 3.6e4 and 184."""
     assert len(TABLE) >= 20
     assert max(abs(float(one["trace_minus_2"])) for one in TABLE) > 3.5e4
     assert max(float(one["period"]) for one in TABLE) > 170
