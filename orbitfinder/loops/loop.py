@@ -20,10 +20,13 @@ from typing import Self
 import casadi as ca
 import numpy as np
 
-from orbitfinder.integrate.march import March, Varied
+from orbitfinder.integrate.march import March, Marches, Varied
 from orbitfinder.loops.condensed import Linearised
 from orbitfinder.loops.symmetry import Symmetry
+from orbitfinder.mechanics.hybrid import SHARE, Transition, share
 from orbitfinder.mechanics.model import Model, vector_field
+
+NONE_SUCH = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -159,12 +162,35 @@ class Equations:
     free: tuple[str, ...] = ()
     action: bool = False
     alone: bool = False
-    march: March = field(init=False)
+    march: March | Marches = field(init=False)
 
     def __post_init__(self) -> None:
-        flow = vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
-        rate = _action_rate(self.model, flow, self.free) if self.action else None
-        object.__setattr__(self, "march", March(flow, self.model.forced, rate, self.alone))
+        if self.model.hybrid is not None:
+            shares = [one for one in self.model.parameter_names if one.startswith(SHARE) and one not in self.free]
+            object.__setattr__(self, "free", (*self.free, *shares))
+            arcs = [self._marched(arc.model, k) for k, (arc, _) in enumerate(self.model.hybrid.arcs)]
+            object.__setattr__(self, "march", Marches(arcs))
+        else:
+            object.__setattr__(self, "march", self._marched(self.model))
+
+    def _marched(self, model: Model, arc: int | None = None) -> March:
+        """What integrates the loop, or one of its arcs in periods of its own."""
+        flow = vector_field(model, self.free, self.symmetry.unfolded(model))
+        rate = _action_rate(model, flow, self.free) if self.action else None
+        if arc is not None:
+            flow, rate = (None if one is None else self._paced(one, arc) for one in (flow, rate))  # type: ignore[assignment]
+        return March(flow, model.forced, rate, self.alone)
+
+    def _paced(self, function: ca.Function, arc: int) -> ca.Function:
+        """A rate in arc k of K, of which a period of the mesh lasts K shares of the period."""
+        inputs = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+        pace = self.links.count * share(self.model, arc, self.model.parameters(self.free, inputs[3]))
+        return ca.Function(function.name(), inputs, [pace * function(*inputs)])
+
+    @cached_property
+    def links(self) -> Links:
+        """What leads from each arc of a hybrid system to the next."""
+        return Links(self.model, self.free)
 
     @property
     def size(self) -> int:
@@ -223,14 +249,79 @@ class Equations:
         return self.march.ends(w.nodes, w.mesh, w.tail)
 
     def phases(self, w: Unknowns) -> np.ndarray:
-        """Unit normals (k x d) of the hyperplanes through w that fix time and other shifts."""
+        """Unit normals (k x d) of the hyperplanes through w that fix time and other shifts; guards fix time too."""
         x, found = w.nodes[0], []
-        if not (self.symmetry.reverses or self.model.forced):
+        if not (self.symmetry.reverses or self.model.forced or self.model.hybrid):
             found.append(self.march.rates(x[None], w.tail)[0])
         q, v, values = x[: self.size // 2], x[self.size // 2 :], self.model.parameter_values
         found += [one(q, v, values).full().ravel() for one in self._generators]
         rows = np.asarray(found).reshape(len(found), self.size)
         return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
+
+
+class Links:
+    """The resets x+ = R(x-, p) and guards g(x-, p) at the ends of a hybrid system's arcs, with derivatives.
+
+    None of a smooth one.
+    """
+
+    def __init__(self, model: Model, free: tuple[str, ...]) -> None:
+        arcs = () if model.hybrid is None else model.hybrid.arcs
+        self.count = max(1, len(arcs))
+        self._parts = [_link(model, one, free) for _, one in arcs]
+
+    def __bool__(self) -> bool:
+        return bool(self._parts)
+
+    def ends(self, segments: int) -> np.ndarray:
+        """The numbers of the segments that end arcs."""
+        return (np.arange(self.count) + 1) * (segments // self.count) - 1
+
+    def at(self, w: Unknowns, ends: np.ndarray) -> list[list[np.ndarray]]:
+        """(R, g, dR/dx, dR/dfree, dg/dx, dg/dfree) of each arc."""
+        return [
+            [value.full() for value in one(ends[k], w.free)]
+            for one, k in zip(self._parts, self.ends(len(ends)), strict=True)
+        ]
+
+    def passed(self, w: Unknowns, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The ends with those of arcs reset, and the guards (K)."""
+        after, guards = ends.copy(), np.empty(self.count)
+        for k, (reset, guard, *_) in enumerate(self.at(w, ends)):
+            after[self.ends(len(ends))[k]], guards[k] = reset.ravel(), guard.item()
+        return after, guards
+
+    def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
+        """Transitions and columns through the resets, and the guards' rows (`Linearised.inner`)."""
+        transitions, columns, places = path.transitions.copy(), path.columns.copy(), self.ends(len(path.ends))
+        slopes, tails, last = [], [], columns.shape[2] - w.free.size
+        for k, (_, _, by_x, by_free, guard_by_x, guard_by_free) in zip(places, self.at(w, path.ends), strict=True):
+            slopes.append((guard_by_x @ path.transitions[k]).ravel())
+            tails.append((guard_by_x @ path.columns[k]).ravel())
+            tails[-1][last:] += guard_by_free.ravel()
+            transitions[k], columns[k] = by_x @ transitions[k], by_x @ columns[k]
+            columns[k][:, last:] += by_free
+        return transitions, columns, (places, np.array(slopes), np.array(tails))
+
+    def saltated(self, w: Unknowns, path: Varied, late: np.ndarray, early: np.ndarray) -> np.ndarray:
+        """The transitions (N x d x d) with each event's own time eliminated, by the rates before and after (K x d).
+
+        S = DR + (f+ - DR f-) grad g / (grad g . f-). Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of
+        Non-Smooth Mechanical Systems (2004), section 7.
+        """
+        found = path.transitions.copy()
+        each = zip(self.ends(len(found)), self.at(w, path.ends), late, early, strict=True)
+        for k, (_, _, by_x, _, slope, _), before, after in each:
+            found[k] = (by_x + np.outer(after - by_x @ before, slope) / (slope @ before).item()) @ found[k]
+        return found
+
+
+def _link(model: Model, one: Transition, free: tuple[str, ...]) -> ca.Function:
+    x, chosen = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("free", len(free))
+    p = model.parameters(free, chosen)
+    after, guard = one.reset(x, p), one.guard(x, p)
+    slopes = [ca.jacobian(value, by) for value in (after, guard) for by in (x, chosen)]
+    return ca.Function("link", [x, chosen], [after, guard, *map(ca.densify, slopes)])
 
 
 @dataclass(frozen=True)
@@ -260,9 +351,12 @@ class Loop:
     def rows(self, w: Unknowns, ends: np.ndarray) -> np.ndarray:
         """The residual, segments ending at `ends` (N x d)."""
         first, last = self.equations.boundary
+        links, guards = self.equations.links, NONE_SUCH
+        if links:
+            ends, guards = links.passed(w, ends)
         closing = first @ w.nodes[0] + last @ ends[-1] - self.constant
         rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self.normals @ (w.nodes[0] - self.reference)]
-        return np.concatenate([*rows, self.values(w, self.conditions)])
+        return np.concatenate([*rows, self.values(w, self.conditions), guards])
 
     def linearised(self, w: Unknowns, path: Varied) -> Linearised:
         """The derivatives of the rows."""
@@ -273,12 +367,16 @@ class Loop:
         if len(slopes):
             tail[size + len(self.normals) :, 0] = slopes[:, size]
             tail[size + len(self.normals) :, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
+        links, transitions, columns, inner = self.equations.links, path.transitions, path.columns, None
+        if links:
+            transitions, columns, inner = links.varied(w, path)  # type: ignore[assignment]
         return Linearised(
-            path.transitions,
-            path.columns,
+            transitions,
+            columns,
             np.vstack([first, self.normals.reshape(-1, size), slopes[:, :size]]),
             np.vstack([last, np.zeros((more, size))]),
             tail,
+            inner,
         )
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:

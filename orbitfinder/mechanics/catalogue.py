@@ -16,6 +16,7 @@ from typing import Any
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain, chain_dae
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
+from orbitfinder.mechanics.machines import MACHINES
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import system_at

@@ -20,7 +20,7 @@ BUILT_IN = "orbitfinder.systems"
 
 
 @dataclass(frozen=True)
-class _Ingredients:
+class Ingredients:
     """Symbols of a system: coordinates q, velocities v, time t and parameters by name with their values."""
 
     q: ca.SX
@@ -46,9 +46,9 @@ class _Ingredients:
         return lagrange(kinetic, potential, symbols, system=system, **parts)
 
 
-def _ingredients(
+def ingredients(
     count: int, positive: Mapping[str, float] | None = None, signed: Mapping[str, float] | None = None
-) -> _Ingredients:
+) -> Ingredients:
     """Symbols for `count` coordinates and these parameters; `InputError` for a number that cannot be meant."""
     values: dict[str, float] = {}
     for name, value in {**(positive or {}), **(signed or {})}.items():
@@ -57,12 +57,12 @@ def _ingredients(
         if name in (positive or {}) and value <= 0:
             raise InputError(f"system.arguments.{name}: must be positive, got {value!r}; check the sign and the unit")
         values[name] = float(value)
-    return _Ingredients(
+    return Ingredients(
         ca.SX.sym("q", count), ca.SX.sym("v", count), ca.SX.sym("t"), values, ca.SX.sym("p", len(values))
     )
 
 
-def _whole(name: str, value: int, most: int) -> int:
+def whole_number(name: str, value: int, most: int) -> int:
     """A count between 1 and `most`, or `InputError`."""
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
         raise InputError(f"system.arguments.{name}: must be a whole number from 1 to {most}, got {value!r}")
@@ -75,7 +75,7 @@ def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
     With stiffness < 0 < cubic it is the double well. Its period is an elliptic integral (Nayfeh,
     Mook, Nonlinear Oscillations, 1979, section 2.3).
     """
-    made = _ingredients(1, signed={"stiffness": stiffness, "cubic": cubic})
+    made = ingredients(1, signed={"stiffness": stiffness, "cubic": cubic})
     q, v = made.q, made.v
     potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
     return made.model("duffing", v**2 / 2, potential, names=["x"], points=_slider(made))
@@ -83,7 +83,7 @@ def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
 
 def double_well(depth: float = 0.25, distance: float = 1.0) -> Model:
     """Unit mass in V = depth ((x / distance)^2 - 1)^2: minima at +-distance, barrier `depth` J at 0."""
-    made = _ingredients(1, positive={"depth": depth, "distance": distance})
+    made = ingredients(1, positive={"depth": depth, "distance": distance})
     potential = made["depth"] * ((made.q / made["distance"]) ** 2 - 1) ** 2
     return made.model("double_well", made.v**2 / 2, potential, names=["x"], points=_slider(made))
 
@@ -93,7 +93,7 @@ def van_der_pol(damping: float = 1.0) -> Model:
 
     Source: B. van der Pol, Philosophical Magazine 2 (1926) 978-992.
     """
-    made = _ingredients(1, signed={"damping": damping})
+    made = ingredients(1, signed={"damping": damping})
     q, v = made.q, made.v
     return made.model(
         "van_der_pol", v**2 / 2, q**2 / 2, forces=made["damping"] * (1 - q**2) * v, names=["x"], points=_slider(made)
@@ -108,7 +108,7 @@ def forced_duffing(
     Source: J. Guckenheimer, P. Holmes, Nonlinear Oscillations, Dynamical Systems, and Bifurcations
     of Vector Fields (1983), section 2.2.
     """
-    made = _ingredients(
+    made = ingredients(
         1, {"frequency": frequency}, {"stiffness": stiffness, "cubic": cubic, "damping": damping, "force": force}
     )
     q, v = made.q, made.v
@@ -126,7 +126,7 @@ def forced_pendulum(
     frequency: float = 2.0,
 ) -> Model:
     """m l^2 theta'' + damping theta' + m g l sin(theta) = torque cos(frequency t), a point mass on a rod."""
-    made = _ingredients(
+    made = ingredients(
         1,
         {"length": length, "mass": mass, "frequency": frequency},
         {"gravity": gravity, "damping": damping, "torque": torque},
@@ -151,7 +151,7 @@ def vibrated_pendulum(
     The pivot's motion enters through the kinetic energy. Above frequency x amplitude =
     sqrt(2 g l) the upright position is stable: P. L. Kapitza, Soviet Physics JETP 21 (1951) 588.
     """
-    made = _ingredients(
+    made = ingredients(
         1,
         {"length": length, "frequency": frequency},
         {"gravity": gravity, "damping": damping, "amplitude": amplitude},
@@ -172,7 +172,7 @@ def rotating_hoop(radius: float = 1.0, mass: float = 1.0, gravity: float = 9.8, 
     What is conserved is the Jacobi integral, not the energy (Goldstein, Classical Mechanics,
     section 2.7). Above spin = sqrt(g / r) the bottom is unstable.
     """
-    made = _ingredients(1, {"radius": radius, "mass": mass}, {"gravity": gravity, "spin": spin})
+    made = ingredients(1, {"radius": radius, "mass": mass}, {"gravity": gravity, "spin": spin})
     q, v, r = made.q, made.v, made["radius"]
     kinetic = made["mass"] * r**2 * (v**2 + (made["spin"] * ca.sin(q)) ** 2) / 2
     weight = -made["mass"] * made["gravity"] * r * ca.cos(q)
@@ -182,11 +182,11 @@ def rotating_hoop(radius: float = 1.0, mass: float = 1.0, gravity: float = 9.8, 
     )  # fmt: skip
 
 
-def _slider(made: _Ingredients) -> ca.SX:
+def _slider(made: Ingredients) -> ca.SX:
     return ca.horzcat(ca.SX.zeros(2), ca.vertcat(0, made.q))
 
 
-def _rod(made: _Ingredients) -> ca.SX:
+def _rod(made: Ingredients) -> ca.SX:
     return made["length"] * ca.horzcat(ca.SX.zeros(2), ca.vertcat(ca.cos(made.q), ca.sin(made.q)))
 
 
@@ -200,7 +200,7 @@ def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     twice as fast as the swing and each feeds the other: P. Lynch, "Resonant motions of the
     three-dimensional elastic pendulum", Int. J. Non-Linear Mechanics 37 (2002) 345-367.
     """
-    made = _ingredients(2, {"length": length, "mass": mass, "stiffness": stiffness}, {"gravity": gravity})
+    made = ingredients(2, {"length": length, "mass": mass, "stiffness": stiffness}, {"gravity": gravity})
     q, v = made.q, made.v
     stretch = ca.norm_2(q) - made["length"]
     potential = made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * q[0]
@@ -219,7 +219,7 @@ def pendulum_on_cart(
     cart to its place; without it the horizontal momentum is conserved as well as the energy.
     """
     tied = {} if stiffness == 0 else {"stiffness": stiffness}
-    made = _ingredients(2, {"cart": cart, "mass": mass, "length": length, **tied}, {"gravity": gravity})
+    made = ingredients(2, {"cart": cart, "mass": mass, "length": length, **tied}, {"gravity": gravity})
     q, v, arm = made.q, made.v, made["length"]
     bob = ca.vertcat(arm * ca.cos(q[1]), q[0] + arm * ca.sin(q[1]))
     kinetic = made["cart"] * v[0] ** 2 / 2 + made["mass"] * ca.sumsqr(ca.jtimes(bob, q, v)) / 2
@@ -240,8 +240,8 @@ def cart_chain(
     Each spring has energy stiffness s^2 / 2 + quadratic s^3 / 3 + cubic s^4 / 4 in its stretch s:
     with `cubic` the beta-chain of E. Fermi, J. Pasta, S. Ulam, Los Alamos report LA-1940 (1955).
     """
-    count = _whole("carts", carts, MOST_CARTS)
-    made = _ingredients(count, {"mass": mass, "stiffness": stiffness}, {"cubic": cubic, "quadratic": quadratic})
+    count = whole_number("carts", carts, MOST_CARTS)
+    made = ingredients(count, {"mass": mass, "stiffness": stiffness}, {"cubic": cubic, "quadratic": quadratic})
     q = made.q
     stretch = ca.vertcat(q, 0) - ca.vertcat(0, q)
     potential = ca.sum1(
@@ -259,7 +259,7 @@ def henon_heiles(coupling: float = 1.0) -> Model:
 
     Source: M. Henon, C. Heiles, Astronomical Journal 69 (1964) 73-79.
     """
-    made = _ingredients(2, signed={"coupling": coupling})
+    made = ingredients(2, signed={"coupling": coupling})
     x, y = made.q[0], made.q[1]
     potential = ca.sumsqr(made.q) / 2 + made["coupling"] * (x**2 * y - y**3 / 3)
     return made.model(
@@ -276,7 +276,7 @@ def restricted_three_body(ratio: float = 0.012277471) -> Model:
     Jacobi integral. Orbits may have the symmetry "mirror": x(-t) = x(t), y(-t) = -y(t).
     Source: V. Szebehely, Theory of Orbits (1967), section 1.5; units there.
     """
-    made = _ingredients(2, {"ratio": ratio})
+    made = ingredients(2, {"ratio": ratio})
     (x, y), (u, w), small = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["ratio"]
     kinetic = ((u - y) ** 2 + (w + x) ** 2) / 2
     potential = -(1 - small) / ca.sqrt((x + small) ** 2 + y**2) - small / ca.sqrt((x - 1 + small) ** 2 + y**2)
@@ -286,7 +286,7 @@ def restricted_three_body(ratio: float = 0.012277471) -> Model:
 
 def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quartic: float = 1.0) -> Model:
     """Unit mass in V = (a x^2 + b y^2) / 2 + quartic x^2 y^2: two springs coupled at fourth order."""
-    made = _ingredients(2, {"stiffness_x": stiffness_x, "stiffness_y": stiffness_y}, {"quartic": quartic})
+    made = ingredients(2, {"stiffness_x": stiffness_x, "stiffness_y": stiffness_y}, {"quartic": quartic})
     x, y = made.q[0], made.q[1]
     potential = (made["stiffness_x"] * x**2 + made["stiffness_y"] * y**2) / 2 + made["quartic"] * (x * y) ** 2
     return made.model("planar_oscillator", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x))

@@ -116,6 +116,8 @@ class Model:
     symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
     """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
     constraint: HolonomicConstraint | None = None
+    hybrid: Any = None
+    """modes, transitions and the cycle of a hybrid system, see `mechanics.hybrid`"""
 
     @property
     def conservative(self) -> bool:
