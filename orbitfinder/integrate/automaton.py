@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -18,7 +19,7 @@ from scipy.optimize import brentq
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
-from orbitfinder.mechanics.hybrid import Hybrid, Transition
+from orbitfinder.mechanics.hybrid import Transition
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import vector_field as field_of
 
@@ -98,14 +99,10 @@ class Automaton:
 
     def _check_zeno(self, lengths: Sequence[float], arc: Arc) -> None:
         last = lengths[-ZENO:]
-        if (
-            len(last) == ZENO
-            and all(b < a for a, b in zip(last, last[1:], strict=False))
-            and (last[-1] < NOTHING * sum(lengths))
-        ):
+        if len(last) == ZENO and all(b < a for a, b in pairwise(last)) and (last[-1] < NOTHING * sum(lengths)):
             raise IntegrationError(
-                f"Zeno: events {arc.ended_by} follow each other ever faster and accumulate at t = {arc.times[-1]:.6g} s; "
-                "give the model a mode in which contact lasts",
+                f"Zeno: events {arc.ended_by} follow each other ever faster and accumulate at t = {arc.times[-1]:.6g} "
+                "s; give the model a mode in which contact lasts",
                 time=float(arc.times[-1]), state=arc.after,
             )  # fmt: skip
 
@@ -143,7 +140,7 @@ class Automaton:
     def _height(self, one: Transition) -> Callable[[np.ndarray], float]:
         return lambda x: one.direction * float(self.value(one.guard, x)[0])
 
-    def _crossing(  # noqa: PLR0913
+    def _crossing(
         self, heights: _Heights, leaving: Sequence[Transition], looks: np.ndarray, within: np.ndarray,
         dense: Callable[[float], np.ndarray], field: VectorField, begin: tuple[float, np.ndarray],
     ) -> tuple[float, np.ndarray, int] | None:  # fmt: skip
@@ -200,7 +197,7 @@ class Automaton:
             f"d_{one.guard.name()}", one.guard.name_in(), [f"jac:{one.guard.name_out(0)}:{one.guard.name_in(0)}"]
         )
 
-    def _ended(  # noqa: PLR0913
+    def _ended(
         self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float
     ) -> Arc:
         end = states[-1]

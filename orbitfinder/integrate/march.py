@@ -239,7 +239,7 @@ class Marches:
     def variation_errors(
         self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
     ) -> np.ndarray:
-        """Estimated error of the state-transition matrix of each step `asked` for, the state measured in `units` (d)."""
+        """Estimated error of the state-transition matrix of each step `asked` for, the state in `units` (d)."""
         arc = asked * len(self.arcs) // (mesh.size - 1)
         return np.concatenate([
             one.variation_errors(states, mesh, tail, units, asked[arc == k])

@@ -16,8 +16,8 @@ from typing import Any
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain, chain_dae
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
-from orbitfinder.mechanics.machines import MACHINES
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
+from orbitfinder.mechanics.machines import MACHINES
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import system_at
 
@@ -105,10 +105,11 @@ def module_file(module: str, folder: Path) -> Path | None:
 
 
 def _built_in(name: str) -> Callable[..., Any]:
-    if name not in FUNCTIONS:
-        known = ", ".join(FUNCTIONS)
-        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, FUNCTIONS)}; it has {known}")
-    return FUNCTIONS[name]
+    functions = FUNCTIONS | MACHINES
+    if name not in functions:
+        known = ", ".join(functions)
+        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, functions)}; it has {known}")
+    return functions[name]
 
 
 def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]:

@@ -193,7 +193,8 @@ def hybrid(
     """The Model of a hybrid system whose orbits go through the transitions of `cycle`.
 
     Its parameters are those of the modes and, for each arc but the last, its share of the period (`share_1`, ...),
-    which solvers find. `conserved` names invariants of all modes that the resets keep too. Raises `InputError` where modes differ in states or parameters, or the cycle does not fit together.
+    which solvers find. `conserved` names invariants of all modes that the resets keep too. Raises `InputError` where
+    modes differ in states or parameters, or the cycle does not fit together.
     """
     named = tuple(Mode(name, model) for name, model in modes.items()) if isinstance(modes, Mapping) else tuple(modes)
     _check_modes(named)

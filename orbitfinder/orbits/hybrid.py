@@ -1,0 +1,272 @@
+"""Orbits of hybrid systems: the guess simulated to begin with, and the evidence of an independent simulation.
+
+Found by Newton's method on the Loop, in which an arc's duration is an unknown and its guard a row; certified by the
+automaton itself, which watches all guards and does not know where an arc should end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.integrate.automaton import Arc, Automaton
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
+from orbitfinder.integrate.equations import invariant_gradients
+from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.newton import Refined
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import NONE
+from orbitfinder.mechanics.hybrid import Hybrid
+from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.model import vector_field as field_of
+from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
+from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy
+from orbitfinder.records.orbit import Orbit
+
+PIECES = 4
+"""Pieces of an arc whose variations are integrated one by one"""
+AREA = 1e-6
+"""How near to 1 the product of the multipliers of what conserves energy is, where areas are kept as well"""
+PATIENCE = 20.0
+"""Periods of the guess after which its simulation is given up"""
+
+
+def cycle_from(
+    model: Model, state: np.ndarray, settings: ReferenceSettings = TIGHTEST, longest: float = np.inf
+) -> list[Arc]:
+    """One cycle of a hybrid Model simulated from a state, for `longest` s at most.
+
+    Raises `ConvergenceError` where its events are not the cycle's.
+    """
+    hybrid: Hybrid = model.hybrid
+    found = list(Automaton(model, settings).arcs(state, hybrid.arcs[0][0].name, longest, len(hybrid.cycle)))
+    events = tuple(arc.ended_by for arc in found)
+    if events != hybrid.cycle:
+        named = ", ".join(one or "no event" for one in events)
+        raise ConvergenceError(
+            f"the motion from the guess goes through {named} where the cycle asks for {', '.join(hybrid.cycle)}; start "
+            "nearer, or ask for the cycle that it goes through"
+        )
+    return found
+
+
+def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int) -> Unknowns:
+    """The unknowns of a guess: its cycle simulated, `segments` and `steps` of each in every arc."""
+    arcs = cycle_from(equations.model, np.asarray(guess.state, float), longest=PATIENCE * guess.period)
+    durations = np.array([arc.duration for arc in arcs])
+    period = float(durations.sum())
+    nodes = [_sampled(arc, segments) for arc in arcs]
+    free = equations.numbers.copy()
+    last = free.size - (len(arcs) - 1)
+    free[last:] = durations[:-1] / period
+    mesh = np.linspace(0.0, 1.0, len(arcs) * segments * steps + 1)
+    return equations.unknowns(np.vstack(nodes), period, mesh, free)
+
+
+def _sampled(arc: Arc, segments: int) -> np.ndarray:
+    moments = arc.times[0] + arc.duration * np.arange(segments) / segments
+    return np.stack([np.interp(moments, arc.times, column) for column in arc.states.T], axis=1)
+
+
+@dataclass(frozen=True)
+class HybridEvidence:
+    """What the simulated automaton says of a state: its arcs, the gap, the multipliers, what must hold.
+
+    `pieces` are state-transition matrices in extents, events included; `trivial` how far the flow and the invariants'
+    gradients are from being kept; `transversal` the least rate at which a guard is crossed, relative.
+    """
+
+    arcs: tuple[Arc, ...]
+    period: float
+    end: np.ndarray
+    closes: Closure
+    closure: float
+    action: float
+    drift: float
+    balance: float
+    extents: np.ndarray
+    trivial: float
+    transversal: float
+    floquet: Floquet
+    monodromy: np.ndarray
+
+    @property
+    def states(self) -> np.ndarray:
+        """All sampled states (k x d), those before and after each event."""
+        return np.vstack([arc.states for arc in self.arcs])
+
+    @property
+    def times(self) -> np.ndarray:
+        """Their times (k), those of events twice."""
+        return np.concatenate([arc.times for arc in self.arcs])
+
+
+def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> HybridEvidence:
+    """The evidence of a state at the beginning of the cycle, of which the period is told.
+
+    Raises `ConvergenceError`, `IntegrationError`.
+    """
+    arcs = cycle_from(model, state, longest=PATIENCE * period)
+    period, end = float(arcs[-1].times[-1]), arcs[-1].after
+    states = np.vstack([arc.states for arc in arcs])
+    units = extents_of(model, states, period)
+    sizes = np.maximum(np.abs(states).max(axis=0) / units, 1.0)
+    pieces, action = _variations(model, arcs)
+    scaled = [piece * units / units[:, None] for piece in pieces]
+    whole = np.eye(units.size)
+    for piece in scaled:
+        whole = piece @ whole
+    automaton = Automaton(model)
+    rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
+    slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
+    found = closes((end - state - shift(turns, units.size)) / units, scaled, sizes, rate * period)
+    size = max(1.0, float(np.abs(whole).max()))
+    kept = [_off(whole @ rate, rate), *(_off(row @ whole, row) for row in slopes)]
+    drift, balance = _energies(model, arcs)
+    return HybridEvidence(
+        arcs=tuple(arcs),
+        period=period,
+        end=end,
+        closes=found,
+        closure=gap(state, end, turns),
+        action=action,
+        drift=drift,
+        balance=balance,
+        extents=units,
+        trivial=max(kept) / size,
+        transversal=min(abs(arc.slope) for arc in arcs),
+        floquet=multipliers(whole, slopes, rate[None]),
+        monodromy=whole * units[:, None] / units,
+    )
+
+
+def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
+    """The Orbit (without certificate) of a refined one."""
+    model, turns = problem.model, np.asarray(refined.turns, int)
+    found = gather_hybrid(model, refined.state, refined.period, turns)
+    return Orbit(
+        name=problem.name,
+        title=problem.title,
+        source=problem.source,
+        system=model.system,
+        state=refined.state,
+        period=refined.period,
+        energy=energy(model, refined.state),
+        action=found.action,
+        closure=found.closure,
+        symmetry=NONE.name,
+        winding=tuple(int(k) for k in turns),
+        floquet_multipliers=found.floquet.multipliers,
+        pair_defect=found.floquet.pair_defect,
+        stability=found.floquet.stability,
+        unfolding=tuple(float(s) for s in refined.unfolding),
+        nodes=refined.state[None],
+        times=found.times,
+        samples=found.states,
+        tolerance=problem.tolerance,
+        expected=problem.expected,
+    )
+
+
+def multipliers(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> Floquet:
+    """The multipliers of a hybrid orbit; they come in reciprocal pairs only where the resets keep areas too."""
+    reduced = reduce_monodromy(monodromy, gradients, directions)
+    area = abs(float(np.linalg.det(reduced))) if reduced.size else 0.0
+    return analyse(reduced, conservative=bool(len(gradients)) and abs(area - 1.0) < AREA)
+
+
+def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
+    """The gap in `units` of the automaton simulated at a second tolerance; infinite where it takes another way."""
+    try:
+        arcs = cycle_from(model, state, SECOND, PATIENCE * period)
+    except (ConvergenceError, IntegrationError):
+        return float("inf")
+    return gap(state, arcs[-1].after, turns, units)
+
+
+def _off(found: np.ndarray, wanted: np.ndarray) -> float:
+    return float(np.abs(found - wanted).max() / max(float(np.abs(wanted).max()), 1e-300))
+
+
+def _variations(model: Model, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
+    """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
+    automaton, found, action = Automaton(model), list[np.ndarray](), 0.0
+    modes = [one.mode for one in arcs]
+    for arc, following in zip(arcs, [*modes[1:], modes[0]], strict=True):
+        field, x, size = _varied(model, arc.mode), arc.states[0], arc.states.shape[1]
+        edges = np.linspace(0.0, arc.duration, PIECES + 1)
+        for begin, finish in pairwise(edges):
+            start = np.concatenate([x, np.eye(size).ravel(), [0.0]])
+            end = integrate(field, start, np.array([begin, finish]), TIGHTEST)[-1]
+            x = end[:size]
+            found.append(end[size:-1].reshape(size, size).T)
+            action += float(end[-1])
+        found[-1] = _saltation(automaton, arc, following) @ found[-1]
+    return found, action
+
+
+def _varied(model: Model, mode: str) -> VectorField:
+    """The field of (x, vec Y, S): the motion, its variations, its action."""
+    own = model.hybrid.mode(mode).model
+    flow, size = field_of(own), len(own.state_names)
+    t, y = ca.MX.sym("t"), ca.MX.sym("y", size * (1 + size) + 1)
+    x, matrix = y[:size], ca.reshape(y[size:-1], size, size)
+    inner = ca.Function("inner", (a := flow.mx_in()), [flow(*a), ca.jacobian(flow(*a), a[1])])
+    rate, slopes = inner(t, x, [], [])
+    n = own.degrees_of_freedom
+    action = 2.0 * own.kinetic(x[:n], x[n:], own.parameter_values)
+    return vector_field(ca.Function("varied", [t, y], [ca.vertcat(rate, ca.vec(slopes @ matrix), action)]))
+
+
+def _saltation(automaton: Automaton, arc: Arc, following: str) -> np.ndarray:
+    """S = DR + (f+ - DR f-) grad g / (grad g . f-)."""
+    one, x, p = automaton.hybrid.transition(str(arc.ended_by)), arc.states[-1], automaton.model.parameter_values
+    symbol, numbers = ca.MX.sym("x", x.size), ca.MX.sym("p", p.size)
+    slopes = ca.Function("slopes", [symbol, numbers], [ca.jacobian(one.reset(symbol, numbers), symbol),
+                                                       ca.jacobian(one.guard(symbol, numbers), symbol)])  # fmt: skip
+    reset, guard = (value.full() for value in slopes(x, p))
+    before, after = automaton.field(arc.mode)(0.0, x), automaton.field(following)(0.0, arc.after)
+    return np.asarray(reset + np.outer(after - reset @ before, guard) / (guard @ before).item())
+
+
+def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
+    """The largest drift of the energy in an arc without forces, and the largest error of the energy lost in an impact,
+    both relative to the energy exchanged."""
+    drift = balance = 0.0
+    exchanged = 1e-300
+    for arc in arcs:
+        exchanged = max(exchanged, *(_kinetic(model, arc.mode, x) for x in arc.states))
+    for arc in arcs:
+        own = model.hybrid.mode(arc.mode).model
+        if own.forces is not None:
+            continue
+        values = np.array([energy(own, x) for x in arc.states])
+        drift = max(drift, float(np.abs(values - values[0]).max()) / exchanged)
+        if arc.lost is not None:
+            target = model.hybrid.transition(str(arc.ended_by)).target
+            lost = _kinetic(model, arc.mode, arc.states[-1]) - _kinetic(model, target, arc.after)
+            balance = max(balance, abs(lost - arc.lost) / exchanged)
+    return drift, balance
+
+
+def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
+    own = model.hybrid.mode(mode).model
+    n = own.degrees_of_freedom
+    return float(own.kinetic(x[:n], x[n:], own.parameter_values))
+
+
+def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:
+    """What must not be negative: in modes along the motion, and impulses at events, each with its least value."""
+    least: dict[str, float] = {}
+    for arc in arcs:
+        pairs: list[tuple[str, Any]] = [*arc.margins, (f"impulse of {arc.ended_by}", arc.impulse)]
+        for name, value in pairs:
+            if value is not None:
+                least[name] = min(least.get(name, np.inf), float(value))
+    yield from least.items()
