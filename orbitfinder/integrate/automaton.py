@@ -187,6 +187,10 @@ class Automaton:
             moment = max(moment + step, start)
         return moment, state
 
+    def rate(self, one: Transition, x: np.ndarray) -> float:
+        """The guard's rate of change where its mode ends."""
+        return self._rate(one, self.field(one.source), 0.0, x)
+
     def _rate(self, one: Transition, field: VectorField, t: float, x: np.ndarray) -> float:
         """The guard's rate of change along the motion."""
         return float(self.slopes(one)(x, self.model.parameter_values).full().ravel() @ field(t, x))

@@ -166,6 +166,11 @@ class Equations:
         return Links(self.model, self.free)
 
     @property
+    def physical(self) -> tuple[str, ...]:
+        """The freed parameters that are not durations of arcs."""
+        return tuple(name for name in self.free if not name.startswith(SHARE))
+
+    @property
     def size(self) -> int:
         """d, the length of a state."""
         return self.march.size
@@ -251,9 +256,28 @@ class Links:
     def __bool__(self) -> bool:
         return bool(self._parts)
 
+    def shares(self, free: np.ndarray) -> np.ndarray:
+        """The shares of the period that the arcs take (K), from the freed parameters."""
+        last = free[free.size - (self.count - 1) :]
+        return np.append(last, 1.0 - last.sum())
+
+    def repeated(self, free: np.ndarray, times: int, total: float = 1.0) -> np.ndarray:
+        """Freed parameters of the cycle gone through so many times; with `total` 0, their changes."""
+        if not self:
+            return free
+        physical, last = np.split(free, [free.size - (self.count - 1)])
+        shares = np.append(last, total - last.sum()) / times
+        return np.concatenate([physical, np.tile(shares, times)[:-1]])
+
     def ends(self, segments: int) -> np.ndarray:
         """The numbers of the segments that end arcs."""
         return (np.arange(self.count) + 1) * (segments // self.count) - 1
+
+    def units(self, w: Unknowns, unit: np.ndarray) -> np.ndarray:
+        """What the guards (K) are measured in, states being measured in `unit` (d)."""
+        if not self:
+            return NONE_SUCH
+        return np.array([np.linalg.norm(parts[4] * unit) for parts in self.at(w, w.nodes)])
 
     def at(self, w: Unknowns, ends: np.ndarray) -> list[list[np.ndarray]]:
         """(R, g, dR/dx, dR/dfree, dg/dx, dg/dfree) of each arc."""

@@ -111,6 +111,8 @@ class Hybrid:
     modes: tuple[Mode, ...]
     transitions: tuple[Transition, ...]
     cycle: tuple[str, ...]
+    given: tuple[tuple[Mode, ...], tuple[Transition, ...], tuple[str, ...]] = ((), (), ())
+    """modes, transitions and what is conserved, as they were given"""
 
     def mode(self, name: str) -> Mode:
         """A mode by its name."""
@@ -208,12 +210,34 @@ def hybrid(
     begins = parts.arcs[0][0].model
     whole = replace(begins, parameter_names=names, parameter_values=values)
     built = Hybrid(
-        tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), tuple(cycle)
-    )
+        tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), tuple(cycle),
+        (named, tuple(transitions), tuple(conserved)),
+    )  # fmt: skip
     return replace(
         built.arcs[0][0].model, parameter_names=names, parameter_values=values, hybrid=built,
         system=dict(system or {"kind": "custom"}),
     )  # fmt: skip
+
+
+def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
+    """The same hybrid system at the same values of its parameters, its orbits going through another cycle.
+
+    Raises `InputError` for a system that is not hybrid, or a cycle that it cannot go through.
+    """
+    if model.hybrid is None:
+        raise InputError("cycle: the system is not hybrid, its motion has no events; leave the cycle out")
+    if tuple(cycle) == model.hybrid.cycle:
+        return model
+    modes, transitions, conserved = model.hybrid.given
+    made = hybrid(modes, transitions, cycle, conserved=conserved, system=dict(model.system) | {"cycle": list(cycle)})
+    kept = len(modes[0].model.parameter_names)
+    numbers = np.append(model.parameter_values[:kept], made.parameter_values[kept:])
+    return replace(made, parameter_values=numbers, hybrid=at_numbers(made.hybrid, numbers))
+
+
+def repeated(model: Model, times: int) -> Model:
+    """The same system, the cycle of a hybrid one gone through so many times."""
+    return model if model.hybrid is None else with_cycle(model, model.hybrid.cycle * times)
 
 
 def _conserving(mode: Mode, names: Sequence[str]) -> Model:
@@ -226,6 +250,14 @@ def _conserving(mode: Mode, names: Sequence[str]) -> Model:
                 f"{', '.join(found) or 'nothing'}"
             )
     return replace(mode.model, invariants=tuple(found[name] for name in names))
+
+
+def at_numbers(parts: Hybrid | None, numbers: np.ndarray) -> Hybrid | None:
+    """The same modes at other values of the parameters."""
+    if parts is None:
+        return None
+    modes = (replace(one, model=replace(one.model, parameter_values=numbers)) for one in parts.modes)
+    return replace(parts, modes=tuple(modes))
 
 
 def share(model: Model, arc: int, p: Any) -> Any:

@@ -6,7 +6,7 @@ automaton itself, which watches all guards and does not know where an arc should
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -22,17 +22,17 @@ from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import NONE
+from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.mechanics.model import vector_field as field_of
 from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
-from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy
+from orbitfinder.orbits.evidence import CHECKED, ClosureCheck
+from orbitfinder.orbits.floquet import AREA, Floquet, analyse, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
 
 PIECES = 4
 """Pieces of an arc whose variations are integrated one by one"""
-AREA = 1e-6
-"""How near to 1 the product of the multipliers of what conserves energy is, where areas are kept as well"""
 PATIENCE = 20.0
 """Periods of the guess after which its simulation is given up"""
 
@@ -177,7 +177,7 @@ def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
 def multipliers(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> Floquet:
     """The multipliers of a hybrid orbit; they come in reciprocal pairs only where the resets keep areas too."""
     reduced = reduce_monodromy(monodromy, gradients, directions)
-    area = abs(float(np.linalg.det(reduced))) if reduced.size else 0.0
+    area = abs(float(np.linalg.det(reduced))) if reduced.size else 1.0
     return analyse(reduced, conservative=bool(len(gradients)) and abs(area - 1.0) < AREA)
 
 
@@ -259,6 +259,88 @@ def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
     own = model.hybrid.mode(mode).model
     n = own.degrees_of_freedom
     return float(own.kinetic(x[:n], x[n:], own.parameter_values))
+
+
+class HybridCheck(ClosureCheck):
+    """The closure of a family's hybrid orbits: DOP853 over each arc for the time that it takes, its guard, its reset.
+
+    What the automaton asks besides, that no guard is crossed earlier, is asked of the family's own mesh.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._model, self._at, self._automaton = model, dict[str, float](), Automaton(model)
+
+    def __call__(
+        self,
+        state: np.ndarray,
+        period: float,
+        turns: np.ndarray,
+        allowed: float = 0.0,
+        free: Mapping[str, float] | None = None,
+        units: np.ndarray | float = 1.0,
+    ) -> float:
+        """The largest gap round the loop in `units` (d), or miss of a guard in periods."""
+        del allowed
+        self._set(free)
+        parts = self._automaton.hybrid
+        found, x, shares = 0.0, np.asarray(state, float), shares_of(self._automaton.model)
+        for (mode, one), share in zip(parts.arcs, shares, strict=True):
+            x = integrate(self._automaton.field(mode.name), x, np.array([0.0, share * period]), CHECKED)[-1]
+            rate = self._automaton.rate(one, x)
+            miss = float(self._automaton.value(one.guard, x)[0])
+            found = max(found, abs(miss / (rate * period)) if rate else np.inf)
+            x = self._automaton.value(one.reset, x)
+        return max(found, gap(np.asarray(state, float), x, turns, units))
+
+    def ends(self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
+        """Where each piece of an orbit ends (N x d), through the event that it ends with if it does."""
+        self._set(free)
+        arcs = self._automaton.hybrid.arcs
+        each, found = len(nodes) // len(arcs), []
+        for k, (node, duration) in enumerate(zip(nodes, durations, strict=True)):
+            mode, one = arcs[k // each]
+            field, share = self._automaton.field(mode.name), shares_of(self._automaton.model)[k // each]
+            x = integrate(field, node, np.array([0.0, duration * share * len(arcs)]), CHECKED)[-1]
+            found.append(x if (k + 1) % each else self._automaton.value(one.reset, x))
+        return np.stack(found)
+
+    def _set(self, free: Mapping[str, float] | None) -> None:
+        if self._at != dict(free or {}):
+            self._at = dict(free or {})
+            self._automaton = Automaton(with_parameters(self._model, self._at))
+
+
+def shares_of(model: Model) -> np.ndarray:
+    """The shares of the period that a hybrid Model's arcs take, by its parameters."""
+    count = len(model.hybrid.cycle)
+    last = model.parameter_values[len(model.parameter_values) - (count - 1) :]
+    return np.append(last, 1.0 - last.sum())
+
+
+def crossed_early(equations: Equations, w: Unknowns, states: np.ndarray) -> str:
+    """What the motion of a loop crosses before the event that its cycle asks for, in words; empty where nothing.
+
+    `states` (M + 1 x d) are those at the mesh.
+    """
+    hybrid: Hybrid = equations.model.hybrid
+    model = with_parameters(equations.model, dict(zip(equations.free, map(float, w.free), strict=True)))
+    p, count = model.parameter_values, len(hybrid.cycle)
+    steps = (len(states) - 1) // count
+    for k, (mode, ends) in enumerate(hybrid.arcs):
+        own = states[k * steps + 1 : (k + 1) * steps].T  # neither the reset state nor the end
+        for one in hybrid.leaving(mode.name):
+            heights = one.direction * _along(one.guard, own, p)
+            rising = (heights[:-1] < 0) & (heights[1:] >= 0)
+            if one.allowed is not None:
+                rising &= _along(one.allowed, own, p)[1:] > 0
+            if np.any(rising):
+                return f"{one.name} comes before {ends.name} in mode {mode.name}"
+    return ""
+
+
+def _along(function: ca.Function, states: np.ndarray, p: np.ndarray) -> np.ndarray:
+    count = states.shape[1]
+    return np.asarray(function.map(count)(states, np.tile(p[:, None], (1, count))).full()).ravel()
 
 
 def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:
