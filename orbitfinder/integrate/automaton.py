@@ -66,6 +66,7 @@ class Automaton:
         assert model.hybrid is not None
         self.model, self.hybrid, self.settings = model, model.hybrid, settings
         self._fields: dict[str, VectorField] = {}
+        self._slopes: dict[str, ca.Function] = {}
 
     def field(self, mode: str) -> VectorField:
         """dx/dt (t, x) in a mode."""
@@ -74,6 +75,27 @@ class Automaton:
             t, x = ca.MX.sym("t"), ca.MX.sym("x", flow.size1_in(1))
             self._fields[mode] = vector_field(ca.Function("f", [t, x], [flow(t, x, [], [])]))
         return self._fields[mode]
+
+    def varied(self, mode: str) -> VectorField:
+        """The field of (x, vec Y, S) in a mode: the motion, its variations, its action."""
+        own = self.hybrid.mode(mode).model
+        flow, size, n = field_of(own), len(own.state_names), own.degrees_of_freedom
+        t, y = ca.MX.sym("t"), ca.MX.sym("y", size * (1 + size) + 1)
+        x, matrix = y[:size], ca.reshape(y[size:-1], size, size)
+        inputs = flow.mx_in()
+        both = ca.Function("both", inputs, [flow(*inputs), ca.jacobian(flow(*inputs), inputs[1])])
+        rate, slopes = both(t, x, [], [])
+        action = 2.0 * own.kinetic(x[:n], x[n:], own.parameter_values)
+        return vector_field(ca.Function("varied", [t, y], [ca.vertcat(rate, ca.vec(slopes @ matrix), action)]))
+
+    def saltation(self, arc: Arc, following: str) -> np.ndarray:
+        """S = DR + (f+ - DR f-) grad g / (grad g . f-) at the end of an arc."""
+        one, x, p = self.hybrid.transition(str(arc.ended_by)), arc.states[-1], self.model.parameter_values
+        symbol, numbers = ca.MX.sym("x", x.size), ca.MX.sym("p", p.size)
+        rows = [ca.jacobian(value(symbol, numbers), symbol) for value in (one.reset, one.guard)]
+        reset, guard = (value.full() for value in ca.Function("slopes", [symbol, numbers], rows)(x, p))
+        before, after = self.field(arc.mode)(0.0, x), self.field(following)(0.0, arc.after)
+        return np.asarray(reset + np.outer(after - reset @ before, guard) / (guard @ before).item())
 
     def value(self, function: ca.Function, x: np.ndarray) -> np.ndarray:
         """A guard, a reset or a condition at one state."""
@@ -193,13 +215,10 @@ class Automaton:
 
     def _rate(self, one: Transition, field: VectorField, t: float, x: np.ndarray) -> float:
         """The guard's rate of change along the motion."""
-        return float(self.slopes(one)(x, self.model.parameter_values).full().ravel() @ field(t, x))
-
-    def slopes(self, one: Transition) -> ca.Function:
-        """The guard's gradient as a function of (x, p)."""
-        return one.guard.factory(
-            f"d_{one.guard.name()}", one.guard.name_in(), [f"jac:{one.guard.name_out(0)}:{one.guard.name_in(0)}"]
-        )
+        if one.name not in self._slopes:
+            names = one.guard.name_in(), one.guard.name_out()
+            self._slopes[one.name] = one.guard.factory("slope", names[0], [f"jac:{names[1][0]}:{names[0][0]}"])
+        return float(self._slopes[one.name](x, self.model.parameter_values).full().ravel() @ field(t, x))
 
     def _ended(
         self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float

@@ -204,6 +204,24 @@ class Equations:
     def _generators(self) -> tuple[ca.Function, ...]:
         return self.symmetry.generators(self.model)
 
+    def heights(self, one: Transition, states: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A guard's values in its direction at states (k x d), and whether its crossing there would be an event."""
+        found = self._height(one)(states.T, np.tile(free[:, None], (1, len(states)))).full()
+        return found[0], found[1] > 0
+
+    def _height(self, one: Transition) -> ca.Function:
+        if one.name not in self._watched:
+            x, chosen = ca.MX.sym("x", self.size), ca.MX.sym("free", len(self.free))
+            p = self.model.parameters(self.free, chosen)
+            allowed = ca.MX(1) if one.allowed is None else one.allowed(x, p)
+            rows = ca.vertcat(one.direction * one.guard(x, p), allowed)
+            self._watched[one.name] = ca.Function("height", [x, chosen], [rows])
+        return self._watched[one.name]
+
+    @cached_property
+    def _watched(self) -> dict[str, ca.Function]:
+        return {}
+
     @property
     def numbers(self) -> np.ndarray:
         """The model's own values of the freed parameters."""

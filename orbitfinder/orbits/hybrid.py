@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.automaton import Arc, Automaton
-from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate
 from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Refined
@@ -25,7 +24,6 @@ from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.mechanics.model import Model, energy
-from orbitfinder.mechanics.model import vector_field as field_of
 from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse, reduce_monodromy
@@ -199,7 +197,7 @@ def _variations(model: Model, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], fl
     automaton, found, action = Automaton(model), list[np.ndarray](), 0.0
     modes = [one.mode for one in arcs]
     for arc, following in zip(arcs, [*modes[1:], modes[0]], strict=True):
-        field, x, size = _varied(model, arc.mode), arc.states[0], arc.states.shape[1]
+        field, x, size = automaton.varied(arc.mode), arc.states[0], arc.states.shape[1]
         edges = np.linspace(0.0, arc.duration, PIECES + 1)
         for begin, finish in pairwise(edges):
             start = np.concatenate([x, np.eye(size).ravel(), [0.0]])
@@ -207,32 +205,8 @@ def _variations(model: Model, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], fl
             x = end[:size]
             found.append(end[size:-1].reshape(size, size).T)
             action += float(end[-1])
-        found[-1] = _saltation(automaton, arc, following) @ found[-1]
+        found[-1] = automaton.saltation(arc, following) @ found[-1]
     return found, action
-
-
-def _varied(model: Model, mode: str) -> VectorField:
-    """The field of (x, vec Y, S): the motion, its variations, its action."""
-    own = model.hybrid.mode(mode).model
-    flow, size = field_of(own), len(own.state_names)
-    t, y = ca.MX.sym("t"), ca.MX.sym("y", size * (1 + size) + 1)
-    x, matrix = y[:size], ca.reshape(y[size:-1], size, size)
-    inner = ca.Function("inner", (a := flow.mx_in()), [flow(*a), ca.jacobian(flow(*a), a[1])])
-    rate, slopes = inner(t, x, [], [])
-    n = own.degrees_of_freedom
-    action = 2.0 * own.kinetic(x[:n], x[n:], own.parameter_values)
-    return vector_field(ca.Function("varied", [t, y], [ca.vertcat(rate, ca.vec(slopes @ matrix), action)]))
-
-
-def _saltation(automaton: Automaton, arc: Arc, following: str) -> np.ndarray:
-    """S = DR + (f+ - DR f-) grad g / (grad g . f-)."""
-    one, x, p = automaton.hybrid.transition(str(arc.ended_by)), arc.states[-1], automaton.model.parameter_values
-    symbol, numbers = ca.MX.sym("x", x.size), ca.MX.sym("p", p.size)
-    slopes = ca.Function("slopes", [symbol, numbers], [ca.jacobian(one.reset(symbol, numbers), symbol),
-                                                       ca.jacobian(one.guard(symbol, numbers), symbol)])  # fmt: skip
-    reset, guard = (value.full() for value in slopes(x, p))
-    before, after = automaton.field(arc.mode)(0.0, x), automaton.field(following)(0.0, arc.after)
-    return np.asarray(reset + np.outer(after - reset @ before, guard) / (guard @ before).item())
 
 
 def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
@@ -323,24 +297,14 @@ def crossed_early(equations: Equations, w: Unknowns, states: np.ndarray) -> str:
     `states` (M + 1 x d) are those at the mesh.
     """
     hybrid: Hybrid = equations.model.hybrid
-    model = with_parameters(equations.model, dict(zip(equations.free, map(float, w.free), strict=True)))
-    p, count = model.parameter_values, len(hybrid.cycle)
-    steps = (len(states) - 1) // count
+    steps = (len(states) - 1) // len(hybrid.cycle)
     for k, (mode, ends) in enumerate(hybrid.arcs):
-        own = states[k * steps + 1 : (k + 1) * steps].T  # neither the reset state nor the end
+        own = states[k * steps + 1 : (k + 1) * steps]  # neither the reset state nor the end
         for one in hybrid.leaving(mode.name):
-            heights = one.direction * _along(one.guard, own, p)
-            rising = (heights[:-1] < 0) & (heights[1:] >= 0)
-            if one.allowed is not None:
-                rising &= _along(one.allowed, own, p)[1:] > 0
-            if np.any(rising):
+            heights, allowed = equations.heights(one, own, w.free)
+            if np.any((heights[:-1] < 0) & (heights[1:] >= 0) & allowed[1:]):
                 return f"{one.name} comes before {ends.name} in mode {mode.name}"
     return ""
-
-
-def _along(function: ca.Function, states: np.ndarray, p: np.ndarray) -> np.ndarray:
-    count = states.shape[1]
-    return np.asarray(function.map(count)(states, np.tile(p[:, None], (1, count))).full()).ravel()
 
 
 def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:
