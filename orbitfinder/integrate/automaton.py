@@ -79,13 +79,13 @@ class Automaton:
     def varied(self, mode: str) -> VectorField:
         """The field of (x, vec Y, S) in a mode: the motion, its variations, its action."""
         own = self.hybrid.mode(mode).model
-        flow, size, n = field_of(own), len(own.state_names), own.degrees_of_freedom
+        flow, size = field_of(own), len(own.state_names)
         t, y = ca.MX.sym("t"), ca.MX.sym("y", size * (1 + size) + 1)
         x, matrix = y[:size], ca.reshape(y[size:-1], size, size)
         inputs = flow.mx_in()
         both = ca.Function("both", inputs, [flow(*inputs), ca.jacobian(flow(*inputs), inputs[1])])
         rate, slopes = both(t, x, [], [])
-        action = 2.0 * own.kinetic(x[:n], x[n:], own.parameter_values)
+        action = own.action_rate(t, x, own.parameter_values)
         return vector_field(ca.Function("varied", [t, y], [ca.vertcat(rate, ca.vec(slopes @ matrix), action)]))
 
     def saltation(self, arc: Arc, following: str) -> np.ndarray:
@@ -135,7 +135,8 @@ class Automaton:
         solver = DOP853(field, 0.0, x, until - t, rtol=settings.relative_tolerance, atol=settings.absolute_tolerance)
         own = [by in ("", one.name) for one in leaving]
         heights = _Heights([self._height(one) for one in leaving], own, x)
-        times, states = [np.zeros(1)], [x[None]]
+        times: list[np.ndarray] = [np.zeros(1)]
+        states: list[np.ndarray] = [x[None]]
         for _ in range(MOST_STEPS):
             limit.check()
             solver.step()
@@ -148,7 +149,7 @@ class Automaton:
             if found is not None:
                 moment, end, which = found
                 kept = looks < moment
-                times += [looks[kept], [moment]]
+                times += [looks[kept], np.array([moment])]
                 states += [within[kept], end[None]]
                 spent = np.concatenate(times)
                 return self._ended(mode, leaving[which], t, spent, np.vstack(states), heights.ranges[which])

@@ -41,7 +41,24 @@ class Varied:
     integral: float
 
 
-class March:
+class Refining:
+    """Ends that are confirmed by steps of half the length."""
+
+    def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
+        raise NotImplementedError
+
+    def refined_ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh."""
+
+        def path(times: int) -> tuple[np.ndarray, np.ndarray]:
+            finer = divided(mesh, times)
+            return self.ends(nodes, finer, tail), finer
+
+        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0]))
+
+
+class March(Refining):
     """Integrates the segments of a loop; each kind of step is compiled when it is first needed.
 
     `field(t, x, s, free)` is dx/dt (d), `forced` says whether t matters; `integrand`, of the same arguments, is carried
@@ -54,6 +71,11 @@ class March:
         self.field, self.forced, self.integrand = field, forced, integrand
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
         self._lanes = Lanes(alone)
+
+    @property
+    def arcs(self) -> tuple[March, ...]:
+        """The marches of the arcs: itself."""
+        return (self,)
 
     @property
     def columns(self) -> int:
@@ -160,15 +182,6 @@ class March:
         scale = (units[:, None] / units[None, :]).ravel()  # columns first: entry (i, j) stands at j size + i
         return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
 
-    def refined_ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh."""
-
-        def path(times: int) -> tuple[np.ndarray, np.ndarray]:
-            finer = divided(mesh, times)
-            return self.ends(nodes, finer, tail), finer
-
-        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0]))
-
     def _clock(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """The times (N) at which the segments begin, 0 where they do not matter."""
         if not self.forced:
@@ -176,7 +189,7 @@ class March:
         return np.asarray(tail[0] * mesh[: -1 : (mesh.size - 1) // len(nodes)])
 
 
-class Marches:
+class Marches(Refining):
     """Marches over arcs one after another, each of an equal share of the segments and of the steps.
 
     The mesh counts arcs and not time: arc k of K is from k / K to (k + 1) / K. States at the mesh are those that steps
@@ -209,8 +222,10 @@ class Marches:
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
         found = [one.varied(own, part, tail, states) for one, own, part in self._each(nodes, mesh)]
         along = _one_after_another([one.states for one in found]) if states else nodes
-        whole = (np.concatenate([getattr(one, name) for one in found]) for name in ("ends", "transitions", "columns"))
-        return Varied(*whole, along, sum(one.integral for one in found))
+        ends, transitions, columns = (
+            np.concatenate([getattr(one, name) for one in found]) for name in ("ends", "transitions", "columns")
+        )
+        return Varied(ends, transitions, columns, along, sum(one.integral for one in found))
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d) that are shared out evenly among the arcs, in periods of its own for each."""

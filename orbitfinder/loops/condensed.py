@@ -30,6 +30,10 @@ Solver = Callable[[np.ndarray], np.ndarray]
 """Rows (defects, closing rows) -> the step over w (nodes, tail) that would remove them"""
 
 
+Inner = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Segments (g), and the derivatives of a row of each by its node (g x d) and by y (g x m)"""
+
+
 @dataclass(frozen=True)
 class Linearised:
     """Phi_k (N x d x d), C_k (N x d x m), and the closing rows' derivatives F, L (r x d), G (r x m).
@@ -42,7 +46,7 @@ class Linearised:
     first: np.ndarray
     last: np.ndarray
     tail: np.ndarray
-    inner: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    inner: Inner | None = None
 
     def matrix(self) -> np.ndarray:
         """The derivatives of all rows by w."""

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.integrate.march import March, Marches, Varied
-from orbitfinder.loops.condensed import Linearised
+from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
 from orbitfinder.mechanics.hybrid import SHARE, Transition, share
 from orbitfinder.mechanics.model import Model, vector_field
@@ -312,7 +312,7 @@ class Links:
             after[self.ends(len(ends))[k]], guards[k] = reset.ravel(), guard.item()
         return after, guards
 
-    def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
+    def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, Inner]:
         """Transitions and columns through the resets, and the guards' rows (`Linearised.inner`)."""
         transitions, columns, places = path.transitions.copy(), path.columns.copy(), self.ends(len(path.ends))
         slopes, tails, last = [], [], columns.shape[2] - w.free.size
@@ -412,9 +412,10 @@ class Loop:
         if len(slopes):
             tail[size + len(self.normals) :, 0] = slopes[:, size]
             tail[size + len(self.normals) :, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
-        links, transitions, columns, inner = self.equations.links, path.transitions, path.columns, None
+        links, transitions, columns = self.equations.links, path.transitions, path.columns
+        inner: Inner | None = None
         if links:
-            transitions, columns, inner = links.varied(w, path)  # type: ignore[assignment]
+            transitions, columns, inner = links.varied(w, path)
         return Linearised(
             transitions,
             columns,

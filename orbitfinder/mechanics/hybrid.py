@@ -20,48 +20,22 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
+from orbitfinder.mechanics.first_order import Named
 from orbitfinder.mechanics.model import Model
 
 SHARE = "share_"
 """What the name of the parameter begins with that says how much of the period an arc takes"""
 
 
-@dataclass(frozen=True)
-class At:
-    """One state and the parameters, to write guards and resets in: `at["theta"]` is a state or parameter by name."""
-
-    model: Model
-    x: Any
-    p: Any
-
-    @property
-    def q(self) -> Any:
-        """The coordinates (n)."""
-        return self.x[: self.model.degrees_of_freedom]
-
-    @property
-    def v(self) -> Any:
-        """The velocities."""
-        return self.x[self.model.degrees_of_freedom :]
-
-    def __getitem__(self, name: str) -> Any:
-        if name in self.model.state_names:
-            return self.x[self.model.state_names.index(name)]
-        if name in self.model.parameter_names:
-            return self.p[self.model.parameter_names.index(name)]
-        known = (*self.model.state_names, *self.model.parameter_names)
-        raise InputError(f"hybrid: no state or parameter {name!r}{closest(name, known)}; it has {', '.join(known)}")
-
-    def state(self, **changed: Any) -> Any:
-        """The state with some components changed, by name."""
-        for name in changed:
-            self.model.state_index(name)
-        entries = [changed.get(name, self.x[k]) for k, name in enumerate(self.model.state_names)]
-        return ca.vertcat(*entries)
+Expression = Callable[[Named, Named], Any]
+"""(x, p) -> an expression of the state and the parameters, which have names: x.theta, p.slope"""
 
 
-Expression = Callable[[At], Any]
-"""An expression of a state and the parameters."""
+def changed(state: Named, /, **values: Any) -> Any:
+    """The state with some of its components changed, by name."""
+    for name in values:
+        state[name]
+    return ca.vertcat(*(values.get(name, state[name]) for name in state.names))
 
 
 @dataclass(frozen=True)
@@ -70,7 +44,8 @@ class Transition:
 
     `reset` gives x+ (default: x itself). Crossings at which `allowed` is not positive are no events, and `ignored` says
     why: it is printed with every certificate. `impulse` is the normal impulse, which must not be negative; `lost` the
-    energy lost. Each is an expression of an `At`; a built system has CasADi functions of (x, p) in their place.
+    energy lost. Each is a function (x, p) of state and parameters by name; a built system has CasADi functions in
+    their place.
     """
 
     __repr__ = brief("name", "source", "target")
@@ -146,7 +121,7 @@ class Hybrid:
 class Impact:
     """An impact of a mechanism: M (v+ - v-) = J^T P with J v+ = -e J v-, J the contact's Jacobian.
 
-    Each is an expression of an `At`: `gap` (the first contact's), `after` (x+), `impulse` (P of the first, positive
+    Each is a function (x, p): `gap` (the first contact's), `after` (x+), `impulse` (P of the first, positive
     where it pushes), `lost` (energy, J).
     """
 
@@ -161,7 +136,7 @@ class Impact:
 def impact(model: Model, contact: Expression, restitution: float | Expression | Sequence[float] = 0.0) -> Impact:
     """The impact of a mechanism at contacts: gaps(q, p) (m), the first along the normal, others held (no slip).
 
-    `restitution` e of each row: 0 is plastic, 1 elastic; a number, m numbers or an expression of an `At`. Raises
+    `restitution` e of each row: 0 is plastic, 1 elastic; a number, m numbers or a function (x, p). Raises
     `InputError`.
     """
     if model.constraint is not None:
@@ -169,9 +144,9 @@ def impact(model: Model, contact: Expression, restitution: float | Expression | 
 
     n = model.degrees_of_freedom
     x, p, velocity = ca.SX.sym("x", 2 * n), ca.SX.sym("p", len(model.parameter_names)), ca.SX.sym("v", n)
-    here = At(model, x, p)
-    gaps = ca.vertcat(contact(here))
-    wanted = restitution(here) if callable(restitution) else restitution
+    here = Named.of(model.state_names, x), Named.of(model.parameter_names, p)
+    gaps = ca.vertcat(*_listed(contact(*here)))
+    wanted = restitution(*here) if callable(restitution) else restitution
     e = ca.vertcat(*wanted) if isinstance(wanted, Sequence) else ca.repmat(ca.SX(wanted), gaps.numel(), 1)
     if e.numel() != gaps.numel():
         raise InputError(f"restitution: {e.numel()} numbers for {gaps.numel()} contacts; give one, or one each")
@@ -181,7 +156,11 @@ def impact(model: Model, contact: Expression, restitution: float | Expression | 
     after = eliminated(balances, [x, p], True)(x, p)
     lost = model.kinetic(x[:n], x[n:], p) - model.kinetic(x[:n], after[:n], p)
     whole = ca.Function("impact", [x, p], [gaps[0], ca.vertcat(x[:n], after[:n]), after[n], lost])
-    return Impact(*(lambda at, k=k: whole(at.x, at.p)[k] for k in range(4)))  # type: ignore[misc]
+    return Impact(*(lambda x, p, k=k: whole(ca.vertcat(*x), ca.vertcat(*p))[k] for k in range(4)))  # type: ignore[misc]
+
+
+def _listed(found: Any) -> list[Any]:
+    return list(found) if isinstance(found, (list, tuple)) else [found]
 
 
 def hybrid(
@@ -301,30 +280,35 @@ def widened(model: Model, count: int, kept: int) -> Model:
 
 
 def _transition(one: Transition, model: Model) -> Transition:
-    given = {"guard": one.guard, "reset": one.reset or (lambda at: at.x), "allowed": one.allowed,
-             "impulse": one.impulse, "lost": one.lost}  # fmt: skip
-    made = {name: None if value is None else _function(name, value, model) for name, value in given.items()}
+    guard, reset = _function("guard", one.guard, model), _function("reset", one.reset or _unchanged, model)
+    if guard.numel_out(0) != 1:
+        raise InputError(f"transition {one.name}: guard gives {guard.numel_out(0)} numbers; give one")
     size = len(model.state_names)
-    if made["guard"].numel_out(0) != 1:
-        raise InputError(f"transition {one.name}: guard gives {made['guard'].numel_out(0)} numbers; give one")
-    if made["reset"].size_out(0) != (size, 1):
-        raise InputError(f"transition {one.name}: reset gives {made['reset'].size_out(0)} for {size} states; give all")
-    return replace(one, **made)
+    if reset.size_out(0) != (size, 1):
+        raise InputError(f"transition {one.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
+    others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost")}
+    made = {name: None if value is None else _function(name, value, model) for name, value in others.items()}
+    return replace(one, guard=guard, reset=reset, **made)  # type: ignore[arg-type]
+
+
+def _unchanged(x: Named, _: Named) -> Any:
+    return ca.vertcat(*x)
 
 
 def _function(name: str, expression: Expression, model: Model) -> ca.Function:
     """A CasADi function of (x, p), of SX where it can be: its derivatives are then cheapest."""
+
+    def made(symbol: Any) -> ca.Function:
+        x, p = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))
+        found = expression(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
+        return ca.Function(name, [x, p], [ca.densify(type(x)(ca.vertcat(*_listed(found))))])
+
     if isinstance(expression, ca.Function):
         return expression
-    symbol = ca.SX.sym if model.kinetic.is_a("SXFunction") else ca.MX.sym
     try:
-        x, p = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))
-        found = expression(At(model, x, p))
-    except NotImplementedError:  # an expression of MX functions
-        x, p = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("p", len(model.parameter_names))
-        found = expression(At(model, x, p))
-    made = ca.Function(name, [x, p], [ca.densify(type(x)(found))])
-    return made
+        return made(ca.SX.sym if model.scalar else ca.MX.sym)
+    except NotImplementedError:  # it calls functions of matrices
+        return made(ca.MX.sym)
 
 
 def _check_modes(modes: Sequence[Mode]) -> None:

@@ -323,7 +323,7 @@ def restricted_three_body_canonical(ratio: float = 0.012150585609624) -> Model:
 
     mirror = {"y": -1, "px": -1, "pz": -1}
     axis, plane = {"y": -1, "px": -1, "z": -1}, {"z": -1, "pz": -1}
-    return _ingredients(3, {"ratio": ratio}).canonical(
+    return ingredients(3, {"ratio": ratio}).canonical(
         "restricted_three_body_canonical", energy, ("x", "y", "z"), ("px", "py", "pz"),
         symmetries={"mirror": (-1, mirror), "axis": (-1, axis), "plane": (1, plane)},
     )  # fmt: skip
@@ -339,7 +339,7 @@ def lorenz(sigma: float = 10.0, rho: float = 28.0, beta: float = 8 / 3) -> Model
     def field(_: Any, x: Named, p: Named) -> Any:
         return [p.sigma * (x.y - x.x), x.x * (p.rho - x.z) - x.y, x.x * x.y - p.beta * x.z]
 
-    made = _ingredients(1, signed={"sigma": sigma, "rho": rho, "beta": beta})
+    made = ingredients(1, signed={"sigma": sigma, "rho": rho, "beta": beta})
     return made.first_order("lorenz", field, ("x", "y", "z"), symmetries={"turn": (1, {"x": -1, "y": -1})})
 
 
@@ -349,7 +349,7 @@ def rossler(a: float = 0.2, b: float = 0.2, c: float = 5.7) -> Model:
     def field(_: Any, x: Named, p: Named) -> Any:
         return [-x.y - x.z, x.x + p.a * x.y, p.b + x.z * (x.x - p.c)]
 
-    return _ingredients(1, signed={"a": a, "b": b, "c": c}).first_order("rossler", field, ("x", "y", "z"))
+    return ingredients(1, signed={"a": a, "b": b, "c": c}).first_order("rossler", field, ("x", "y", "z"))
 
 
 def brusselator(feed: float = 1.0, rate: float = 3.0) -> Model:
@@ -362,7 +362,7 @@ def brusselator(feed: float = 1.0, rate: float = 3.0) -> Model:
         made = x.u**2 * x.v
         return [p.feed - (p.rate + 1) * x.u + made, p.rate * x.u - made]
 
-    return _ingredients(1, {"feed": feed, "rate": rate}).first_order("brusselator", field, ("u", "v"))
+    return ingredients(1, {"feed": feed, "rate": rate}).first_order("brusselator", field, ("u", "v"))
 
 
 def fitzhugh_nagumo(current: float = 0.5, a: float = 0.7, b: float = 0.8, rate: float = 0.08) -> Model:
@@ -374,7 +374,7 @@ def fitzhugh_nagumo(current: float = 0.5, a: float = 0.7, b: float = 0.8, rate: 
     def field(_: Any, x: Named, p: Named) -> Any:
         return [x.v - x.v**3 / 3 - x.w + p.current, p.rate * (x.v + p.a - p.b * x.w)]
 
-    made = _ingredients(1, {"rate": rate}, {"current": current, "a": a, "b": b})
+    made = ingredients(1, {"rate": rate}, {"current": current, "a": a, "b": b})
     return made.first_order("fitzhugh_nagumo", field, ("v", "w"))
 
 
@@ -401,7 +401,7 @@ def hodgkin_huxley(current: float = 10.0) -> Model:
         gates = [alpha * (1 - gate) - beta * gate for gate, (alpha, beta) in zip((m, h, n), rates, strict=True)]
         return [p.current - currents, *gates]
 
-    return _ingredients(1, signed={"current": current}).first_order("hodgkin_huxley", field, ("V", "m", "h", "n"))
+    return ingredients(1, signed={"current": current}).first_order("hodgkin_huxley", field, ("V", "m", "h", "n"))
 
 
 FUNCTIONS: dict[str, Callable[..., Model]] = {

@@ -9,15 +9,12 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.mechanics.hybrid import At, Mode, Transition, hybrid, impact
-from orbitfinder.mechanics.library import BUILT_IN, Ingredients, ingredients, whole_number
+from orbitfinder.mechanics.first_order import Named
+from orbitfinder.mechanics.hybrid import Mode, Transition, changed, hybrid, impact
+from orbitfinder.mechanics.library import Ingredients, ingredients, whole_number
 from orbitfinder.mechanics.model import Model
 
 SCUFFING = "the swing foot passes the ground in mid-stance, as it does without knees; it is let through"
-
-
-def _described(function: str, **arguments: Any) -> dict[str, Any]:
-    return {"kind": "python", "module": BUILT_IN, "function": function, "arguments": arguments}
 
 
 def _swinging(made: Ingredients, name: str, rates: ca.SX, names: list[str]) -> Model:
@@ -40,20 +37,49 @@ def simplest_walker(slope: float = 0.009) -> Model:
     swing = stance + rate**2 * ca.sin(phi) - ca.cos(tilt) * ca.sin(phi)
     model = _swinging(made, "simplest_walker", ca.vertcat(stance, swing), ["theta", "phi"])
 
-    def strike(at: At) -> ca.SX:
-        turn = ca.cos(2 * at["theta"])
-        after = turn * at["thetadot"]
-        return ca.vertcat(-at["theta"], -2 * at["theta"], after, (1 - turn) * after)
+    def strike(x: Named, _: Named) -> ca.SX:
+        turn = ca.cos(2 * x.theta)
+        after = turn * x.thetadot
+        return ca.vertcat(-x.theta, -2 * x.theta, after, (1 - turn) * after)
 
     strikes = Transition(
-        "strike", "stance", "stance", guard=lambda at: at["phi"] - 2 * at["theta"], reset=strike, direction=1,
-        allowed=lambda at: -at["theta"], ignored=SCUFFING,
-        lost=lambda at: (ca.sin(2 * at["theta"]) * at["thetadot"]) ** 2 / 2,
+        "strike", "stance", "stance", guard=lambda x, p: x.phi - 2 * x.theta, reset=strike, direction=1,
+        allowed=lambda x, p: -x.theta, ignored=SCUFFING,
+        lost=lambda x, p: (ca.sin(2 * x.theta) * x.thetadot) ** 2 / 2,
     )  # fmt: skip
-    push = {"stance force": lambda at: ca.cos(at["theta"] - at["slope"]) - at["thetadot"] ** 2}
-    return hybrid(
-        [Mode("stance", model, push)], [strikes], ["strike"], system=_described("simplest_walker", slope=slope)
-    )
+    push = {"stance force": lambda x, p: ca.cos(x.theta - p.slope) - x.thetadot**2}
+    return hybrid([Mode("stance", model, push)], [strikes], ["strike"], system=model.system)
+
+
+class _Compass:
+    """Two straight legs and a hip, with the stance foot held (2 coordinates) or free (4), and what is drawn of them."""
+
+    def __init__(self, made: Ingredients) -> None:
+        self.made, count = made, made.q.numel()
+        foot, legs = (ca.SX.zeros(2), made.q) if count == 2 else (made.q[:2], made.q[2:])
+        length = made["a"] + made["b"]
+        along = [ca.vertcat(-ca.sin(legs[k]), ca.cos(legs[k])) for k in (0, 1)]
+        self.hip = foot + length * along[0]
+        self.tip = self.hip - length * along[1]
+        places = [foot + made["a"] * along[0], self.hip, self.hip - made["b"] * along[1]]
+        self.masses = list(zip((made["mass"], made["hip_mass"], made["mass"]), places, strict=True))
+
+    def model(self, **parts: Any) -> Model:
+        """Its equations of motion."""
+        made = self.made
+        kinetic = sum((m * ca.sumsqr(ca.jtimes(place, made.q, made.v)) / 2 for m, place in self.masses), ca.SX(0))
+        potential = sum((m * made["gravity"] * place[1] for m, place in self.masses), ca.SX(0))
+        return made.model("compass_gait", kinetic, potential, **parts)
+
+    def ground_force(self, model: Model) -> ca.Function:
+        """The force on the stance foot (forward, up): what accelerates the masses, and their weight."""
+        made = self.made
+        momentum = ca.jtimes(sum((m * place for m, place in self.masses), ca.SX.zeros(2)), made.q, made.v)
+        rates = ca.jtimes(momentum, made.q, made.v) + ca.jacobian(momentum, made.v) @ model.acceleration(
+            0, made.q, made.v, made.parameters
+        )
+        weight = sum((m for m, _ in self.masses), ca.SX(0)) * made["gravity"]
+        return ca.Function("force", [ca.vertcat(made.q, made.v), made.parameters], [rates + ca.vertcat(0, weight)])
 
 
 def compass_gait(
@@ -70,68 +96,38 @@ def compass_gait(
     stance + swing = -2 slope, and the legs change their names.
     Source: A. Goswami, B. Thuilot, B. Espiau, INRIA research report 2996 (1996).
     """
-    positive = {"a": a, "b": b, "mass": mass, "gravity": gravity}
     if not hip_mass >= 0:
         raise InputError(f"system.arguments.hip_mass: must not be negative, got {hip_mass!r}; check the value")
-    signed = {"slope": slope, "hip_mass": hip_mass}
-    fixed, floating = ingredients(2, positive, signed), ingredients(4, positive, signed)
+    numbers = {"a": a, "b": b, "mass": mass, "gravity": gravity}, {"slope": slope, "hip_mass": hip_mass}
+    fixed, floating = (_Compass(ingredients(count, *numbers)) for count in (2, 4))
+    names, drawn = ["stance", "swing"], ca.horzcat(ca.SX.zeros(2), _downwards(fixed.hip), _downwards(fixed.tip))
+    model = fixed.model(names=names, angles=[True, True], points=drawn)
+    lifted = floating.model(names=["x", "y", *names], angles=[False, False, True, True])
+    foot = ca.Function("foot", [floating.made.q, floating.made.parameters], [floating.tip])
+    ground = fixed.ground_force(model)
 
-    def bodies(made: Ingredients, foot: ca.SX, legs: ca.SX) -> tuple[list[tuple[Any, ca.SX]], ca.SX, ca.SX]:
-        """Masses with their places (x forward, y up), the hip and the swing foot."""
-        length = made["a"] + made["b"]
-        along = [ca.vertcat(-ca.sin(angle), ca.cos(angle)) for angle in (legs[0], legs[1])]
-        hip = foot + length * along[0]
-        places = [foot + made["a"] * along[0], hip, hip - made["b"] * along[1]]
-        return (
-            list(zip((made["mass"], made["hip_mass"], made["mass"]), places, strict=True)),
-            hip,
-            hip - length * along[1],
-        )
-
-    def moving(made: Ingredients, foot: ca.SX, legs: ca.SX, **parts: Any) -> Model:
-        masses = bodies(made, foot, legs)[0]
-        kinetic = sum((m * ca.sumsqr(ca.jtimes(place, made.q, made.v)) / 2 for m, place in masses), ca.SX(0))
-        potential = sum((m * made["gravity"] * place[1] for m, place in masses), ca.SX(0))
-        return made.model("compass_gait", kinetic, potential, **parts)
-
-    origin, names = ca.SX.zeros(2), ["stance", "swing"]
-    masses, hip, tip = bodies(fixed, origin, fixed.q)
-    drawn = ca.horzcat(origin, _downwards(hip), _downwards(tip))
-    model = moving(fixed, origin, fixed.q, names=names, angles=[True, True], points=drawn)
-    lifted = moving(
-        floating, floating.q[:2], floating.q[2:], names=["x", "y", *names], angles=[False, False, True, True]
-    )
-    foot = ca.Function("foot", [floating.q, floating.parameters], [bodies(floating, floating.q[:2], floating.q[2:])[2]])
-    momentum = ca.jtimes(sum((m * place for m, place in masses), ca.SX.zeros(2)), fixed.q, fixed.v)
-    rates = ca.jtimes(momentum, fixed.q, fixed.v) + ca.jacobian(momentum, fixed.v) @ model.acceleration(
-        0, fixed.q, fixed.v, fixed.parameters
-    )
-    weight = sum((m for m, _ in masses), ca.SX(0)) * fixed["gravity"]
-    ground = ca.Function("ground_force", [fixed.q, fixed.v, fixed.parameters], [rates + ca.vertcat(0, weight)])
-
-    def contact(at: At) -> Any:
+    def contact(x: Named, p: Named) -> list[Any]:
         """The swing foot's height along the slope's normal, and its place along the slope."""
-        place = foot(at.q, at.p)
-        return ca.vertcat(ca.dot(_normal(at), place), ca.dot(_downhill(at), place))
+        place = foot(ca.vertcat(*x[:4]), ca.vertcat(*p))
+        return [ca.dot(_normal(p), place), ca.dot(_downhill(p), place)]
 
     struck = impact(lifted, contact)
 
-    def whole(at: At) -> At:
+    def whole(x: Named) -> Named:
         """The same state with the stance foot's place and velocity, which are 0."""
-        return At(lifted, ca.vertcat(0, 0, at.q, 0, 0, at.v), at.p)
+        return Named.of(lifted.state_names, ca.vertcat(0, 0, *x[:2], 0, 0, *x[2:]))
 
-    def after(at: At) -> Any:
-        found = struck.after(whole(at))
+    def after(x: Named, p: Named) -> Any:
+        found = struck.after(whole(x), p)
         return ca.vertcat(found[3], found[2], found[7], found[6])
 
     strikes = Transition(
-        "strike", "step", "step", guard=lambda at: at["stance"] + at["swing"] + 2 * at["slope"], reset=after,
-        allowed=lambda at: at["swing"] - at["stance"], ignored=SCUFFING,
-        impulse=lambda at: struck.impulse(whole(at)), lost=lambda at: struck.lost(whole(at)),
+        "strike", "step", "step", guard=lambda x, p: x.stance + x.swing + 2 * p.slope, reset=after,
+        allowed=lambda x, p: x.swing - x.stance, ignored=SCUFFING,
+        impulse=lambda x, p: struck.impulse(whole(x), p), lost=lambda x, p: struck.lost(whole(x), p),
     )  # fmt: skip
-    force = {"ground force": lambda at: ca.dot(_normal(at), ground(at.q, at.v, at.p))}
-    arguments = {"slope": slope, "a": a, "b": b, "mass": mass, "hip_mass": hip_mass, "gravity": gravity}
-    return hybrid([Mode("step", model, force)], [strikes], ["strike"], system=_described("compass_gait", **arguments))
+    force = {"ground force": lambda x, p: ca.dot(_normal(p), ground(ca.vertcat(*x), ca.vertcat(*p)))}
+    return hybrid([Mode("step", model, force)], [strikes], ["strike"], system=model.system)
 
 
 def _downwards(place: ca.SX) -> ca.SX:
@@ -139,12 +135,12 @@ def _downwards(place: ca.SX) -> ca.SX:
     return ca.vertcat(-place[1], place[0])
 
 
-def _normal(at: At) -> Any:
-    return ca.vertcat(ca.sin(at["slope"]), ca.cos(at["slope"]))
+def _normal(p: Named) -> Any:
+    return ca.vertcat(ca.sin(p.slope), ca.cos(p.slope))
 
 
-def _downhill(at: At) -> Any:
-    return ca.vertcat(ca.cos(at["slope"]), -ca.sin(at["slope"]))
+def _downhill(p: Named) -> Any:
+    return ca.vertcat(ca.cos(p.slope), -ca.sin(p.slope))
 
 
 def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gravity: float = 9.81) -> Model:
@@ -168,13 +164,12 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
     )  # fmt: skip
     turn = float(np.cos(2 * half))
     strikes = Transition(
-        "strike", "spoke", "spoke", guard=lambda at: at["theta"] - at["slope"] - half, direction=1,
-        reset=lambda at: ca.vertcat(at["theta"] - 2 * half, turn * at["thetadot"]),
-        lost=lambda at: (1 - turn**2) * (at["length"] * at["thetadot"]) ** 2 / 2,
+        "strike", "spoke", "spoke", guard=lambda x, p: x.theta - p.slope - half, direction=1,
+        reset=lambda x, p: ca.vertcat(x.theta - 2 * half, turn * x.thetadot),
+        lost=lambda x, p: (1 - turn**2) * (p.length * x.thetadot) ** 2 / 2,
     )  # fmt: skip
-    force = {"spoke force": lambda at: at["gravity"] * ca.cos(at["theta"]) - at["length"] * at["thetadot"] ** 2}
-    system = _described("rimless_wheel", spokes=spokes, slope=slope, length=length, gravity=gravity)
-    return hybrid([Mode("spoke", model, force)], [strikes], ["strike"], system=system)
+    force = {"spoke force": lambda x, p: p.gravity * ca.cos(x.theta) - p.length * x.thetadot**2}
+    return hybrid([Mode("spoke", model, force)], [strikes], ["strike"], system=model.system)
 
 
 def slip_runner(
@@ -205,17 +200,18 @@ def slip_runner(
             "touchdown",
             "flight",
             "stance",
-            guard=lambda at: at["y"] - at["length"] * ca.cos(at["attack"]),
-            reset=lambda at: at.state(x=-at["length"] * ca.sin(at["attack"])),
+            guard=lambda x, p: x.y - p.length * ca.cos(p.attack),
+            reset=lambda x, p: changed(x, x=-p.length * ca.sin(p.attack)),
         ),
-        Transition("liftoff", "stance", "flight", guard=lambda at: ca.norm_2(at.q) - at["length"], direction=1),
-        Transition("apex", "flight", "flight", guard=lambda at: at["ydot"], reset=lambda at: at.state(x=0)),
+        Transition(
+            "liftoff", "stance", "flight", guard=lambda x, p: ca.norm_2(ca.vertcat(*x[:2])) - p.length, direction=1
+        ),
+        Transition("apex", "flight", "flight", guard=lambda x, p: x.ydot, reset=lambda x, p: changed(x, x=0)),
     ]
-    holds = {"height": lambda at: at["y"]}
-    system = _described("slip_runner", mass=mass, stiffness=stiffness, length=length, attack=attack, gravity=gravity)
+    holds = {"height": lambda x, p: x.y}
     return hybrid(
         [Mode("flight", flight, holds), Mode("stance", stance, holds)], transitions,
-        ["touchdown", "liftoff", "apex"], conserved=["energy"], system=system,
+        ["touchdown", "liftoff", "apex"], conserved=["energy"], system=flight.system,
     )  # fmt: skip
 
 
@@ -232,12 +228,11 @@ def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float 
         "vertical_hopper", kinetic, weight + made["stiffness"] * made.q**2 / 2, names=["y"], points=drawn
     )
     transitions = [
-        Transition("liftoff", "ground", "flight", guard=lambda at: at["y"], direction=1),
-        Transition("touchdown", "flight", "ground", guard=lambda at: at["y"]),
+        Transition("liftoff", "ground", "flight", guard=lambda x, p: x.y, direction=1),
+        Transition("touchdown", "flight", "ground", guard=lambda x, p: x.y),
     ]
-    modes = [Mode("ground", ground), Mode("flight", flight, {"height": lambda at: at["y"]})]
-    system = _described("vertical_hopper", mass=mass, stiffness=stiffness, gravity=gravity)
-    return hybrid(modes, transitions, ["liftoff", "touchdown"], conserved=["energy"], system=system)
+    modes = [Mode("ground", ground), Mode("flight", flight, {"height": lambda x, p: x.y})]
+    return hybrid(modes, transitions, ["liftoff", "touchdown"], conserved=["energy"], system=flight.system)
 
 
 def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
@@ -253,14 +248,66 @@ def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
         points=ca.horzcat(ca.SX.zeros(2), ca.vertcat(-ca.cos(made["angle"] - made.q), ca.sin(made.q - made["angle"]))),
     )  # fmt: skip
     bounce = Transition(
-        "bounce", "rocking", "rocking", guard=lambda at: at["phi"], reset=lambda at: at.state(phidot=-at["phidot"])
+        "bounce", "rocking", "rocking", guard=lambda x, p: x.phi, reset=lambda x, p: changed(x, phidot=-x.phidot)
     )
-    holds = {"gap": lambda at: at["phi"]}
-    system = _described("rocking_block", angle=angle, stiffness=stiffness)
-    return hybrid([Mode("rocking", model, holds)], [bounce], ["bounce"], conserved=["energy"], system=system)
+    holds = {"gap": lambda x, p: x.phi}
+    return hybrid([Mode("rocking", model, holds)], [bounce], ["bounce"], conserved=["energy"], system=model.system)
+
+
+def bouncing_ball(
+    amplitude: float = 0.012, frequency: float = 2 * np.pi, gravity: float = 1.0, restitution: float = 0.8
+) -> Model:
+    """A ball on a table at amplitude sin(frequency t): height y, speed v, and the table's phase, an angle.
+
+    At an impact v+ = (1 + e) u - e v-, u the table's speed. The cycle is one bounce, of a period of the table.
+    Source: J. Guckenheimer, P. Holmes, Nonlinear Oscillations (1983), section 2.4.
+    """
+    positive = {"frequency": frequency, "gravity": gravity}
+    made = ingredients(1, positive, {"amplitude": amplitude, "restitution": restitution})
+    model = made.first_order(
+        "bouncing_ball", lambda _, x, p: [x.v, -p.gravity, p.frequency], ("y", "v", "phase"), angles=("phase",)
+    )
+
+    def table(x: Named, p: Named) -> Any:
+        return p.amplitude * ca.sin(x.phase)
+
+    def bounced(x: Named, p: Named) -> Any:
+        speed = p.amplitude * p.frequency * ca.cos(x.phase)
+        return changed(x, v=(1 + p.restitution) * speed - p.restitution * x.v)
+
+    bounce = Transition("bounce", "air", "air", guard=lambda x, p: x.y - table(x, p), reset=bounced)
+    holds = {"gap": lambda x, p: x.y - table(x, p)}
+    return hybrid([Mode("air", model, holds)], [bounce], ["bounce"], system=model.system)
+
+
+def impact_oscillator(
+    damping: float = 0.1, frequency: float = 2.0, force: float = 1.0, stop: float = 0.0, restitution: float = 0.8
+) -> Model:
+    """x'' + damping x' + x = force cos(phase), phase' = frequency, with a stop at x = stop: v+ = -restitution v-.
+
+    The cycle is one impact; the phase turns once or, with `winding`, more often between two.
+    Source: S. W. Shaw, P. J. Holmes, "A periodically forced piecewise linear oscillator", Journal of Sound and
+    Vibration 90 (1983) 129-155.
+    """
+    signed = {"damping": damping, "force": force, "stop": stop, "restitution": restitution}
+    made = ingredients(1, {"frequency": frequency}, signed)
+
+    def field(_: Any, x: Named, p: Named) -> list[Any]:
+        return [x.v, p.force * ca.cos(x.phase) - p.damping * x.v - x.x, p.frequency]
+
+    model = made.first_order("impact_oscillator", field, ("x", "v", "phase"), angles=("phase",))
+    hit = Transition(
+        "hit", "free", "free", guard=lambda x, p: x.x - p.stop, direction=1,
+        reset=lambda x, p: changed(x, x=p.stop, v=-p.restitution * x.v),
+    )  # fmt: skip
+    holds = {"gap": lambda x, p: p.stop - x.x}
+    return hybrid([Mode("free", model, holds)], [hit], ["hit"], system=model.system)
 
 
 MACHINES: dict[str, Callable[..., Model]] = {
     one.__name__: one
-    for one in (compass_gait, rimless_wheel, rocking_block, simplest_walker, slip_runner, vertical_hopper)
-}
+    for one in (
+        bouncing_ball, compass_gait, impact_oscillator, rimless_wheel, rocking_block, simplest_walker, slip_runner,
+        vertical_hopper,
+    )
+}  # fmt: skip

@@ -187,7 +187,9 @@ def _hybrid_record_checks(
     found = energy(model, orbit.state)
     bulk = max(abs(evidence.action), 1e-300)
     checks = [
-        _at_most("energy", abs(orbit.energy - found) / max(abs(found), 1e-300), allowed.record, RECORDED),
+        _at_most("energy", abs(orbit.energy - found) / max(abs(found), 1e-300), allowed.record, RECORDED)
+        if np.isfinite(found) or np.isfinite(orbit.energy)
+        else None,
         _at_most("action", abs(orbit.action - evidence.action) / bulk, allowed.record, RECORDED),
         _at_most("recorded_closure", off, min(orbit.tolerance, allowed.closure) * scale, RECORDED),
         _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
@@ -196,7 +198,7 @@ def _hybrid_record_checks(
     ]
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
-    return checks
+    return [check for check in checks if check]
 
 
 def certified(orbit: Orbit, model: Model) -> Orbit:

@@ -44,7 +44,7 @@ from orbitfinder.orbits.closure import between, extents_of, gap
 from orbitfinder.orbits.hybrid import hybrid_orbit
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance
-from orbitfinder.orbits.objectives import chosen, guessed_nodes
+from orbitfinder.orbits.objectives import chosen
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.orbit import Orbit
 

@@ -218,7 +218,7 @@ def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
         exchanged = max(exchanged, *(_kinetic(model, arc.mode, x) for x in arc.states))
     for arc in arcs:
         own = model.hybrid.mode(arc.mode).model
-        if own.forces is not None:
+        if own.forces is not None or own.rates is not None:
             continue
         values = np.array([energy(own, x) for x in arc.states])
         drift = max(drift, float(np.abs(values - values[0]).max()) / exchanged)
