@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
+from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.mechanics.hybrid import Transition
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import vector_field as field_of
@@ -66,7 +67,7 @@ class Automaton:
         assert model.hybrid is not None
         self.model, self.hybrid, self.settings = model, model.hybrid, settings
         self._fields: dict[str, VectorField] = {}
-        self._slopes: dict[str, ca.Function] = {}
+        self._buffered: dict[int, Buffered] = {}
 
     def field(self, mode: str) -> VectorField:
         """dx/dt (t, x) in a mode."""
@@ -99,7 +100,9 @@ class Automaton:
 
     def value(self, function: ca.Function, x: np.ndarray) -> np.ndarray:
         """A guard, a reset or a condition at one state."""
-        return np.asarray(function(x, self.model.parameter_values)).ravel()
+        if id(function) not in self._buffered:
+            self._buffered[id(function)] = Buffered(function)
+        return self._buffered[id(function)](x, self.model.parameter_values)[0].ravel()
 
     def arcs(
         self, state: np.ndarray, mode: str, duration: float = np.inf, events: int = MOST_EVENTS, start: float = 0.0
@@ -216,10 +219,7 @@ class Automaton:
 
     def _rate(self, one: Transition, field: VectorField, t: float, x: np.ndarray) -> float:
         """The guard's rate of change along the motion."""
-        if one.name not in self._slopes:
-            names = one.guard.name_in(), one.guard.name_out()
-            self._slopes[one.name] = one.guard.factory("slope", names[0], [f"jac:{names[1][0]}:{names[0][0]}"])
-        return float(self._slopes[one.name](x, self.model.parameter_values).full().ravel() @ field(t, x))
+        return float(self.value(one.slope, x) @ field(t, x))
 
     def _ended(
         self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float
