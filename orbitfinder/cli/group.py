@@ -21,12 +21,15 @@ from orbitfinder.cli.guess import guess, init
 from orbitfinder.cli.options import BAD_INPUT, INTERRUPTED, JSON_KEY, NOT_CERTIFIED, limit_option, print_json
 from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
+from orbitfinder.cli.sweep import sweep
 from orbitfinder.cli.verify import prove, refine, verify
 from orbitfinder.errors import InputError, OrbitfinderError
 
-LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0}
-"""s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46.
-The others go on for as long as they are let."""
+DAY = 86_400.0
+LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0, "sweep": 3600.0, "refine": 3600.0,
+          "prove": DAY, "continue": DAY}  # fmt: skip
+"""s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
+the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
 
 
 class Commands(click.Group):
@@ -35,7 +38,8 @@ class Commands(click.Group):
     def add_command(self, cmd: click.Command, name: str | None = None) -> None:
         """A command with the option --limit; what it starts with is how long it may take, see `LIMITS`."""
         if not isinstance(cmd, click.Group):
-            cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), "each search" if cmd.name == "run" else ""))
+            parts = {"run": "each search", "sweep": "the sweep"}
+            cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), parts.get(cmd.name or "", "")))
         super().add_command(cmd, name)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
@@ -102,7 +106,7 @@ def cli() -> None:
 
 
 for command in (
-    run, verify, simulate, init, guess, continue_, search, atlas, prove, refine, export, plot, animate, page, reproduce,
-    doctor, completion,
+    run, verify, simulate, init, guess, sweep, continue_, search, atlas, prove, refine, export, plot, animate, page,
+    reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

@@ -346,7 +346,8 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     model = with_parameters(problem.model, values)
     settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
-        settled = replace(settled, pin=problem.pin[:1] or _held(problem, natural_pin(settled, nodes[0]), period))
+        kept = tuple(one for one in problem.pin if one.name not in problem.free)
+        settled = replace(settled, pin=kept[:1] or _held(problem, natural_pin(settled, nodes[0]), period))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
     return held, polish(held, held.layout.join(nodes, period, np.zeros(0), unfolding))
 
