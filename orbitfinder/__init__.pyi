@@ -11,6 +11,7 @@ from .atlas.merge import merge_atlases as merge_atlases
 from .atlas.search import search as search
 from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
+from .atlas.store import load_orbit as load_orbit
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
 from .families.folder import follow_family as follow_family
@@ -24,6 +25,8 @@ from .loops.problem import Problem as Problem
 from .mechanics.chain import chain as chain
 from .mechanics.chain import chain_dae as chain_dae
 from .mechanics.constrained import constrained as constrained
+from .mechanics.first_order import hamiltonian as hamiltonian
+from .mechanics.first_order import ode as ode
 from .mechanics.lagrange import Symbols as Symbols
 from .mechanics.lagrange import lagrange as lagrange
 from .mechanics.linkage import linkage as linkage
@@ -45,7 +48,6 @@ from .records.family import load_family as load_family
 from .records.orbit import Certificate as Certificate
 from .records.orbit import Orbit as Orbit
 from .records.orbit import save_orbit as save_orbit
-from .records.store import load_orbit as load_orbit
 from .show.animate import orbit_clip as orbit_clip
 from .show.animate import save_animation as save_animation
 from .show.animate import simulation_clip as simulation_clip

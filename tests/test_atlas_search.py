@@ -135,7 +135,7 @@ def test_workers_that_cannot_begin_are_not_hired_for_ever(tmp_path, monkeypatch)
     (tmp_path / "deadly.py").write_text("import os\n\ndef system():\n    os._exit(3)\n")
     system = {"kind": "python", "module": "deadly", "function": "system", "arguments": {}}
     crew = Local(Request(system, Target(1.0, PERIODS), 0, str(tmp_path)), 1)
-    with pytest.raises(OrbitfinderError, match=r"workers? processes die before they begin; .*--workers 0"):
+    with pytest.raises(OrbitfinderError, match=r"processes die before they begin; .*workers = 0 searches without"):
         for _ in range(20):
             crew.results(5.0)
     crew.close()

@@ -21,9 +21,10 @@ from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
+from orbitfinder.records import store
 from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document
 from orbitfinder.records.reading import LARGEST_INTEGER, inflated, json_document, read_as
-from orbitfinder.records.store import kind_of, load_orbit, member
+from orbitfinder.records.store import kind_of, member
 
 RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 4096
@@ -282,11 +283,14 @@ class Atlas:
         return number, known is None
 
 
-def orbit_of(path: str | Path) -> Orbit:
-    """The orbit of an orbit.json, or of FILE#K: point K of a family.json, orbit K of an atlas, by its id."""
+def load_orbit(path: str | Path) -> Orbit:
+    """Read an orbit.json (and orbit.npz if it is there), or FILE#K: point K of a family.json or orbit K of an atlas
+    export, counted from 0 as in the file's list, or orbit K of an atlas, by its id. A point of a family is an Orbit
+    too. Raises `InputError`.
+    """
     file, number = member(path)
     if number is None or kind_of(file) != "atlas":
-        return load_orbit(path)
+        return store.load_orbit(path)
     with Atlas(file) as atlas:
         return atlas.orbit(number)
 

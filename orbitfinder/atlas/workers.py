@@ -234,7 +234,7 @@ class Local(Workers):
         if self._false_starts > MOST_FALSE_STARTS:
             raise OrbitfinderError(
                 "search: worker processes die before they begin; a script must call search below "
-                "if __name__ == '__main__', and --workers 0 searches without other processes"
+                "if __name__ == '__main__', and workers = 0 searches without other processes"
             )
         self._workers[k] = self._started()
         job = worker.job
@@ -355,7 +355,7 @@ class Cluster(Futures):
             self._client = self._distributed.Client(address, timeout=CONNECTING, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(
-                f"--scheduler: no Dask scheduler answers at {address!r} ({error}); give its address, such as "
+                f"scheduler: no Dask scheduler answers at {address!r} ({error}); give its address, such as "
                 "tcp://host:8786"
             ) from error
         self._threads, self._looked, self._alone_since = 0, 0.0, time.monotonic()
@@ -390,6 +390,6 @@ def _distributed() -> Any:
         import distributed  # noqa: PLC0415  an extra
     except ImportError as error:
         raise InputError(
-            "--scheduler: needs Dask; pip install 'orbitfinder[cluster]', or use --workers for this machine"
+            "scheduler: needs Dask; pip install 'orbitfinder[cluster]', or use workers on this machine"
         ) from error
     return distributed

@@ -11,7 +11,7 @@ import click
 
 from orbitfinder.cli.options import FILES, finish, json_option, out_option, print_json, text, trust_option, wants_json
 from orbitfinder.cli.search import print_summary
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.store import Filter
@@ -91,7 +91,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
             f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f} {row.action:>13.6f}  {row.symmetry:<18}"
             f"{row.stability:<11}{row.instability:>12.4g} {row.closure:>9.1e}"
         )
-    text(f"{len(rows)} orbits")
+    text(plural(len(rows), "orbit"))
     finish("atlas-list", {"orbits": [vars(row) for row in rows]})
 
 
@@ -142,7 +142,7 @@ def report(book: Path) -> None:
 
     with Atlas(book) as opened:
         summary = summarise(opened)
-    text(f"{book}: {summary.orbits} distinct certified orbits of {summary.starts} starts")
+    text(f"{book}: {plural(summary.orbits, 'distinct certified orbit')} of {plural(summary.starts, 'start')}")
     print_summary(summary)
     finish("atlas-report", summary.document())
 

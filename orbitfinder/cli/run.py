@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import math
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from orbitfinder.cli.options import FILES, compile_option, finish, json_option, out_option, text, trust_option
+from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.cli.jobs import Outcome
-import math
-import time
-
-from orbitfinder.errors import InputError
 
 
 @click.command()
@@ -56,13 +55,16 @@ def _print_outcome(outcome: Outcome) -> None:
         text(f"{outcome.name}: {outcome.status}: {outcome.message}")
         return
     text(
-        f"{outcome.name}: {outcome.status}, period {outcome.period!r} s, energy {outcome.energy!r} J, "
-        f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
+        f"{outcome.name}: {outcome.status}, period {outcome.period!r} s, "
+        + (f"energy {outcome.energy!r} J, " if outcome.energy is not None else "")
+        + f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
         + "".join(f", {name} = {value!r}" for name, value in outcome.chosen.items())
     )
     if outcome.failures:
         text(f"  failed checks: {', '.join(outcome.failures)}")
-    text(f"  {outcome.written[0]}" + (f" and {len(outcome.written) - 1} figures" * (len(outcome.written) > 1)))
+    text(
+        f"  {outcome.written[0]}" + (f" and {plural(len(outcome.written) - 1, 'figure')}" * (len(outcome.written) > 1))
+    )
 
 
 @click.command()
@@ -98,9 +100,10 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
     document = {"name": loaded.name} | result.document()
     kind, more = ("drift", "") if result.conserved else ("change", ", which this system does not conserve")
     text(f"{loaded.name}: {result.times[-1]:g} s simulated")
-    text(f"  {'energy':<22}{document['energy']:.12g} J")
-    text(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
-    text(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
+    if document["energy"] is not None:
+        text(f"  {'energy':<22}{document['energy']:.12g} J")
+        text(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
+        text(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
     text(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))
     if out is not None:
         written = out / loaded.name / "simulation.csv"
@@ -137,6 +140,6 @@ def reproduce(out: Path, fresh: bool) -> None:
         )
     orbits = numbers["orbits"]
     certified = sum(one["certified"] for one in orbits.values())
-    text(f"{out / 'README.md'}: {certified} of {len(orbits)} orbits certified")
+    text(f"{out / 'README.md'}: {certified} of {plural(len(orbits), 'orbit')} certified")
     passed = certified == len(orbits)
     finish("reproduce", {"passed": passed, "page": str(out / "README.md"), "orbits": orbits}, passed)

@@ -12,7 +12,7 @@ import click
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import Progress, display
 from orbitfinder.cli.options import FILES, compile_option, finish, json_option, text, trust_option
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.report import Summary
@@ -92,10 +92,10 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
                     progress=report, **how)  # fmt: skip
     for energy, tally in found.tallies:
         text(
-            f"{energy:g} J: {tally.done} starts in {tally.elapsed:.1f} s, {tally.new} new orbits, "
-            f"{tally.duplicates} times a known one, {sum(tally.failures.values())} failed"
+            f"{energy:g} J: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, {plural(tally.new, 'new orbit')}, "
+            f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
         )
-    text(f"{found.atlas}: {found.summary.orbits} distinct certified orbits")
+    text(f"{found.atlas}: {plural(found.summary.orbits, 'distinct certified orbit')}")
     print_summary(found.summary)
     runs = [
         {
@@ -124,9 +124,9 @@ def progress(energy: float, tally: Statistics, limits: Limits) -> Progress:
     made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left(limits)
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
-        f"{energy:g} J: {made} starts, {tally.hits} hits, {tally.new} new, {tally.duplicates} known, {failed} failed, "
-        f"{tally.orbits} orbits in the atlas, {rate} starts/s" + (remaining and f", {remaining} left")
-    )
+        f"{energy:g} J: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
+        f"{tally.duplicates} known, {failed} failed, {plural(tally.orbits, 'orbit')} in the atlas, {rate} starts/s"
+    ) + (remaining and f", {remaining} left")
     rows = [
         ("energy", f"{energy:g} J"), ("starts", f"{made}"), ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
         ("known orbits", f"{tally.duplicates}"), ("orbits in the atlas", f"{tally.orbits}"),
@@ -149,8 +149,8 @@ def print_summary(summary: Summary) -> None:
         text(f"  failed {rest:>6}: other reasons")
     for met in summary.strata:
         text(
-            f"  {met.orbits} orbits of symmetry {met.symmetry} at {met.energy:g} J, {met.once} met once; "
-            f"at least about {met.least:.0f}, sought by {met.starts} starts"
+            f"  {plural(met.orbits, 'orbit')} of symmetry {met.symmetry} at {met.energy:g} J, {met.once} met once; "
+            f"at least about {met.least:.0f}, sought by {plural(met.starts, 'start')}"
         )
     for sentence in summary.remarks:
         text(f"  {sentence}")

@@ -21,7 +21,7 @@ from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Newton, NewtonSettings
-from orbitfinder.loops.problem import Guess, Problem, check_guessed, loop_of, segments_needed
+from orbitfinder.loops.problem import Guess, Problem, check_guessed, guessed_nodes, loop_of, segments_needed
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
@@ -165,8 +165,7 @@ class Refiner:
         state, fraction = np.asarray(guess.state, float), self.problem.boundary.fraction
         mesh = uniform(fraction, self.segments, self._steps)
         if guess.times is not None and guess.states is not None:
-            moments = guess.period * mesh[: -1 : self._steps]
-            nodes = np.stack([np.interp(moments, guess.times, row) for row in guess.states.T], axis=1)
+            nodes = guessed_nodes(guess, mesh[: -1 : self._steps])
             return self.equations.unknowns(nodes, guess.period, mesh, free)
         w = self.equations.unknowns(state[None], guess.period, mesh, free)
         if self.segments == 1:

@@ -263,14 +263,21 @@ class _Study:
         for one in asked:
             check_pin(self.base.model, one)
         found = self.refiner.refine(guess, asked)
-        if guess is not None and guess.states is not None:
-            moved, rushed = np.split(np.abs(found.nodes - guess.states).max(axis=0), 2)
-            places, rates = (float(np.abs(half).max()) for half in np.split(guess.states, 2, axis=1))
-            speed = max(rates, places * 2 * np.pi / guess.period)
-            away = max(moved.max() / max(places, 1e-300), rushed.max() / max(speed, 1e-300))
-            if max(away, abs(found.period / guess.period - 1)) > ELSEWHERE:
-                raise ConvergenceError("Newton's method leads to another orbit")
+        if guess is None or guess.states is None:
+            return found
+        if max(_away(guess.states, found.nodes, guess.period), abs(found.period / guess.period - 1)) > ELSEWHERE:
+            raise ConvergenceError("Newton's method leads to another orbit")
         return found
+
+
+def _away(expected: np.ndarray, found: np.ndarray, period: float) -> float:
+    """How far nodes (N x d) are from those expected, coordinates by their size, rates by that of either in a period."""
+    moved, size = np.abs(found - expected).max(axis=0), np.abs(expected).max(axis=0)
+    if size.size % 2:
+        return float(moved.max() / max(size.max(), 1e-300))
+    (moved, rushed), (places, rates) = np.split(moved, 2), np.split(size, 2)
+    speed = max(rates.max(), places.max() * 2 * np.pi / period, 1e-300)
+    return float(max(moved.max() / max(places.max(), 1e-300), rushed.max() / speed))
 
 
 def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[tuple[int, Row]]:
