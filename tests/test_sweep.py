@@ -173,7 +173,7 @@ def test_a_parameter_is_pinned(spring, tmp_path):
         of.Problem(spring.model, given, of.pin(stifness=3.0))
 
 
-def test_a_freed_parameter_starts_where_the_guess_says(duffing):
+def test_a_freed_parameter_starts_where_the_guess_says(duffing, tmp_path):
     """From the model's own stiffness, 1, the search for a period of 1 s fails."""
     wanted = {"pin": of.pin(x=AMPLITUDE, period=1.0), "free": ("stiffness",)}
     near = of.Guess([AMPLITUDE, 0.0], 1.0, free={"stiffness": 39.0})
@@ -181,6 +181,15 @@ def test_a_freed_parameter_starts_where_the_guess_says(duffing):
     assert problem.model.parameter_values[0] == 39.0
     found = of.find_orbit(problem)
     assert found.certificate.passed and abs(exact(1.0, found.provenance["free"]["stiffness"]) - 1.0) < 1e-12
+    file = tmp_path / "a.toml"
+    table = '[system]\nkind = "python"\nfunction = "duffing"\n[guess]\nstate = [0.8, 0.0]\nperiod = 1.0\n'
+    table += "free = {{ {} = 39.0 }}\n"
+    find = '[find]\npin = { x = 0.8, period = 1.0 }\nfree = ["stiffness"]\nsymmetry = "brake"\n'
+    file.write_text(table.format("stiffness") + find)
+    assert of.load_problem(file).model.parameter_values[0] == 39.0
+    file.write_text(table.format("cubic") + find)
+    with pytest.raises(InputError, match="guess.free: 'cubic' is not free"):
+        of.load_problem(file)
     with pytest.raises(InputError, match="guess.free: 'cubic' is not free to change"):
         replace(duffing, guess=of.Guess([AMPLITUDE, 0.0], 1.0, free={"cubic": 2.0}), **wanted)
     with pytest.raises(InputError, match="guess.free: stiffness must be finite"):
