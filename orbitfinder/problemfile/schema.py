@@ -177,7 +177,8 @@ class GuessTable(Table):
         "for a list of modes a list, entries may be negative",
     )
     free: dict[str, float] = Field(
-        {}, description="where freed physical parameters start, such as { length3 = 1.2 }; the system's own when left out"
+        {},
+        description="where freed physical parameters start, such as { length3 = 1.2 }; the system's own when left out",
     )
     csv: str | None = Field(
         None,
