@@ -14,7 +14,7 @@ from scipy.integrate import trapezoid
 from orbitfinder._runtime import __version__
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, action_rate, invariant_gradients, with_action
-from orbitfinder.integrate.march import March, rounded, uniform
+from orbitfinder.integrate.march import March, Marches, rounded, uniform
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
@@ -34,7 +34,7 @@ RESOLVED = 1e-6
 
 
 def whole_period(
-    problem: Problem, flow: Flow, march: March, w: Unknowns, samples: int = SAMPLES
+    problem: Problem, flow: Flow, march: March | Marches, w: Unknowns, samples: int = SAMPLES
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes of one period from those of w; equal times over it and the states there, to round-off.
 
@@ -49,7 +49,11 @@ def whole_period(
 
 
 def marched(
-    problem: Problem, march: March, w: Unknowns, whole: tuple[np.ndarray, np.ndarray, np.ndarray], action: float
+    problem: Problem,
+    march: March | Marches,
+    w: Unknowns,
+    whole: tuple[np.ndarray, np.ndarray, np.ndarray],
+    action: float,
 ) -> Orbit:
     """The Orbit (without certificate) of what `whole_period` found, by the march that found it."""
     nodes, times, states = whole
@@ -61,7 +65,7 @@ def marched(
     return recorded(problem, w.period, end, nodes, times, states, w.unfolding, action, floquet)
 
 
-def _untouched(march: March, w: Unknowns) -> np.ndarray:
+def _untouched(march: March | Marches, w: Unknowns) -> np.ndarray:
     """The parameters (T, s, free) of a flow without unfolding."""
     return np.concatenate([[w.period], np.zeros(march.unfolding), w.free])
 

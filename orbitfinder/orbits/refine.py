@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -20,13 +20,22 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.newton import Newton, NewtonSettings
-from orbitfinder.loops.problem import Guess, Problem, check_guessed, guessed_nodes, loop_of, segments_needed
+from orbitfinder.loops.newton import Newton, NewtonSettings, Refined
+from orbitfinder.loops.problem import (
+    Guess,
+    Problem,
+    at_forcing_period,
+    check_guessed,
+    guessed_nodes,
+    loop_of,
+    segments_needed,
+    without_choice,
+)
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.find import at_forcing_period, without_choice
+from orbitfinder.orbits.hybrid import first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import RESOLVED, SAMPLES, action, marched, whole_period
 from orbitfinder.records.orbit import Orbit
 
@@ -35,28 +44,6 @@ STANDSTILL = 1e-6
 
 MOST_SAMPLES = 6
 """Times that the samples of a period are doubled, at most, for the action"""
-
-
-@dataclass(frozen=True)
-class Refined:
-    """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
-
-    `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment;
-    `marches` and `jacobians` are what it took.
-    """
-
-    __repr__ = brief("state", "period")
-
-    state: np.ndarray
-    period: float
-    nodes: np.ndarray
-    unfolding: np.ndarray
-    free: np.ndarray
-    turns: np.ndarray
-    residual: float
-    steps: int
-    marches: int
-    jacobians: int
 
 
 class Refiner:
@@ -74,13 +61,18 @@ class Refiner:
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        self.flow = build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
+        hybrid = problem.model.hybrid is not None
+        self.flow = (
+            None if hybrid else build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
+        )
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
         fraction = problem.boundary.fraction
         whole = max(4, int(np.ceil(chosen.steps_per_period * fraction)))
-        self.segments = problem.segments or self._segments(whole)
-        self._steps = max(4, -(-whole // self.segments))
+        arcs = self.equations.links.count
+        self.segments = problem.segments or (1 if hybrid else self._segments(whole))
+        self._steps = max(4, -(-whole // (arcs * self.segments)))
+        self._first = self._simulated(problem.guess) if hybrid else None
 
     def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None) -> Refined:
         """The orbit near a guess (default: the problem's) at the pins (default: the problem's). A physical parameter
@@ -121,6 +113,8 @@ class Refiner:
 
     def _measured(self, refined: Refined) -> tuple[Orbit, Model]:
         """The Orbit (without certificate) and its Model."""
+        if self.flow is None:
+            return self._hybrid(refined), self.problem.model
         values = {name: float(one) for name, one in zip(self.problem.free, refined.free, strict=True)}
         turns, model = tuple(int(k) for k in refined.turns), with_parameters(self.problem.model, values)
         guess = Guess(refined.state, refined.period)
@@ -135,6 +129,12 @@ class Refiner:
             if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
                 break
         return marched(problem, march, w, whole, found), model
+
+    def _hybrid(self, refined: Refined) -> Orbit:
+        """The Orbit (without certificate) of a motion with impacts, which carries no freed parameters."""
+        if refined.free.size:
+            raise InputError("free: an Orbit carries no freed parameters; put their values into the model")
+        return hybrid_orbit(self.problem, refined)
 
     @cached_property
     def _whole(self) -> Equations:
@@ -159,6 +159,8 @@ class Refiner:
 
         Freed parameters start where they are pinned, else where the guess says, else at the model's own values.
         """
+        if self._first is not None:
+            return self._first if guess is self.problem.guess else self._simulated(guess)
         own = zip(self.problem.free, self.equations.numbers, strict=True)
         known = {**dict(own), **guess.free, **{one.name: one.value for one in pins}}
         free = np.array([known[name] for name in self.problem.free], float)
@@ -171,6 +173,10 @@ class Refiner:
         if self.segments == 1:
             return w
         return replace(w, nodes=self.equations.march.states(w.nodes, w.mesh, w.tail)[: -1 : self._steps])
+
+    def _simulated(self, guess: Guess) -> Unknowns:
+        """The unknowns of a hybrid guess: its cycle simulated."""
+        return first_unknowns(self.equations, guess, self.segments, self._steps)
 
     def _rates(self, w: Unknowns) -> float:
         """Largest component of T f at the nodes: 0 at an equilibrium."""

@@ -31,10 +31,11 @@ from orbitfinder.errors import (
 )
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.conditions import Pin, check_pin, is_parameter
+from orbitfinder.loops.newton import Refined
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.find import find_orbit
-from orbitfinder.orbits.refine import Refined, Refiner
+from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.orbit import Orbit
 
 LIMIT = 3600.0
