@@ -124,6 +124,8 @@ class Model:
     landmarks: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     """places (n each) that pictures mark and guesses may start from, at the model's own parameter values"""
     constraint: HolonomicConstraint | None = None
+    hybrid: Any = None
+    """modes, transitions and the cycle of a hybrid system, see `mechanics.hybrid`"""
     rates: ca.Function | None = None
     hamiltonian: bool = False
 
