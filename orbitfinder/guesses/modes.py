@@ -241,7 +241,7 @@ def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
         step = np.linalg.lstsq(matrix, -force, rcond=1e-12)[0]
         found = found + step
         if np.abs(step).max() <= 1e-14 * max(1.0, float(np.abs(found).max())):
-            return found
+            return np.asarray(found)
     raise InputError(f"guess.equilibrium: no equilibrium found from {start.tolist()}; give a place nearer to one")
 
 
