@@ -281,6 +281,14 @@ class Loop:
             tail,
         )
 
+    def row_units(self, w: Unknowns, head: np.ndarray, conditions: Sequence[Condition]) -> np.ndarray:
+        """What each row is measured in, these conditions last, where (x(0), T, free) is measured in `head`."""
+        unit, (first, last) = head[: self.equations.size], self.equations.boundary
+        boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
+        units = [np.tile(unit, len(w.nodes) - 1), boundary, np.linalg.norm(self.normals * unit, axis=1)]
+        units.append(np.linalg.norm(self.slopes(w, conditions) * head, axis=1))
+        return np.asarray(np.maximum(np.concatenate(units), 1e-300))
+
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
         head, found = w.head, np.empty(len(conditions))

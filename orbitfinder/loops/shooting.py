@@ -11,6 +11,7 @@ from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
 from orbitfinder.loops.conditions import Variables, boundary_rows, constrained_brake_rows, pin_row
 from orbitfinder.loops.loop import Layout
 from orbitfinder.loops.problem import Problem, boundary_constants
+from orbitfinder.mechanics import scales
 from orbitfinder.mechanics.constrained import allowed_velocities
 
 PERIOD_RANGE = 5.0
@@ -99,28 +100,10 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
 
 
 def units_of(problem: Problem) -> tuple[float, ...]:
-    """What the state (2n) of a Problem is measured in: powers of 256 near its guess's lengths and time; () when all 1.
-
-    Lengths are max(|q|, |v| tau), tau = T / 2 pi, the largest over all angles and over all others, or |a| tau^2 where
-    that is 0.
-    """
-    model, clock = problem.model, problem.guess.period / (2 * np.pi)
-    if model.constraint is not None:  # integrated by IDAS, in its own coordinates
-        return ()
-    n, state = model.degrees_of_freedom, np.asarray(problem.guess.state, float)
-    states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
-    acceleration = model.acceleration(0.0, state[:n], state[n:], model.parameter_values).full().ravel()
-    places, rates = np.split(np.abs(states).max(axis=0), 2)
-    lengths, pushed = np.maximum(places, rates * clock), np.abs(np.nan_to_num(acceleration)) * clock**2
-    for group in (model.angular, ~model.angular):
-        lengths[group] = _rounded(lengths[group].max(initial=0.0) or pushed[group].max(initial=0.0))
-    units = np.concatenate([lengths, lengths / _rounded(clock)])
-    return () if np.all(units == 1.0) else tuple(float(one) for one in units)
-
-
-def _rounded(value: float) -> float:
-    """The power of 256 nearest to a value, 1 for 0."""
-    return float(256.0 ** np.round(np.log(value) / np.log(256.0))) if value > 0 else 1.0
+    """What the state (2n) of a Problem is measured in: what its guess's motion is integrated in; () when all 1."""
+    guess = problem.guess
+    states = np.asarray(guess.state, float)[None] if guess.states is None else np.asarray(guess.states)
+    return scales.units_of(problem.model, states, guess.period)
 
 
 def _unit_of_each(problem: Problem, flow: Flow, segments: int) -> tuple[float, ...]:

@@ -24,6 +24,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
+from orbitfinder.mechanics.scales import proportions
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -468,7 +469,7 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
 
     Looked for are rest and x -> -x, else a centre, and then, with `own`, what the model declares.
     """
-    angles = model.angular
+    angles, states = model.angular, states / np.resize(proportions(model, states[0]), states.shape[1])
     found = [one for one in QUARTER.maps if has(one, times, states, angles)]
     for one in (REVERSAL_MAP, *(declared(model) if own else ())):
         taken = {each.sense for each in found}

@@ -19,8 +19,10 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.newton import Newton, NewtonSettings
+from orbitfinder.loops.newton import Newton, NewtonSettings, Units
 from orbitfinder.loops.problem import Guess, Problem, loop_of, segments_needed
+from orbitfinder.loops.shooting import units_of
+from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.find import at_forcing_period
 from orbitfinder.orbits.measure import measure
@@ -67,7 +69,8 @@ class Refiner:
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        self.flow = build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
+        unfolded = problem.boundary.unfolded(problem.model)
+        self.flow = build_flow(problem.model, problem.free, unfolded, units=units_of(problem))
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
         fraction = problem.boundary.fraction
@@ -88,14 +91,15 @@ class Refiner:
         w = self._start(_checked(guess or self.problem.guess, self.equations.size))
         path = self.equations.varied(w)
         loop = loop_of(self.problem, self.equations, w, path.ends[-1], _pins(self.problem, pin))
-        newton = Newton(loop, self.settings)
+        scales = measured_in(self.problem.model, w.nodes, w.period)
+        newton = Newton(loop, self.settings, Units.of(loop, w, scales))
         w, residual = newton.solve(w, path)
         if not residual < self.settings.converged:
             raise ConvergenceError(
                 f"warm refinement stalled at a residual of {residual:.2g}; the orbit is too unstable for "
                 f"{self.segments} segments, give the problem more"
             )
-        if self._rates(w) < STANDSTILL:
+        if self._rates(w, np.asarray(scales or 1.0)) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
         turns = self.problem.boundary.turns(loop.constant)
         return Refined(
@@ -137,10 +141,10 @@ class Refiner:
             return w
         return replace(w, nodes=self.equations.march.states(w.nodes, w.mesh, w.tail)[: -1 : self._steps])
 
-    def _rates(self, w: Unknowns) -> float:
-        """Largest component of T f at the nodes: 0 at an equilibrium."""
+    def _rates(self, w: Unknowns, units: np.ndarray) -> float:
+        """Largest component of T f at the nodes, in units of the state: 0 at an equilibrium."""
         times = w.period * w.edges[:-1]
-        return float(np.abs(self.equations.march.rates(w.nodes, w.tail, times)).max() * w.period)
+        return float(np.abs(self.equations.march.rates(w.nodes, w.tail, times) / units).max() * w.period)
 
 
 def _pins(problem: Problem, pin: Sequence[Pin] | None) -> tuple[Pin, ...]:
