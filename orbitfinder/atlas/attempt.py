@@ -38,7 +38,7 @@ COVER = 1e-5
 PERIOD_MARGIN = 1.15
 """The cheap stage lets the period leave the range by this factor before it holds it."""
 SMALLEST = 1e-3
-"""Motions of less than this extent (rad or m) are equilibria."""
+"""Motions of less than this extent (rad or lengths of the energy shell) are equilibria."""
 GROWTH_PER_SEGMENT = 10.0
 FEWEST_SEGMENTS, MOST_SEGMENTS = 2, 16
 CONTINUATION = "continuation"
@@ -175,16 +175,16 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
     """The polished loop near w."""
     low, high = context.target.periods
     periods = low / PERIOD_MARGIN, high * PERIOD_MARGIN
-    loop = scaled(problem, context.equations[problem.symmetry], context.step, w, periods)
+    loop = scaled(problem, context.equations[problem.symmetry], context.step, w, periods, context.units)
     try:
         found = polished(loop, *solve(loop, w))
     except Stalled as stall:
         found = polished(loop, *orbit_in_valley(loop, stall.w))
-    if np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
+    if context.clock * np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
         raise ConvergenceError("unfolding does not vanish")
     found = replace(found, nodes=centred(context, problem, found.nodes))
     nodes, times, states = whole_period(context, problem, found)
-    if np.ptp(states, axis=0).max() < SMALLEST:
+    if (np.ptp(states, axis=0) / context.units).max() < SMALLEST:
         raise ConvergenceError("equilibrium")
     return ClosedLoop(problem, found, nodes, times, states, action(context.model, times, states))
 
@@ -209,7 +209,9 @@ def measured(context: Context, loop: ClosedLoop) -> Orbit:
     for matrix in march.varied(loop.nodes, mesh, tail).transitions:
         monodromy = matrix @ monodromy
     gradients, directions = frame(context.model, loop.nodes[0])
-    floquet = analyse(reduce_monodromy(monodromy, gradients, directions), conservative=True)
+    units = context.units
+    monodromy = monodromy * units / units[:, None]
+    floquet = analyse(reduce_monodromy(monodromy, gradients * units, directions / units), conservative=True)
     end = march.ends(loop.nodes[:1], mesh, tail)[0]
     return recorded(
         problem, period, end, loop.nodes, loop.times, loop.states, loop.w.unfolding, loop.action, floquet
@@ -233,7 +235,8 @@ def minimal(context: Context, loop: ClosedLoop) -> ClosedLoop:
     covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
     near: list[bool] = []
     if covers:
-        near = [far < COVER for far in return_distances(loop.times, loop.states, context.model.angular, covers)]
+        states = loop.states / np.tile(context.lengths, 2)
+        near = [far < COVER for far in return_distances(loop.times, states, context.model.angular, covers)]
     if any(near):
         loop = uncovered(context, loop, max(compress(covers, near)))
     if not low <= loop.w.period <= high:

@@ -137,12 +137,14 @@ class March:
         """Any function of one place, its outputs as CasADi has them (rows x columns)."""
         return self._lanes.called(function, *arguments)
 
-    def step_errors(self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, asked: np.ndarray) -> np.ndarray:
-        """Estimated error of each step `asked` for, relative to the size of the motion."""
+    def step_errors(
+        self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
+    ) -> np.ndarray:
+        """Estimated error of each step `asked` for, relative to the size of the motion, measured in `units` (d)."""
         start = np.column_stack([tail[0] * mesh[asked] * self.forced, states[asked]])
         errors = np.abs(self._lanes.evaluated(self._error, STAGES, start, _parameters(mesh, tail)[asked]))
-        extent = np.abs(states).max(axis=0)
-        return np.asarray((errors / np.maximum(extent, extent.max() * 1e-2)).max(axis=1))
+        extent = np.abs(states).max(axis=0) / units
+        return np.asarray((errors / (units * np.maximum(extent, extent.max() * 1e-2))).max(axis=1))
 
     def variation_errors(
         self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
@@ -159,14 +161,19 @@ class March:
         scale = (units[:, None] / units[None, :]).ravel()  # columns first: entry (i, j) stands at j size + i
         return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
 
-    def refined_ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh."""
+    def refined_ends(
+        self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: tuple[float, ...] = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh.
+
+        They agree in `units` (d), () is 1.
+        """
 
         def path(times: int) -> tuple[np.ndarray, np.ndarray]:
             finer = divided(mesh, times)
             return self.ends(nodes, finer, tail), finer
 
-        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0]))
+        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0], units))
 
     def _clock(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """The times (N) at which the segments begin, 0 where they do not matter."""

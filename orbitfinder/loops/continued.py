@@ -16,7 +16,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
-from orbitfinder.mechanics.scales import snapped
+from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
 NEWTON_READY = 1e-11
 """Residual, in units of the metric, from which one more Newton step, not evaluated again, reaches round-off."""
@@ -79,7 +79,7 @@ def make_curve(
     """
     n = equations.size // 2
     clock = (w.period / (2 * np.pi)) ** 2
-    relative = 1.0 / np.maximum(np.abs(w.free), 1e-3) ** 2
+    relative = 1.0 / parameter_sizes(equations.model, equations.free, w.free) ** 2
     with np.errstate(over="ignore"):  # what comes of a period that is too small is said where it is integrated
         pace = np.square(1.0 / w.period)
     weights = np.concatenate([np.ones(n) / unit**2, np.full(n, clock) / unit**2, [pace], relative])

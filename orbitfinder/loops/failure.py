@@ -82,7 +82,8 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
 
 def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
     """True when no node moves, compared with the guess."""
-    nodes, given = shooting.layout.nodes(w), shooting.layout.nodes(shooting.start)
+    units = np.asarray(shooting.flow.units or 1.0)
+    nodes, given = shooting.layout.nodes(w) / units, shooting.layout.nodes(shooting.start) / units
     if shooting.problem.model.forced:  # at rest although pushed: every node is the same
         return len(nodes) > 1 and bool(np.ptp(nodes, axis=0).max() < REST * max(np.ptp(given, axis=0).max(), REST))
     return _speed(shooting, w) < REST * max(_speed(shooting, shooting.start), REST)
@@ -110,6 +111,8 @@ def _speed(shooting: Shooting, w: np.ndarray) -> float:
     clock = shooting.problem.guess.period / (2 * np.pi)
     n = shooting.layout.size // 2
     scale = np.concatenate([np.full(n, clock), np.full(n, clock**2)])
+    if shooting.flow.units:
+        scale /= np.tile(shooting.flow.units[:n], 2)
     rates = [
         shooting.flow.field(0.0, node, unfolding, free).full().ravel() * scale for node in shooting.layout.nodes(w)
     ]
@@ -142,7 +145,10 @@ def _energy_gap(shooting: Shooting) -> str:
 
 
 def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """Largest gap at the end of each segment (N) of a decision vector; `IntegrationError` names its segment."""
+    """Largest gap at the end of each segment (N) of a decision vector, in the units of its states.
+
+    `IntegrationError` names its segment.
+    """
     layout, problem = shooting.layout, shooting.problem
     nodes, (period, unfolding, free) = layout.nodes(w), layout.tail(w)
     duration = period * problem.boundary.fraction / layout.segments
@@ -151,7 +157,7 @@ def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
         with sundials(node, k * duration, duration, k):
             ends.append(shooting.flow.end(k * duration, node, duration, unfolding, free).full().ravel())
     reached = np.asarray(ends)
-    gaps = np.abs(reached[:-1] - nodes[1:]).max(axis=1)
+    gaps = np.abs((reached[:-1] - nodes[1:]) / np.asarray(shooting.flow.units or 1.0)).max(axis=1)
     rows = shooting.rows(w, reached.T).full().ravel()
     boundary = rows[layout.size * (layout.segments - 1) : layout.size * layout.segments]
     return np.append(gaps, float(np.abs(boundary).max()))

@@ -17,6 +17,7 @@ from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Symmetry, named, time_dependent
 from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import proportions
 
 CLOSURE_TOLERANCE = 1e-12
 """Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
@@ -357,12 +358,12 @@ def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: flo
 
     Rates are measured by `clock` (s). Raises `IntegrationError`.
     """
-    return segments_for(equations.varied(w).transitions[0], clock, growth, between)
+    lengths = proportions(equations.model, w.nodes[0])
+    return segments_for(equations.varied(w).transitions[0], lengths, clock, growth, between)
 
 
-def segments_for(matrix: np.ndarray, clock: float, growth: float, between: tuple[int, int]) -> int:
+def segments_for(matrix: np.ndarray, lengths: np.ndarray, clock: float, growth: float, between: tuple[int, int]) -> int:
     """Segments that share the growth of a state-transition matrix so that none has more than `growth`."""
-    n = len(matrix) // 2
-    units = np.concatenate([np.ones(n), np.full(n, clock)])
+    units = np.concatenate([1.0 / lengths, clock / lengths])
     found = max(float(np.linalg.norm(matrix * units[:, None] / units[None, :], 2)), 2.0)
     return min(max(int(np.ceil(np.log(found) / np.log(growth))), between[0]), between[1])

@@ -259,5 +259,5 @@ def _weights(problem: Problem, layout: Layout, start: np.ndarray) -> np.ndarray:
     n, plain = layout.size // 2, replace(layout, units=())
     clock = problem.guess.period / (2 * np.pi) / layout.clock
     node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / layout.segments
-    relative = 1.0 / np.maximum(np.abs(plain.tail(start)[2]), 1e-6) ** 2
+    relative = 1.0 / scales.parameter_sizes(problem.model, problem.free, plain.tail(start)[2], 1e-6) ** 2
     return plain.join(np.tile(node, layout.segments), (layout.clock / problem.guess.period) ** 2, relative)

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
-from orbitfinder.mechanics.scales import proportions
+from orbitfinder.mechanics.scales import proportions, snapped, surroundings
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -423,28 +423,36 @@ def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
 def _broken(model: Model, state: np.ndarray, one: Involution, shift: float) -> bool:
     random = np.random.default_rng(0)
     q, v = np.split(np.asarray(state, float), 2)
+    lengths, clock = surroundings(model, q)
+    quick, found = 0.3 / clock + np.abs(v / lengths).max(), []
     for _ in range(4):
-        place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(), v.size)
+        place, rate = q + lengths * random.normal(0, 0.3, q.size), v + lengths * random.normal(0, quick, v.size)
         if model.constraint is not None:  # off the constraints the stabilisation is damped
             basis = allowed_velocities(model, q)
             place, rate = q, basis @ (basis.T @ rate)
-        t = float(random.uniform(0, 1 + 2 * shift))
-        apart, size = _apart(model, one, (t, place, rate), shift)
-        if np.isfinite(apart) and apart > BROKEN * max(1.0, size):
-            return True
-    return False
+        t = float(random.uniform(0, float(snapped(shift)) + 2 * shift))
+        found.append(_apart(model, one, (t, place, rate), shift, lengths))
+    aparts, sizes = np.array([pair for pair in found if np.isfinite(pair[0])]).reshape(-1, 2).T
+    return bool(np.any(aparts > BROKEN * np.maximum(sizes, sizes.max(initial=0.0) * BROKEN)))
 
 
 def _apart(
-    model: Model, one: Involution, at: tuple[float, np.ndarray, np.ndarray], shift: float
+    model: Model,
+    one: Involution,
+    at: tuple[float, np.ndarray, np.ndarray],
+    shift: float,
+    lengths: np.ndarray,
 ) -> tuple[float, float]:
-    """Largest difference of the accelerations at the image of (t, q, v) from the image of theirs, and their size."""
+    """Largest difference of the accelerations at the image of (t, q, v) from the image of theirs, and their size.
+
+    Coordinates are measured in `lengths` (n).
+    """
     t, q, v = at
     places = one.places(q.size)
     here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
     image = (one.sense * t + shift, places @ q, one.sense * (places @ v))
     there = model.acceleration(*image, model.parameter_values).full().ravel()
-    return float(np.abs(there - here).max()), float(np.abs(here).max())
+    return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
 
 
 def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
@@ -452,11 +460,15 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
     if n > MOST_COORDINATES:
         return ()
+    lengths, clock = surroundings(model, np.zeros(n))
     states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
+    states *= np.array([lengths, lengths / clock])
     candidates = (Involution("mirror", -1, signs) for signs in product((1, -1), repeat=n) if len(set(signs)) > 1)
 
     def kept(one: Involution) -> bool:
-        return all(apart <= MIRRORED * size for apart, size in (_apart(model, one, (0.0, *x), 0.0) for x in states))
+        return all(
+            apart <= MIRRORED * size for apart, size in (_apart(model, one, (0.0, *x), 0.0, lengths) for x in states)
+        )
 
     return tuple(filter(kept, candidates))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -116,6 +116,8 @@ class Model:
     symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
     """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
     constraint: HolonomicConstraint | None = None
+    scales: Mapping[str, float] = field(default_factory=dict)
+    """sizes to measure in: of coordinates by name, of all that are no angles by "length", of physical parameters"""
 
     @property
     def conservative(self) -> bool:

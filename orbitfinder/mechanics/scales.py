@@ -12,11 +12,13 @@ what is within a factor of 16 counts as equal, and the rest are powers of two, w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.model import Model
 
 ALIKE = 16.0
@@ -38,10 +40,34 @@ def masses_of(kinetic: Callable[..., Any], state: np.ndarray, model: Model | Non
     return np.array([2.0 * float(kinetic(state[:n], unit, *given)) for unit in np.eye(n)])
 
 
+def with_scales(model: Model, scales: Mapping[str, float] | None) -> Model:
+    """The Model measured in given sizes, its description included (see `Model.scales`); `InputError` for others."""
+    if not scales:
+        return model
+    coordinates = model.state_names[: model.degrees_of_freedom]
+    lengths = [name for name, angle in zip(coordinates, model.angular, strict=True) if not angle]
+    known = [*(["length"] if lengths else []), *lengths, *model.parameter_names]
+    for name, value in scales.items():
+        if name not in known:
+            why = "; angles are measured in rad" if name in coordinates else closest(name, known)
+            raise InputError(f"scales: unknown {name!r}{why}; give sizes of {', '.join(known[:20]) or 'nothing'}")
+        if not (isinstance(value, (int, float)) and np.isfinite(value) and value > 0):
+            raise InputError(f"scales.{name}: must be positive and finite, got {value}; give a typical size of it")
+    given = {name: float(value) for name, value in scales.items()}
+    return replace(model, scales=given, system={**model.system, "scales": given})
+
+
+def given_lengths(model: Model) -> np.ndarray:
+    """The sizes (n) that the user gives coordinates, nan for the others."""
+    names, common = model.state_names[: model.degrees_of_freedom], model.scales.get("length", np.nan)
+    found = np.array([model.scales.get(name, common) for name in names], float)
+    return np.where(model.angular, np.nan, found)
+
+
 def proportions(model: Model, state: np.ndarray) -> np.ndarray:
     """L_i (n) of the coordinates, in rad where there are angles, else relative to that of the heaviest coordinate.
 
-    What the user gives (`model.scales`) replaces what the mass matrix says.
+    Sizes that the user gives (`model.scales`) replace what the mass matrix says.
     """
     if model.angular.all():
         return np.ones(model.degrees_of_freedom)
@@ -51,7 +77,9 @@ def proportions(model: Model, state: np.ndarray) -> np.ndarray:
     reference = masses[turning if turning.any() else known].max(initial=0.0)
     ratios = np.sqrt(np.where(known, reference / np.where(known, masses, 1.0), 1.0))
     ratios = np.where((ratios < 1 / ALIKE) | (ratios > ALIKE), snapped(ratios, 2.0), 1.0)
-    return np.where(model.angular, 1.0, ratios)
+    ratios = np.where(model.angular, 1.0, ratios)
+    given = given_lengths(model)
+    return np.where(np.isnan(given), ratios, given)
 
 
 def lengths(model: Model, states: np.ndarray) -> np.ndarray:
@@ -60,6 +88,19 @@ def lengths(model: Model, states: np.ndarray) -> np.ndarray:
     if model.angular.any():
         return parts
     return parts * max(float((np.ptp(states[:, :n], axis=0) / parts).max()), 1e-300)
+
+
+def surroundings(model: Model, place: np.ndarray) -> tuple[np.ndarray, float]:
+    """Lengths (n) and a time (s) in which to look about a configuration q (n), before there is a motion.
+
+    Lengths given, else a power of 256 near |q|; sqrt(length / acceleration), also as such a power.
+    """
+    given, plain = given_lengths(model), ~model.angular
+    size = float(snapped(np.abs(place[plain]).max(initial=0.0)))
+    found = np.where(plain, np.where(np.isnan(given), size, given), 1.0)
+    pushed = model.acceleration(0.0, place + 0.3 * found, np.zeros(place.size), model.parameter_values).full().ravel()
+    pace = np.sqrt(np.abs(np.nan_to_num(pushed / found, nan=0.0, posinf=0.0, neginf=0.0)).max())
+    return found, float(1.0 / snapped(pace))
 
 
 def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ...]:
@@ -72,14 +113,25 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
     if model.constraint is not None:  # integrated by IDAS, in its own coordinates
         return ()
     largest = np.abs(states).max(axis=0)
-    found = np.maximum(largest[:n], largest[n:] * clock)
-    turning = model.angular
+    parts, turning = proportions(model, states[0]), model.angular
+    found = np.maximum(largest[:n], largest[n:] * clock) / parts
     for group in (turning, ~turning):
         size = found[group].max(initial=0.0)
         if group.any() and not size > 0:
             a = model.acceleration(0.0, states[0, :n], states[0, n:], model.parameter_values).full().ravel()
-            size = (np.abs(np.nan_to_num(a)) * clock**2)[group].max()
+            size = (np.abs(np.nan_to_num(a)) * clock**2 / parts)[group].max()
         found[group] = size
-    found = snapped(found)
+    found = snapped(found * parts)
     units = np.concatenate([found, found / snapped(clock)])
     return () if np.all(units == 1.0) else tuple(float(one) for one in units)
+
+
+def parameter_sizes(model: Model, names: Sequence[str], values: np.ndarray, least: float = 1e-3) -> np.ndarray:
+    """What physical parameters of these names are measured in: the sizes given, else their values.
+
+    Values that are less than `least` may be zeros that were not met exactly, unless the model's own are as small.
+    """
+    own = [abs(float(model.parameter_values[model.parameter_index(name)])) for name in names]
+    floors = [min(least, one) or least for one in own]
+    measured = np.maximum(np.abs(values), floors)
+    return np.array([model.scales.get(name, size) for name, size in zip(names, measured, strict=True)], float)

@@ -31,6 +31,7 @@ from orbitfinder.loops.shooting import Shooting, far_end, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import proportions
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import extents_of, gap
 from orbitfinder.orbits.long_chain import find_long_chain, suits
@@ -320,7 +321,8 @@ def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: Sol
     matrix = transition(flow, np.asarray(problem.guess.state, float), horizon)[1]
     fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
     between = (fewest, settings.most_segments)
-    return segments_for(matrix, problem.guess.period / (2 * np.pi), settings.growth_per_segment, between)
+    lengths = proportions(problem.model, np.asarray(problem.guess.state, float))
+    return segments_for(matrix, lengths, problem.guess.period / (2 * np.pi), settings.growth_per_segment, between)
 
 
 def _reporter(progress: Callback | None, began: float) -> Callback | None:
@@ -353,8 +355,9 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
 
 def _snapped(problem: Problem, name: str, value: float) -> float:
     """A value, or the end of its range that an inequality holds it at."""
-    for end in problem.bounds.get(name, ()):
-        if abs(value - end) <= NEAR_BOUND * max(1.0, abs(end)):
+    ends = problem.bounds.get(name, ())
+    for end in ends:
+        if abs(value - end) <= NEAR_BOUND * max(np.ptp(np.asarray(ends)[np.isfinite(ends)]), abs(end)):
             return float(end)
     return value
 
