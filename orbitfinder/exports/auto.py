@@ -107,9 +107,9 @@ dat = '{word}'
 def auto_files(source: Source) -> dict[str, str]:
     """The three files of an AUTO run, by name. Raises `InputError` for what AUTO's IPS = 2 cannot state."""
     if len(source.model.invariants) > MOST:
-        raise InputError(f"--to auto: more than {MOST} first integrals have no place in PAR; use --to julia or --to c")
+        raise InputError(f"to: more than {MOST} first integrals have no place in AUTO's PAR; use julia or c")
     if source.model.forced and source.model.invariants:
-        raise InputError("--to auto: a forced system that keeps a momentum is not covered; use --to julia or --to c")
+        raise InputError("to: a forced system that keeps a momentum is not covered for AUTO; use julia or c")
     word = source.identifier
     return {f"{word}.f90": equations(source), f"c.{word}": constants(source), f"{word}.dat": starting_data(source)}
 

@@ -315,12 +315,15 @@ WINDING_MARGIN = 0.25
 
 def loop_of(problem: Problem, equations: Equations, w: Unknowns, end: np.ndarray | None, pins: Sequence[Pin]) -> Loop:
     """The loop of a Problem at these pins, its phases and displacement as w has them, whose motion ends at `end`."""
-    model, period = problem.model, np.eye(equations.size + 1 + w.free.size)[equations.size]
-    conditions = [pinned(equations, one.name, one.value) for one in pins]
-    if model.forcing_period is not None:
-        clock = Condition(0.0, period, len(model.invariants) + 1, -float(problem.forcing_cycles))
-        conditions.insert(0, clock)
-    return Loop(equations, displacement(problem, w, end), tuple(conditions)).through(w)
+    given = (pinned(equations, one.name, one.value) for one in pins)
+    conditions = (*clock(equations, problem.forcing_cycles), *given)
+    return Loop(equations, displacement(problem, w, end), conditions).through(w)
+
+
+def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
+    """The condition that a motion lasts so many periods of the forcing; none where nothing is forced."""
+    model, unit = equations.model, np.eye(equations.size + 1 + len(equations.free))
+    return (Condition(0.0, unit[equations.size], len(model.invariants) + 1, -float(cycles)),) if model.forced else ()
 
 
 def pinned(equations: Equations, name: str, value: float) -> Condition:

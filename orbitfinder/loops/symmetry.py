@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -549,3 +549,27 @@ def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np
 def time_dependent(model: Model) -> bool:
     """True when the accelerations contain time explicitly."""
     return bool(model.acceleration.jac_sparsity(0, 0).nnz())
+
+
+def moved(model: Model, free: Sequence[str]) -> Model:
+    """The Model with freed parameters at other values: what holds there too holds along a family."""
+    numbers = model.parameter_values.copy()
+    places = [model.parameter_index(name) for name in free]
+    numbers[places] = np.where(numbers[places], 1.1 * numbers[places], 0.1)
+    return replace(model, parameter_values=numbers) if free else model
+
+
+def symplectic(model: Model) -> bool:
+    """Whether the flow is Hamilton's, driven or not, so that multipliers come in reciprocal pairs.
+
+    The forces of a driven system are then the gradient of a potential, tried at a few states.
+    """
+    if model.conservative or model.forces is None or not model.forced:
+        return model.conservative
+    random, slopes = np.random.default_rng(0), model.forces.jacobian()
+    for _ in range(4):
+        t, (q, v) = float(random.uniform()), random.normal(0, 1.0, (2, model.degrees_of_freedom))
+        by_q, by_v = (one.full() for one in slopes(t, q, v, model.parameter_values, 0)[1:3])
+        if max(np.abs(by_v).max(), np.abs(by_q - by_q.T).max()) > MIRRORED * max(1.0, np.abs(by_q).max()):
+            return False
+    return True

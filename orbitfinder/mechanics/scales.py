@@ -24,6 +24,9 @@ from orbitfinder.mechanics.model import Model
 ALIKE = 16.0
 """Lengths that differ by less than this factor are measured alike."""
 
+WIDE = 2.0**16
+"""Conditions that change by less than 256 with the unknowns, such as energies in J, are rows as they are."""
+
 
 def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
     """The powers of a base nearest to positive values, 1 for all others."""

@@ -34,6 +34,7 @@ from orbitfinder.integrate.dop853 import (
 )
 from orbitfinder.integrate.equations import accelerations, hamilton
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
+from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
@@ -314,7 +315,7 @@ def _measured(
         growth=growth,
         trivial=max(_off(directions @ inner.T, directions), _off(gradients @ inner, gradients)) / scale,
         symplectic=float(np.abs(inner.T @ form @ inner - form).max()) / (scale**2 * float(np.abs(form).max())),
-        floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=model.conservative),
+        floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=symplectic(model)),
         reached=motion.states[np.searchsorted(motion.times, moments)],
         formulation=motion.formulation,
     )
@@ -397,8 +398,11 @@ class ClosureCheck:
         units: np.ndarray | float = 1.0,
     ) -> np.ndarray:
         """Where each piece of an orbit ends (N x 2n) that begins at a node (N x 2n) and lasts so long (s)."""
-        pieces = zip(nodes, durations, strict=True)
-        return np.stack([self._end(node, duration, 1 / PIECE_STEPS, free, units) for node, duration in pieces])
+        edges = np.append(0.0, np.cumsum(durations)) * self._model.forced
+        pieces = zip(nodes, durations, edges[:-1], strict=True)
+        return np.stack(
+            [self._end(node, duration, 1 / PIECE_STEPS, free, units, now) for node, duration, now in pieces]
+        )
 
     def _end(
         self,
@@ -407,12 +411,13 @@ class ClosureCheck:
         longest: float,
         free: Mapping[str, float] | None,
         units: np.ndarray | float,
+        now: float = 0.0,
     ) -> np.ndarray:
-        """(q, v) after a time, by steps no longer than a share of it, integrated in powers of 256 near the `units`."""
+        """(q, v) after a time from `now`, by steps no longer than a share of it, in powers of 256 near the `units`."""
         if self._at != dict(free or {}):
             self._at = dict(free or {})
             self._equations = Hamiltonian(with_parameters(self._model, self._at))
-        start, span = self._equations.start(state), np.array([0.0, duration])
+        start, span = self._equations.start(state), np.array([now, now + duration])
         sizes = snapped(np.broadcast_to(units, state.shape)[self._equations.coordinates.chosen])
         if np.all(sizes == 1.0):
             path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
