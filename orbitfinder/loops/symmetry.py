@@ -24,7 +24,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
-from orbitfinder.mechanics.scales import proportions, snapped, surroundings
+from orbitfinder.mechanics.scales import masses_of, proportions, snapped, surroundings
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -566,10 +566,14 @@ def symplectic(model: Model) -> bool:
     """
     if model.conservative or model.forces is None or not model.forced:
         return model.conservative
-    random, slopes = np.random.default_rng(0), model.forces.jacobian()
+    random, slopes, n = np.random.default_rng(0), model.forces.jacobian(), model.degrees_of_freedom
+    lengths, clock = surroundings(model, np.zeros(n))
     for _ in range(4):
-        t, (q, v) = float(random.uniform()), random.normal(0, 1.0, (2, model.degrees_of_freedom))
+        t, (q, v) = float(random.uniform()) * clock, random.normal(0, 1.0, (2, n)) * lengths / [[1.0], [clock]]
         by_q, by_v = (one.full() for one in slopes(t, q, v, model.parameter_values, 0)[1:3])
-        if max(np.abs(by_v).max(), np.abs(by_q - by_q.T).max()) > MIRRORED * max(1.0, np.abs(by_q).max()):
+        roots = np.sqrt(np.abs(masses_of(model.kinetic, np.append(q, v), model)))
+        work = np.outer(roots, roots) / clock**2
+        turned, damped = np.abs(by_q - by_q.T), np.abs(by_v) / clock
+        if max(turned.max(), damped.max()) > MIRRORED * max(work.max(), np.abs(by_q).max()):
             return False
     return True
