@@ -12,6 +12,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.problem import pinned
 from orbitfinder.orbits.closure import carried
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
@@ -54,14 +55,7 @@ class FamilySettings:
 
 def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:
     """The number that the family's parameter has at a place."""
-    p = curve.equations
-    if name in p.free:
-        return float(place.free[p.free.index(name)])
-    if name == "period":
-        return place.period
-    if name == "energy":
-        return float(p.quantities_at(place.nodes[0], place.free)[0][p.energy])
-    return float(place.nodes[0][p.model.state_index(name)])
+    return float(curve.values(place, (pinned(curve.equations, name, 0.0),))[0])
 
 
 def make_point(
@@ -161,8 +155,9 @@ def freed(curve: Curve, place: Unknowns) -> dict[str, float]:
 
 def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
-    halves = [half / curve.shares for half in np.split(states, 2, axis=1)]
-    sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in halves]
+    n = curve.shares.size
+    parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
+    sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
     return np.concatenate([size * curve.shares for size in sizes])
 
 

@@ -57,7 +57,7 @@ class Units:
         """
         size, free, known = w.nodes.shape[1], np.where(w.free == 0, 1.0, np.abs(w.free)), np.asarray(state, float)
         node = known if known.size else np.ones(size)
-        clock = float(node[0] / node[size // 2])
+        clock = float(snapped(w.period / (2 * np.pi))) if known.size else 1.0
         head = np.concatenate([node, [clock], snapped(free)])
         rows = loop.row_units(w, head, loop.conditions)[(len(w.nodes) - 1) * size :]
         rows = np.append(snapped(rows[: size + len(loop.normals)]), snapped(rows[size + len(loop.normals) :], WIDE))

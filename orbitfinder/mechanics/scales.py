@@ -72,8 +72,9 @@ def proportions(model: Model, state: np.ndarray) -> np.ndarray:
 
     Sizes that the user gives (`model.scales`) replace what the mass matrix says.
     """
-    if model.angular.all():
-        return np.ones(model.degrees_of_freedom)
+    given = given_lengths(model)
+    if model.angular.all() or model.rates is not None:
+        return np.asarray(np.nan_to_num(given, nan=1.0))
     masses = masses_of(model.kinetic, state, model)
     known = np.isfinite(masses) & (masses > 0)
     turning = model.angular & known
@@ -81,7 +82,6 @@ def proportions(model: Model, state: np.ndarray) -> np.ndarray:
     ratios = np.sqrt(np.where(known, reference / np.where(known, masses, 1.0), 1.0))
     ratios = np.where((ratios < 1 / ALIKE) | (ratios > ALIKE), snapped(ratios, 2.0), 1.0)
     ratios = np.where(model.angular, 1.0, ratios)
-    given = given_lengths(model)
     return np.where(np.isnan(given), ratios, given)
 
 
@@ -101,9 +101,21 @@ def surroundings(model: Model, place: np.ndarray) -> tuple[np.ndarray, float]:
     given, plain = given_lengths(model), ~model.angular
     size = float(snapped(np.abs(place[plain]).max(initial=0.0)))
     found = np.where(plain, np.where(np.isnan(given), size, given), 1.0)
-    pushed = model.acceleration(0.0, place + 0.3 * found, np.zeros(place.size), model.parameter_values).full().ravel()
-    pace = np.sqrt(np.abs(np.nan_to_num(pushed / found, nan=0.0, posinf=0.0, neginf=0.0)).max())
-    return found, float(1.0 / snapped(pace))
+    there = np.append(place + 0.3 * found, np.zeros(len(model.state_names) - place.size))
+    pace = np.abs(_pushed(model, there, place.size) / found).max()
+    return found, float(1.0 / snapped(pace if model.rates is not None else np.sqrt(pace)))
+
+
+def _pushed(model: Model, state: np.ndarray, n: int) -> np.ndarray:
+    """The accelerations (n), of a first-order system the rates, at a state (d), 0 where they are not finite."""
+    found = model.rate(0.0, state, model.parameter_values).full().ravel()[-n:]
+    return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
+
+
+def _alone(sizes: np.ndarray) -> tuple[float, ...]:
+    """The units of a first-order state (d): each component by itself, that at 0 as the largest."""
+    units = snapped(np.where(sizes > 0, sizes, sizes.max()))
+    return () if np.all(units == 1.0) else tuple(float(one) for one in units)
 
 
 def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ...]:
@@ -116,13 +128,14 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
     if model.constraint is not None:  # integrated by IDAS, in its own coordinates
         return ()
     largest = np.abs(states).max(axis=0)
+    if model.rates is not None:
+        return _alone(np.maximum(largest, clock * np.abs(_pushed(model, states[0], n))))
     parts, turning = proportions(model, states[0]), model.angular
     found = np.maximum(largest[:n], largest[n:] * clock) / parts
     for group in (turning, ~turning):
         size = found[group].max(initial=0.0)
         if group.any() and not size > 0:
-            a = model.acceleration(0.0, states[0, :n], states[0, n:], model.parameter_values).full().ravel()
-            size = (np.abs(np.nan_to_num(a)) * clock**2 / parts)[group].max()
+            size = (np.abs(_pushed(model, states[0], n)) * clock**2 / parts)[group].max()
         found[group] = size
     found = snapped(found * parts)
     units = np.concatenate([found, found / snapped(clock)])
