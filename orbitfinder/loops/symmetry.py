@@ -488,6 +488,7 @@ def _apart(
         here = one.sense * places @ model.rates(t, q, model.parameter_values).full().ravel()
         there = model.rates(one.sense * t + shift, places @ q, model.parameter_values).full().ravel()
         return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
+    here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
     image = (one.sense * t + shift, places @ q, one.sense * (places @ v))
     there = model.acceleration(*image, model.parameter_values).full().ravel()
     return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())

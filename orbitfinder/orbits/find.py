@@ -227,6 +227,8 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     orbit = measure(refined.problem, refined.flow, found.nodes, found.period, unfolding)
     _within(problem, orbit)
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
+    if flow.units:
+        said["scales"] = dict(zip(problem.model.state_names, flow.units, strict=True))
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
         orbit = certified(orbit, refined.problem.model)
