@@ -41,6 +41,10 @@ class NewtonSettings:
     """a larger residual at the end is a failure"""
 
 
+EVEN = WIDE**0.5
+"""What changes by less than this is measured in 1."""
+
+
 @dataclass(frozen=True)
 class Units:
     """What a loop is measured in: states (d), the tail (T, s, free), and the closing rows."""
@@ -55,14 +59,16 @@ class Units:
 
         A condition is measured in what a unit of the unknowns changes in it, if that is far from 1.
         """
+        if not len(state):
+            changes = np.linalg.norm(loop.slopes(w, loop.conditions), axis=1)
+            if np.all((changes > 1 / EVEN) & (changes < EVEN)):
+                return None
         size, free, known = w.nodes.shape[1], np.where(w.free == 0, 1.0, np.abs(w.free)), np.asarray(state, float)
         node = known if known.size else np.ones(size)
         clock = float(snapped(w.period / (2 * np.pi))) if known.size else 1.0
         head = np.concatenate([node, [clock], snapped(free)])
         rows = loop.row_units(w, head, loop.conditions)[(len(w.nodes) - 1) * size :]
         rows = np.append(snapped(rows[: size + len(loop.normals)]), snapped(rows[size + len(loop.normals) :], WIDE))
-        if not known.size and np.all(rows == 1.0):
-            return None
         return cls(node, np.concatenate([[clock], np.full(w.unfolding.size, 1.0 / clock), snapped(free)]), rows)
 
     def rows(self, segments: int) -> np.ndarray:

@@ -72,8 +72,10 @@ def proportions(model: Model, state: np.ndarray) -> np.ndarray:
 
     Sizes that the user gives (`model.scales`) replace what the mass matrix says.
     """
+    if model.angular.all():
+        return np.ones(model.degrees_of_freedom)
     given = given_lengths(model)
-    if model.angular.all() or model.rates is not None:
+    if model.rates is not None:
         return np.asarray(np.nan_to_num(given, nan=1.0))
     masses = masses_of(model.kinetic, state, model)
     known = np.isfinite(masses) & (masses > 0)
@@ -132,6 +134,8 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
         return _alone(np.maximum(largest, clock * np.abs(_pushed(model, states[0], n))))
     parts, turning = proportions(model, states[0]), model.angular
     found = np.maximum(largest[:n], largest[n:] * clock) / parts
+    if turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < found.max() < ALIKE:
+        return ()
     for group in (turning, ~turning):
         size = found[group].max(initial=0.0)
         if group.any() and not size > 0:
