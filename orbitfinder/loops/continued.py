@@ -88,7 +88,7 @@ def make_curve(
 
 def _row_units(curve: Curve, w: Unknowns, aim: Condition) -> np.ndarray:
     """What each row is measured in, the aim's last, when every unknown is measured as the family's metric does."""
-    return curve.row_units(w, 1.0 / np.sqrt(curve.weights), (*curve.conditions, aim))
+    return curve.row_units(w, 1.0 / np.sqrt(curve.weights), aim)
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import Linearised, Solver, eliminated
@@ -59,6 +60,8 @@ class Units:
 
         A condition is measured in what a unit of the unknowns changes in it, if that is far from 1.
         """
+        if loop.equations.links:
+            return None  # a machine's arcs are of its own units
         if not len(state):
             changes = np.linalg.norm(loop.slopes(w, loop.conditions), axis=1)
             if np.all((changes > 1 / EVEN) & (changes < EVEN)):
@@ -67,7 +70,7 @@ class Units:
         node = known if known.size else np.ones(size)
         clock = float(snapped(w.period / (2 * np.pi))) if known.size else 1.0
         head = np.concatenate([node, [clock], snapped(free)])
-        rows = loop.row_units(w, head, loop.conditions)[(len(w.nodes) - 1) * size :]
+        rows = loop.row_units(w, head)[(len(w.nodes) - 1) * size :]
         rows = np.append(snapped(rows[: size + len(loop.normals)]), snapped(rows[size + len(loop.normals) :], WIDE))
         return cls(node, np.concatenate([[clock], np.full(w.unfolding.size, 1.0 / clock), snapped(free)]), rows)
 
@@ -85,6 +88,28 @@ class Units:
             system.last * state / closing,
             system.tail * self.tail / closing,
         )
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
+
+    `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment;
+    `marches` and `jacobians` are what it took.
+    """
+
+    __repr__ = brief("state", "period")
+
+    state: np.ndarray
+    period: float
+    nodes: np.ndarray
+    unfolding: np.ndarray
+    free: np.ndarray
+    turns: np.ndarray
+    residual: float
+    steps: int
+    marches: int
+    jacobians: int
 
 
 class Newton:

@@ -127,7 +127,7 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
     that is 0.
     """
     clock, n = period / (2 * np.pi), model.degrees_of_freedom
-    if model.constraint is not None:  # integrated by IDAS, in its own coordinates
+    if model.constraint is not None or model.hybrid is not None:  # integrated by IDAS; arc by arc, in its own units
         return ()
     largest = np.abs(states).max(axis=0)
     if model.rates is not None:
