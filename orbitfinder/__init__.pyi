@@ -7,6 +7,7 @@ from . import systems as systems
 from ._runtime import __version__ as __version__
 from ._runtime.limit import limited as limited
 from .atlas.choose import least_unstable as least_unstable
+from .atlas.merge import merge_atlases as merge_atlases
 from .atlas.search import search as search
 from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
@@ -24,6 +25,8 @@ from .loops.problem import Problem as Problem
 from .mechanics.chain import chain as chain
 from .mechanics.chain import chain_dae as chain_dae
 from .mechanics.constrained import constrained as constrained
+from .mechanics.first_order import hamiltonian as hamiltonian
+from .mechanics.first_order import ode as ode
 from .mechanics.lagrange import Symbols as Symbols
 from .mechanics.lagrange import lagrange as lagrange
 from .mechanics.linkage import linkage as linkage

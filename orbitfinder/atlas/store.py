@@ -233,12 +233,16 @@ class Atlas:
 
     def look_up(self, signature: Signature) -> int | None:
         """The id of the orbit that a signature belongs to, None when it is new."""
-        periods, actions = neighbours(signature)
+        return next((one for one in self.near(signature.bins) if same_orbit(self.signature(one), signature)), None)
+
+    def near(self, bins: tuple[int, int]) -> list[int]:
+        """The ids of the orbits in and next to bins of period and action."""
+        periods, actions = neighbours(bins)
         found = self.select(
             [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) ORDER BY id",
             [*periods, *actions],
         )  # fmt: skip
-        return next((one for (one,) in found if same_orbit(self.signature(one), signature)), None)
+        return [one for (one,) in found]
 
     def signature(self, number: int) -> Signature:
         """The signature of a stored orbit, its loop integrated again unless it is still in memory."""

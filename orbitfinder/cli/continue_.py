@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 @click.command(name="continue")
 @click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
-@click.option("--parameter", default="energy", show_default=True, help="energy, period or a physical parameter.")
+@click.option(
+    "--parameter", default=None, help="energy, period or a physical parameter.  [default: energy, or a branch's own]"
+)
 @click.option("--until", type=FINITE, default=None, help="Stop when the parameter reaches this value.")
 @click.option("--at", default="", metavar="V,V,...", help="Compute points exactly at these values of the parameter.")
 @click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
@@ -55,7 +57,7 @@ if TYPE_CHECKING:
 @compile_option
 @trust_option("Execute Python problem files and modules; only what you have read.")
 @json_option
-def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
+def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
@@ -70,7 +72,7 @@ def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **cho
     """
     from orbitfinder.cli.console import display
     from orbitfinder.cli.jobs import check_writable
-    from orbitfinder.families.folder import follow_family
+    from orbitfinder.families.folder import follow_family, parameter_of
     from orbitfinder.families.point import FamilySettings
     from orbitfinder.problemfile.read import checked_name
     from orbitfinder.show.plot import save_figures
@@ -80,6 +82,7 @@ def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **cho
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     settings = FamilySettings(directions=directions, points=points, **narrowest)
     origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
+    parameter = parameter or parameter_of(origin)
     name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
     check_writable(out / name)
     with display() as shown:

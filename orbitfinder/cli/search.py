@@ -51,6 +51,9 @@ def _budget(_: click.Context, __: click.Parameter, text: str | None) -> float | 
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0, 2**63 - 1), help="Chooses the starts.")
 @click.option("--workers", default=2, show_default=True, type=click.IntRange(0, 256), help="Processes; 0: no other.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://head:8786, instead of processes.")
+@click.option(
+    "--shard", metavar="K/N", help="Make every N-th start only, from the K-th; auto: by the Slurm array that runs it."
+)
 @trust_option("Import the Python function of the system; only for files you have read.")
 @compile_option
 @json_option
@@ -59,14 +62,17 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
 
     Every orbit found is certified and, when it is new, written to the atlas. The starts depend on the
     seed alone, not on the number of workers. The same command goes on where it was stopped, or killed.
+    Shards know nothing of each other: give each an atlas of its own, and join them by `atlas merge`.
 
     \b
     Examples:
       orbitfinder search problems/search/triple.toml --budget 60s --atlas triple.sqlite
       orbitfinder search problems/search/triple.toml --starts 2000 --workers 4 --atlas triple.sqlite
+      orbitfinder search problems/search/triple.toml --starts 2000 --shard 3/8 --atlas triple-3.sqlite
     """
     from orbitfinder.atlas.search import DEFAULT_BUDGET, Limits
     from orbitfinder.atlas.search import search as run
+    from orbitfinder.atlas.shard import shard_from
     from orbitfinder.problemfile.read import load_problem_file, read_toml
 
     if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
@@ -74,7 +80,7 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     loaded = load_problem_file(file, trust)
     energies, periods = wanted(loaded)
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
-    limits = Limits(starts, None if budget is None else budget / len(energies))
+    limits = Limits(starts, None if budget is None else budget / len(energies), shard_from(how["shard"]))
     folder = file.parent.resolve() if trust else None
     with display(SPEAK_EVERY, REFRESH_EVERY) as shown:
 
@@ -115,7 +121,7 @@ def wanted(loaded: ProblemFile) -> tuple[list[float], tuple[float, float]]:
 
 def progress(energy: float, tally: Statistics, limits: Limits) -> Progress:
     """How far a search has come."""
-    made, failed, left = tally.begun_at + tally.done, sum(tally.failures.values()), tally.left(limits)
+    made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left(limits)
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
         f"{energy:g} J: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "

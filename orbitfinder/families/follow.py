@@ -157,7 +157,8 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     if ended is not None and ended.kind == "equilibrium":
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
-        joined = merged(interval, one.arclength) if (one.kind, one.detail) == ("fold", "energy") else None
+        turned = one.kind == "fold" and one.detail != "period"
+        joined = merged(interval, one.arclength) if turned else None
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes

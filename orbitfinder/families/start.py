@@ -12,14 +12,14 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.point import FamilySettings, length, parameter_value
+from orbitfinder.families.point import FamilySettings, length, parameter_value, span
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import remeshed, settled
-from orbitfinder.loops.problem import Guess, Problem, pinned
-from orbitfinder.loops.symmetry import NONE, Symmetry, named, off_centre, recognise, symmetries_of
+from orbitfinder.loops.problem import Guess, Problem, clock, pinned
+from orbitfinder.loops.symmetry import NONE, Symmetry, moved, named, off_centre, recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit
@@ -56,7 +56,7 @@ def begin(
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
-    chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest"
+    chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
     if symmetry == "auto":
         wanted = symmetry_of(start.curve, start.found)
@@ -100,12 +100,12 @@ def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[st
         if not model.conservative:
             raise InputError(
                 f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
+                f" ({', '.join(model.parameter_names[:20]) or 'it has none'})"
             )
         return (), ()
-    if model.forced:
-        raise InputError("system: a forced system's families are not followed yet; its orbits stand alone")
     if name not in model.parameter_names:
-        known = ["energy", "period", *model.state_names, *model.parameter_names]
+        conserved = ["energy", "period", *model.state_names] if model.conservative else []
+        known = [*conserved, *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
     if not model.conservative:
         return (name,), ()
@@ -130,7 +130,18 @@ def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
     curve = curve_at(equations, place, turns=problem.turns)
     pin = None if free or not problem.pin else problem.pin[0]
-    return corrected(curve, place, pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place))
+    aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
+    return _measured(corrected(curve, place, aim))
+
+
+def _measured(start: Start) -> Start:
+    """The same, a freed parameter that is 0 measured by what moves the orbit as far as it extends, at most 1."""
+    curve, head, size = start.curve, start.direction, start.curve.equations.size
+    weights, moved = curve.weights.copy(), np.sqrt(curve.weights[:size] @ start.direction[:size] ** 2)
+    for k in size + 1 + np.flatnonzero(start.found.place.free == 0.0):
+        if head[k]:
+            weights[k] = max(1.0, float(moved / (head[k] * span(curve, start.found))) ** 2)
+    return replace(start, curve=replace(curve, weights=weights), direction=head / np.sqrt(weights @ head**2))
 
 
 def curve_at(
@@ -148,7 +159,8 @@ def curve_at(
     values = equations.quantities_at(place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False))
-    fixed = tuple(pinned(equations, one, known[one]) for one in held if one in known)
+    cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
+    fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in held if one in known)
     return make_curve(equations, constant, place, fixed, length(model.angles, states))
 
 
@@ -166,16 +178,17 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
     if not all(0 <= k < len(model.invariants) for k, _ in known.held):
         raise InputError(f"curve.held: {list(known.held)} of {len(model.invariants)} invariants; continue again")
-    conditions = tuple(Condition(value, quantity=k) for k, value in known.held)
+    conditions = clock(equations, known.cycles) + tuple(Condition(value, quantity=k) for k, value in known.held)
     if known.period is not None:
         conditions += (pinned(equations, "period", known.period),)
     return Curve(equations, known.constant, conditions, weights=known.weights)
 
 
-def entry_of(conditions: tuple[Condition, ...]) -> dict[str, Any]:
-    """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, or the period."""
-    held = [[one.quantity, one.value] for one in conditions if one.normal is None]
-    return {"held": held, "period": next((one.value for one in conditions if one.normal is not None), None)}
+def entry_of(curve: Curve) -> dict[str, Any]:
+    """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, the period, or the clock."""
+    held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
+    period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
+    return {"held": held, "period": period} | ({"cycles": curve.cycles} if curve.cycles else {})
 
 
 @dataclass(frozen=True)
@@ -188,6 +201,8 @@ class CurveEntry:
     held: tuple[tuple[int, float], ...]
     weights: np.ndarray
     period: float | None
+    cycles: int = 0
+    """periods of the forcing in one period, 0 without a forcing"""
 
 
 def _own_aim(curve: Curve, place: Unknowns) -> Condition:
@@ -225,7 +240,9 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
         candidates = [Symmetry((seen.forward,))] if seen.forward else []
-    return next((one.name for one in candidates if one.held_by(model, states[0])), NONE.name)
+    models = (model, moved(model, curve.equations.free))
+    kept = (one.name for one in candidates if all(one.held_by(each, states[0], curve.cycles) for each in models))
+    return next(kept, NONE.name)
 
 
 def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: Symmetry) -> np.ndarray:
@@ -251,7 +268,8 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
     mesh, states = p.symmetry.whole(mesh, p.march.states(place.nodes, mesh, place.tail), curve.constant)
     times = np.linspace(0.0, place.period, count + 1)
-    return times, CubicHermiteSpline(mesh * place.period, states, p.march.rates(states, place.tail))(times)
+    moments = mesh * place.period
+    return times, CubicHermiteSpline(moments, states, p.march.rates(states, place.tail, moments))(times)
 
 
 def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:

@@ -62,8 +62,9 @@ def orbit_html(orbit: Orbit) -> str:
         verdict = f"as its file has it, not checked here: {verdict}"
     sizes = np.abs(orbit.floquet_multipliers)
     largest = f"{sizes.max():.6g}" if sizes.size else "none but the trivial ones"
+    energy = f"{orbit.energy:.12g} J" if np.isfinite(orbit.energy) else "none is conserved"
     rows = [
-        ("period", f"{orbit.period:.12g} s"), ("energy", f"{orbit.energy:.12g} J"),
+        ("period", f"{orbit.period:.12g} s"), ("energy", energy),
         ("closure", f"{orbit.closure:.1e}"), ("stability", orbit.stability), ("symmetry", orbit.symmetry),
         ("largest multiplier", largest), ("certificate", verdict),
     ]  # fmt: skip
@@ -82,10 +83,12 @@ def motions(orbit: Orbit) -> list[str]:
         states = states if recorded else sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
     except OrbitfinderError:
         return []
-    n, period = model.degrees_of_freedom, orbit.period
-    largest = int(np.argmax(np.ptp(states[:, :n], axis=0)))
-    label = "rate of {0} against {0}".format(model.state_names[largest])
-    parts = [moving_portrait(states[:, largest], states[:, n + largest], period, label)]
+    moved, period = np.ptp(states, axis=0), orbit.period
+    across, up = max(model.planes, key=lambda pair: moved[pair[0]])
+    name, against = model.state_names[across], model.state_names[up]
+    if model.rates is None:
+        against = f"rate of {name}"
+    parts = [moving_portrait(states[:, across], states[:, up], period, f"{against} against {name}")]
     if model.points is not None:
         parts.insert(0, moving_mechanism(positions(model, states), period, f"the mechanism over {period:.4g} s"))
     return parts
