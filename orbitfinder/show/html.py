@@ -85,9 +85,8 @@ def motions(orbit: Orbit) -> list[str]:
         return []
     moved, period = np.ptp(states, axis=0), orbit.period
     across, up = max(model.planes, key=lambda pair: moved[pair[0]])
-    name, against = model.state_names[across], model.state_names[up]
-    if model.rates is None:
-        against = f"rate of {name}"
+    name = model.state_names[across]
+    against = f"rate of {name}" if model.rates is None else model.state_names[up]
     parts = [moving_portrait(states[:, across], states[:, up], period, f"{against} against {name}")]
     if model.points is not None:
         parts.insert(0, moving_mechanism(positions(model, states), period, f"the mechanism over {period:.4g} s"))
