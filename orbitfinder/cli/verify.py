@@ -25,8 +25,7 @@ from orbitfinder.errors import plural
 from orbitfinder.records.orbit import Certificate, certificate_to_document
 
 if TYPE_CHECKING:
-    from orbitfinder.proof.refine import Refined
-    from orbitfinder.proof.theorem import Proof
+    from orbitfinder.proof.theorem import Proof, Refined
 
 
 @click.command()
@@ -190,9 +189,8 @@ def refine(
       orbitfinder refine orbits/triple-1/orbit.json --digits 50 --order 80 --bits 300
     """
     from orbitfinder.atlas.store import load_orbit
-    from orbitfinder.proof.refine import refine as refined
-    from orbitfinder.proof.refine import settings_for
-    from orbitfinder.proof.theorem import provable_model
+    from orbitfinder.proof.theorem import provable_model, settings_for
+    from orbitfinder.proof.theorem import refine as refined
 
     settings, orbit = settings_for(digits, order, bits), load_orbit(file)
     model = provable_model(orbit, file.parent if trust else None)
