@@ -102,7 +102,7 @@ def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
     p, place = curve.equations, found.place
-    n, units = p.size // 2, extents(found.march.states)
+    n, units = p.size // 2, extents(curve, found.march.states)
     x = np.concatenate([state[:n], np.zeros(n)])
     for _ in range(MOST_NEWTON):
         slopes = _linearised(curve, place, x, units)
@@ -128,7 +128,7 @@ def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
     states, mesh, n = found.march.states, found.place.mesh, curve.equations.size // 2
     slopes = curve.equations.march.rates(states, found.place.tail, mesh * found.place.period)
-    speed = np.linalg.norm(slopes[:, n:], axis=1)
+    speed = np.linalg.norm(slopes[:, n:] / curve.shares, axis=1)
     usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
     if not speed.max() > ABRUPT * usual:
         return None
@@ -157,8 +157,8 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
     """
     p, place = curve.equations, found.place
     states, n = found.march.states, p.size // 2
-    slopes, clock = p.march.rates(states, place.tail, place.mesh * place.period), np.sqrt(curve.weights[n])
-    speed = np.sqrt((slopes[:, :n] ** 2).sum(axis=1) + ((clock * slopes[:, n:]) ** 2).sum(axis=1))
+    slopes = p.march.rates(states, place.tail, place.mesh * place.period)
+    speed = np.sqrt(slopes**2 @ curve.weights[: 2 * n])
     weights = np.diff(place.mesh)
     slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
@@ -177,8 +177,8 @@ def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
     one = before.place.nodes[0] - np.concatenate([centre(curve, before), np.zeros(n)])
     other = found.place.nodes[0] - np.concatenate([centre(curve, found), np.zeros(n)])
     moved = float(np.sqrt(weights @ (other - one) ** 2))
-    size = max(float(np.ptp(s.march.states[:, :n], axis=0).max()) for s in (before, found))
-    return bool(np.sum(weights * one * other) < 0 and size < 3 * moved)
+    sizes = [np.ptp(s.march.states[:, :n], axis=0) * np.sqrt(weights[:n]) for s in (before, found)]
+    return bool(np.sum(weights * one * other) < 0 and np.max(sizes) < 3 * moved)
 
 
 def returned(curve: Curve, before: Step, after: Step) -> End | None:
@@ -238,7 +238,8 @@ def merged(interval: Interval, at: float) -> End | None:
     curve, found = interval.curve, interval.sample(at).found
     model, symmetry = curve.equations.model, curve.equations.symmetry
     times, states = full_samples(curve, found)
-    name, extent = recognise(times, states, model), float(np.ptp(states, axis=0).max())
+    name, states = recognise(times, states, model), states / curve.units
+    extent = float(np.ptp(states, axis=0).max())
     covers = [k for k in range(2, MOST_COVERS + 1) if return_gaps(states, k).max() < JOINED * extent]
     what = ""
     if covers:

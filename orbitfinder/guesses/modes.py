@@ -12,7 +12,7 @@ are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
@@ -27,6 +27,7 @@ from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
 from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.mechanics.scales import given_lengths, masses_of, snapped
 
 DESCENTS = 16
 FLAT = 1e-4
@@ -74,27 +75,40 @@ def minima(model: Model) -> list[np.ndarray]:
 
 
 def reach_of(model: Model) -> np.ndarray:
-    """How far (n) from an equilibrium positions are drawn: half a turn, or 2."""
-    return np.where(model.angular, np.pi, 2.0)
+    """How far (n) from an equilibrium positions are drawn: half a turn, or twice the length given, else 2."""
+    return np.asarray(np.where(model.angular, np.pi, 2.0 * sizes(model)))
+
+
+def sizes(model: Model) -> np.ndarray:
+    """Sizes (n) of coordinates before there is any motion: those given, else 1."""
+    return np.asarray(np.nan_to_num(given_lengths(model), nan=1.0))
 
 
 def equilibrium(model: Model) -> np.ndarray:
     """Coordinates (n) of the minimum of the potential nearest to q = 0."""
-    n = model.degrees_of_freedom
+    n, units = model.degrees_of_freedom, sizes(model)
 
     def potential(q: np.ndarray) -> float:
-        return float(model.potential(q, model.parameter_values))
+        return float(model.potential(units * q, model.parameter_values))
 
     zero = np.zeros(n)
+    work = _work(potential, n)
     slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
-    if np.abs(slopes).max() < 1e-11 * max(1.0, abs(potential(zero))):
+    if np.abs(slopes).max() < 1e-11 * max(work, abs(potential(zero))):
         return zero
-    found = minimize(potential, zero, method="BFGS", options={"gtol": 1e-11}).x
+    found = minimize(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11}).x
+    pace = work / masses_of(model.kinetic, np.concatenate([units * found, zero]), model).max() / units.max()
 
     def force(q: np.ndarray) -> np.ndarray:
-        return np.asarray(model.acceleration(0.0, q, zero, model.parameter_values).full().ravel())
+        return np.asarray(model.acceleration(0.0, units * q, zero, model.parameter_values).full().ravel() / pace)
 
-    return np.asarray(root(force, found, tol=1e-15).x)
+    return np.asarray(units * np.asarray(root(force, found, tol=1e-15).x))
+
+
+def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
+    """What the potential changes by within a unit of each coordinate, a power of 256; 1 where that is of order one."""
+    changes = [potential(sign * unit) - potential(np.zeros(n)) for unit in np.eye(n) for sign in (-1, 1)]
+    return float(snapped(np.abs(np.nan_to_num(changes, nan=0.0, posinf=0.0, neginf=0.0)).max()))
 
 
 def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
@@ -188,7 +202,9 @@ def normal_modes(
             f"guess.mode: the energies have no second derivatives at {place.tolist()}, or not in double precision; "
             "give the coordinates of an equilibrium, or a state and a period"
         )
-    if np.abs(force).max() > 1e-9 * max(1.0, float(np.abs(k).max())):
+    units = sizes(model)
+    stiff = np.abs(k * units[:, None] * units).max()
+    if np.abs(force * units[:, None]).max() > 1e-9 * max(float(stiff), float(snapped(stiff))):
         raise InputError(f"guess.mode: {place.tolist()} is not an equilibrium; give the coordinates of one")
     try:
         squared, shapes = eigh(k, m)
@@ -291,14 +307,16 @@ def oscillating(squared: np.ndarray) -> np.ndarray:
 def mode_problem(
     model: Model,
     mode: int,
-    amplitude: float = AMPLITUDE,
+    amplitude: float | None = None,
     equilibrium: Sequence[float] | np.ndarray | None = None,
     name: str | None = None,
 ) -> Problem:
     """The Problem that starts the family of a mode, in the quarter-period formulation.
 
-    `mode` counts the oscillating modes of the equilibrium from 1, slowest first. Raises `InputError`.
+    `mode` counts the oscillating modes of the equilibrium from 1, slowest first; without an `amplitude` it is 0.02 rad,
+    or 0.02 of the length given. Raises `InputError`.
     """
+    amplitude = AMPLITUDE * float(sizes(model).max()) if amplitude is None else amplitude
     found = oscillating(normal_modes(model, equilibrium)[0])
     if isinstance(mode, bool) or not 1 <= mode <= found.size:
         raise InputError(

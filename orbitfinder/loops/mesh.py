@@ -52,7 +52,7 @@ def _errors(curve: Curve, found: Solution, every: int = 1) -> np.ndarray:
     """Estimated errors of all steps, or of one in so many."""
     place = found.place
     asked = np.arange(0, place.mesh.size - 1, every)
-    return curve.equations.march.step_errors(found.march.states, place.mesh, place.tail, asked)
+    return curve.equations.march.step_errors(found.march.states, place.mesh, place.tail, curve.units, asked)
 
 
 def _growths(curve: Curve, found: Solution) -> np.ndarray:

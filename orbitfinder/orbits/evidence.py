@@ -40,7 +40,8 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
-from orbitfinder.orbits.closure import Closure, alone, closes, extents, extents_of, gap, masses_of, shift
+from orbitfinder.mechanics.scales import masses_of, snapped
+from orbitfinder.orbits.closure import Closure, alone, closes, extents, extents_of, gap, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy, symplectic_unit
 
 SAMPLES = 512
@@ -424,24 +425,44 @@ class ClosureCheck:
         """The largest gap round the loop of an orbit, in `units` (2n); `allowed` is what will be asked of it."""
         found = np.inf
         for longest in LONGEST_STEPS:
-            found = gap(state, self._end(state, period, longest, free), turns, units)
+            found = gap(state, self._end(state, period, longest, free, units), turns, units)
             if found <= 0.5 * allowed:
                 break
         return found
 
-    def ends(self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
+    def ends(
+        self,
+        nodes: np.ndarray,
+        durations: np.ndarray,
+        free: Mapping[str, float] | None = None,
+        units: np.ndarray | float = 1.0,
+    ) -> np.ndarray:
         """Where each piece of an orbit ends (N x 2n) that begins at a node (N x 2n) and lasts so long (s)."""
         edges = np.append(0.0, np.cumsum(durations)) * self._model.forced
         pieces = zip(nodes, durations, edges[:-1], strict=True)
-        return np.stack([self._end(node, duration, 1 / PIECE_STEPS, free, now) for node, duration, now in pieces])
+        return np.stack(
+            [self._end(node, duration, 1 / PIECE_STEPS, free, units, now) for node, duration, now in pieces]
+        )
 
     def _end(
-        self, state: np.ndarray, duration: float, longest: float, free: Mapping[str, float] | None, now: float = 0.0
+        self,
+        state: np.ndarray,
+        duration: float,
+        longest: float,
+        free: Mapping[str, float] | None,
+        units: np.ndarray | float,
+        now: float = 0.0,
     ) -> np.ndarray:
-        """(q, v) after a time from `now`, by steps no longer than a share of it."""
+        """(q, v) after a time from `now`, by steps no longer than a share of it, in powers of 256 near the `units`."""
         if self._at != dict(free or {}):
             self._at = dict(free or {})
             self._equations = Hamiltonian(with_parameters(self._model, self._at))
         start, span = self._equations.start(state), np.array([now, now + duration])
-        path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
+        sizes = snapped(np.broadcast_to(units, state.shape)[self._equations.coordinates.chosen])
+        if np.all(sizes == 1.0):
+            path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
+        else:
+            if self._model.rates is None:
+                sizes[start.size // 2 :] *= snapped(masses_of(self._equations.coordinates.kinetic, start))
+            path = integrate_in(sizes, self._equations.field, start, span, CHECKED, longest * duration)
         return np.asarray(self._equations.states(path[-1:])[0])

@@ -231,6 +231,8 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     orbit = measure(refined.problem, refined.flow, found.nodes, found.period, unfolding)
     _within(problem, orbit)
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
+    if flow.units:
+        said["scales"] = dict(zip(problem.model.state_names, flow.units, strict=True))
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
         orbit = certified(orbit, refined.problem.model)
@@ -343,7 +345,8 @@ def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: Sol
     matrix = transition(flow, np.asarray(problem.guess.state, float), horizon)[1]
     fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
     between = (fewest, settings.most_segments)
-    units = clocked(problem.model, problem.guess.period / (2 * np.pi))
+    state = np.asarray(problem.guess.state, float)
+    units = clocked(problem.model, problem.guess.period / (2 * np.pi), state)
     return segments_for(matrix, units, settings.growth_per_segment, between)
 
 
@@ -379,8 +382,9 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
 
 def _snapped(problem: Problem, name: str, value: float) -> float:
     """A value, or the end of its range that an inequality holds it at."""
-    for end in problem.bounds.get(name, ()):
-        if abs(value - end) <= NEAR_BOUND * max(1.0, abs(end)):
+    ends = problem.bounds.get(name, ())
+    for end in ends:
+        if abs(value - end) <= NEAR_BOUND * max(np.ptp(np.asarray(ends)[np.isfinite(ends)]), abs(end)):
             return float(end)
     return value
 

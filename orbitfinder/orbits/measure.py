@@ -71,14 +71,18 @@ def marched(
     w: Unknowns,
     whole: tuple[np.ndarray, np.ndarray, np.ndarray],
     action: float,
+    units: Sequence[float] = (),
 ) -> Orbit:
-    """The Orbit (without certificate) of what `whole_period` found, by the march that found it."""
+    """The Orbit (without certificate) of what `whole_period` found, by the march that found it.
+
+    `units` (2n) are what its multipliers are measured in, () is 1.
+    """
     nodes, times, states = whole
     mesh, tail, monodromy = times / times[-1], _untouched(march, w), np.eye(len(nodes[0]))
     for matrix in march.varied(nodes, mesh, tail).transitions:
         monodromy = matrix @ monodromy
     end = march.ends(nodes[:1], mesh, tail)[0]
-    floquet = reduced(problem.model, nodes[0], monodromy)
+    floquet = reduced(problem.model, nodes[0], monodromy, units)
     return recorded(problem, w.period, end, nodes, times, states, w.unfolding, action, floquet)
 
 

@@ -111,6 +111,10 @@ class PythonSystem(Table):
     arguments: dict[str, float | int | bool | str | list[float]] = Field(
         {}, description="its arguments by name: numbers (SI units), text or lists of numbers"
     )
+    scales: dict[str, Positive] | None = Field(
+        None, description="sizes to measure in, where the motion does not show them: `length` of all coordinates that "
+        "are no angles, coordinates or physical parameters by name, such as `{ length = 2e-6 }`",
+    )  # fmt: skip
 
 
 SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "python": PythonSystem}
