@@ -32,9 +32,10 @@ MOST_IN_LEGEND = 12
 
 
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
-    """Write the four figures of an orbit, or those of a family, as PNG files; returns their paths.
+    """Write the four figures of an orbit (no energy or links where it has none), or those of a family, as PNG files.
 
-    `model` is needed only for systems that no file describes. An orbit without samples is integrated again.
+    Returns their paths. `model` is needed only for systems that no file describes. An orbit without samples is
+    integrated again.
     """
     model = model or build_model(orbit.system)
     if isinstance(orbit, Family):
@@ -43,8 +44,9 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
     figures = {
         "time_histories": time_histories(orbit, model),
         "phase_portraits": phase_portraits(orbit, model),
-        "energy_error": energy_error(orbit, model),
     }
+    if np.isfinite(orbit.energy):
+        figures["energy_error"] = energy_error(orbit, model)
     if model.points is not None:
         figures["swept_configuration"] = swept_configuration(orbit, model)
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
@@ -62,8 +64,10 @@ def label(name: str) -> str:
 
 
 def units(model: Model) -> list[str]:
-    """Unit of each coordinate: rad for angles, m otherwise."""
+    """Unit of each coordinate: rad for angles, m otherwise; none is known of a first-order system's components."""
     n = model.degrees_of_freedom
+    if model.rates is not None:
+        return ["rad" if angle else "" for angle in model.angular]
     angles = model.angles or (True,) * n
     return ["rad" if angle else "m" for angle in angles]
 
@@ -75,26 +79,50 @@ def _samples(orbit: Orbit) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _unit(model: Model, suffix: str = "") -> str:
-    return " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(units(model)))
+    known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(units(model)) if unit)
+    return f" ({known})" if known else ""
+
+
+def axis(model: Model, i: int) -> str:
+    """A component's name for an axis, with its unit where that is known."""
+    n = model.degrees_of_freedom
+    name, unit = label(model.state_names[i % n]), units(model)[i % n]
+    if i >= n:
+        return f"rate of {name} ({unit}/s)"
+    return f"{name} ({unit})" if unit else name
 
 
 def time_histories(orbit: Orbit, model: Model) -> Figure:
-    """Coordinates and velocities over one period."""
+    """Coordinates and velocities over one period; of a first-order system each component on its own scale."""
     times, states = _samples(orbit)
     n = model.degrees_of_freedom
     figure = new_figure(8.0, 6.0, *heading(orbit, "time histories"))
+    if model.rates is not None:
+        return _components(figure, orbit, model)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for i in range(n):
         style = line_style(i, n)
         upper.plot(times, states[:, i], label=label(model.state_names[i]), **style)
         lower.plot(times, states[:, n + i], **style)
-    dress(upper, "", f"coordinates ({_unit(model)})")
-    dress(lower, "time (s)", f"velocities ({_unit(model, '/s')})")
+    dress(upper, "", f"coordinates{_unit(model)}")
+    dress(lower, "time (s)", f"velocities{_unit(model, '/s')}")
     lower.set_xlim(0.0, orbit.period)
     if n <= MOST_IN_LEGEND:
         figure.legend(*upper.get_legend_handles_labels(), loc="outside right center", frameon=False)
     else:
         _colour_bar(figure, [upper, lower], n)
+    return figure
+
+
+def _components(figure: Figure, orbit: Orbit, model: Model) -> Figure:
+    """Components of a state over one period below each other (at most 12, evenly chosen)."""
+    n = model.degrees_of_freedom
+    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PORTRAITS)).round().astype(int))
+    panels = np.atleast_1d(figure.subplots(chosen.size, 1, sharex=True))
+    for axes, i in zip(panels, chosen, strict=True):
+        axes.plot(orbit.times, orbit.samples[:, i], color=COLOURS[0], linewidth=1.3)
+        dress(axes, "time (s)" if axes is panels[-1] else "", axis(model, int(i)))
+    panels[-1].set_xlim(0.0, orbit.period)
     return figure
 
 
@@ -108,19 +136,18 @@ def _colour_bar(figure: Figure, axes: Any, count: int) -> None:
 
 
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
-    """Velocity against coordinate, one panel each (at most 12, evenly chosen)."""
+    """Velocity against coordinate, one panel each (at most 12, evenly chosen); see `Model.planes`."""
     _, states = _samples(orbit)
-    n = model.degrees_of_freedom
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PORTRAITS)).round().astype(int))
+    planes = model.planes
+    chosen = np.unique(np.linspace(0, len(planes) - 1, min(len(planes), MOST_PORTRAITS)).round().astype(int))
     columns = min(chosen.size, 3 if chosen.size != 4 else 2)
     rows = -(-chosen.size // columns)
     figure = new_figure(max(3.2 * columns, 5.0), max(2.9 * rows, 3.6) + 0.5, *heading(orbit, "phase portraits"))
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, i in zip(grid, chosen, strict=False):
-        axes.plot(states[:, i], states[:, n + i], color=COLOURS[0], linewidth=1.3)
-        axes.plot(states[0, i], states[0, n + i], "o", color=COLOURS[1], markersize=5, label="t = 0")
-        name, unit = label(model.state_names[i]), units(model)[i]
-        dress(axes, f"{name} ({unit})", f"rate of {name} ({unit}/s)")
+    for axes, (i, j) in zip(grid, [planes[k] for k in chosen], strict=False):
+        axes.plot(states[:, i], states[:, j], color=COLOURS[0], linewidth=1.3)
+        axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
+        dress(axes, axis(model, i), axis(model, j))
         axes.locator_params(axis="x", nbins=4)
         axes.margins(0.08)
     for axes in grid[chosen.size :]:
@@ -153,15 +180,16 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     figure = new_figure(8.0, 5.6, *heading(orbit, "energy"))
-    upper, lower = figure.subplots(2, 1, sharex=True)
-    upper.plot(times, kinetic, label="kinetic", **line_style(0, 3))
-    upper.plot(times, potential - potential.min(), label="potential above its least", **line_style(1, 3))
-    dress(upper, "", "energy (J)")
+    upper, lower = (None, figure.subplots()) if model.rates is not None else figure.subplots(2, 1, sharex=True)
+    if upper is not None:  # a first-order system's energy is one expression
+        upper.plot(times, kinetic, label="kinetic", **line_style(0, 3))
+        upper.plot(times, potential - potential.min(), label="potential above its least", **line_style(1, 3))
+        dress(upper, "", "energy (J)")
+        upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
     lower.plot(times, total - total[0], color=COLOURS[2], linewidth=1.1)
     lower.axhline(0.0, color="0.5", linewidth=0.7)
     dress(lower, "time (s)", "E(t) \N{MINUS SIGN} E(0) (J)")
     lower.set_xlim(0.0, orbit.period)
-    upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
     return figure
 
 
