@@ -118,6 +118,6 @@ def amplitudes(family: Family, model: Model) -> np.ndarray:
     def range_of(one: FamilyPoint | Event) -> np.ndarray:
         known = one if one.mesh.size else replace(one, shooting_nodes=one.state[None], mesh=mesh)
         states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
-        return np.ptp(states[:, :n], axis=0) / 2
+        return np.asarray(np.ptp(states[:, :n], axis=0) / 2)
 
     return np.array([*map(range_of, family.points), *map(range_of, family.events)])
