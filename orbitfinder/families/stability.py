@@ -49,7 +49,7 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     conservative = p.symplectic
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
-    indices = analyse(reduced, conservative).indices
+    indices = analyse(reduced).indices if conservative else floquet.indices
     krein: tuple[int, ...] = ()
     turns = np.zeros(indices.size, int)
     if conservative:
