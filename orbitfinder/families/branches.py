@@ -34,7 +34,7 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, named
+from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, called, declared, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import SHARE, repeated
 from orbitfinder.mechanics.model import Model
@@ -74,7 +74,8 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
     found: list[Start] = []
-    for symmetry, share in (*curve.equations.symmetry.narrower(), (NONE, 0.0)):
+    for kept, share in (*curve.equations.symmetry.narrower(), (NONE, 0.0)):
+        symmetry = called(kept, curve.equations.model)
         if symmetry == NONE and found:
             break
         if len(symmetry.maps) > 1 and event.order % 2 == 0:  # half of an even number of turns is no half turn

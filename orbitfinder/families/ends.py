@@ -12,7 +12,7 @@ from orbitfinder.families.run import Interval, Run, Step
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct, distance
 from orbitfinder.loops.loop import Condition, Unknowns
-from orbitfinder.loops.symmetry import NONE, REFLECTION, half_period_gaps, recognise
+from orbitfinder.loops.symmetry import NONE, REFLECTION, declared, half_period_gaps, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
@@ -249,8 +249,9 @@ def merged(interval: Interval, at: float) -> End | None:
     elif name not in (NONE.name, symmetry.name):
         what = f"of symmetry {name}"
     elif symmetry.forward is None:
-        gaps = half_period_gaps(REFLECTION.maps[0], states, model.angular)
-        what = "that is its own mirror image" if gaps.max() < JOINED * extent else ""
+        mirrors = [*REFLECTION.maps, *(one for one in declared(model) if one.sense > 0)]
+        gaps = [half_period_gaps(one, states, model.angular).max() for one in mirrors]
+        what = "that is its own mirror image" if min(gaps) < JOINED * extent else ""
     if not what or not mirrored(interval, at):
         return None
     told = {"energy": (parameter_value(curve, found.place, "energy"), " J")}

@@ -21,9 +21,9 @@ from scipy.optimize import minimize, root
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError, plural
-from orbitfinder.integrate.equations import at_rest, under_constraints
+from orbitfinder.integrate.equations import at_rest, linearised, under_constraints
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.symmetry import QUARTER
+from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
 from orbitfinder.mechanics.model import Model, wrapped
@@ -218,10 +218,13 @@ def normal_mode(
 ) -> Guess:
     """Guess on a linear normal mode: `mode` counts from 1, slowest first; largest deviation `amplitude` (rad or m).
 
-    The motion starts at rest at its turning point. Raises `InputError` when there is no such mode
-    or when the equilibrium is unstable in it.
+    The motion starts at rest at its turning point; that of a gyroscopic system (a rotating frame), whose modes count
+    among those that oscillate, where a symmetry that the model declares has its instant. Raises `InputError` when
+    there is no such mode or when the equilibrium is unstable in it.
     """
     n = model.degrees_of_freedom
+    if model.gyroscopic is not None and model.conservative:
+        return _gyroscopic_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
     if isinstance(mode, bool) or not 1 <= mode <= n:
         raise InputError(
             f"guess.mode: must be between 1 and {n}, got {mode}; this system has {plural(n, 'normal mode')}"
@@ -239,6 +242,61 @@ def normal_mode(
     largest = shape[np.abs(shape).argmax()]
     place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
     return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
+
+
+def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Coordinates (n) of the equilibrium that Newton's method finds from a place. Raises `InputError`."""
+    start, slopes = np.asarray(place, float), linearised(model)
+    if start.shape != (model.degrees_of_freedom,):
+        raise InputError(f"guess.equilibrium: shape {start.shape} for {model.degrees_of_freedom} coordinates")
+    found = start
+    for _ in range(NEWTON_STEPS):
+        force, matrix, _ = slopes(found, np.zeros(start.size))
+        if not (np.all(np.isfinite(force)) and np.all(np.isfinite(matrix))):
+            break
+        step = np.linalg.lstsq(matrix, -force, rcond=1e-12)[0]
+        found = found + step
+        if np.abs(step).max() <= 1e-14 * max(1.0, float(np.abs(found).max())):
+            return np.asarray(found)
+    raise InputError(f"guess.equilibrium: no equilibrium found from {start.tolist()}; give a place nearer to one")
+
+
+def gyroscopic_modes(model: Model, equilibrium: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angular frequencies (k, rad/s, slowest first) and shapes (2n x k, complex) of the small oscillations.
+
+    x' = A x with A from the accelerations' slopes, x = (q, v); each pair +-i w of eigenvalues is a mode whose motions
+    are the real parts of shape exp(i w t). Source: L. Meirovitch, Methods of Analytical Dynamics (1970), section 6.
+    """
+    n = equilibrium.size
+    force, stiffness, turning = linearised(model)(equilibrium, np.zeros(n))
+    matrix = np.block([[np.zeros((n, n)), np.eye(n)], [stiffness, turning]])
+    if not np.all(np.isfinite(matrix)) or np.abs(force).max() > 1e-9 * float(np.abs(matrix).max()):
+        raise InputError(f"guess.mode: {equilibrium.tolist()} is not an equilibrium; give the coordinates of one")
+    values, shapes = np.linalg.eig(matrix)
+    kept = np.flatnonzero((values.imag > 0) & (np.abs(values.real) < 1e-8 * np.abs(values).max()))
+    kept = kept[np.argsort(values.imag[kept])]
+    return values.imag[kept], shapes[:, kept]
+
+
+def _gyroscopic_mode(model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray) -> Guess:
+    place = np.asarray(equilibrium, float)
+    frequencies, shapes = gyroscopic_modes(model, place)
+    if isinstance(mode, bool) or not 1 <= mode <= frequencies.size:
+        raise InputError(
+            f"guess.mode: must be between 1 and {frequencies.size}, got {mode}; {frequencies.size} modes oscillate at "
+            f"{place.tolist()}"
+        )
+    shape = shapes[:, mode - 1]
+    shape = shape / shape[np.abs(shape[: place.size]).argmax()]  # the largest coordinate is largest at the start,
+    for one in declared(model):
+        gaps = one.matrix(place.size) @ shape - shape  # or else a mirrored motion starts on its mirror
+        if one.sense < 0 and np.abs(gaps).max() > 1e-9:
+            away = gaps[np.abs(gaps).argmax()]
+            turned = shape * 1j * abs(away) / away
+            if np.abs(one.matrix(place.size) @ turned.real - turned.real).max() < 1e-9:
+                shape = turned * np.sign(turned.real[: place.size][np.abs(turned.real[: place.size]).argmax()])
+                break
+    return Guess(np.concatenate([place, 0 * place]) + amplitude * shape.real, 2 * np.pi / float(frequencies[mode - 1]))
 
 
 def oscillating(squared: np.ndarray) -> np.ndarray:

@@ -444,6 +444,17 @@ def named(name: str, model: Model) -> Symmetry:
     return known[name]
 
 
+def called(symmetry: Symmetry, model: Model) -> Symmetry:
+    """The same symmetry by the name that its model knows it by."""
+    n = model.degrees_of_freedom
+
+    def acts(one: Symmetry) -> list[tuple[int, bytes]]:
+        return [(each.sense, each.matrix(n).tobytes()) for each in one.maps]
+
+    wanted = acts(symmetry)
+    return next((one for one in symmetries_of(model).values() if acts(one) == wanted), symmetry)
+
+
 def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
     """1 or -1 as an invariant keeps or changes its sign under an involution, 0 for neither; an energy keeps it."""
     if invariant.generator is None:

@@ -121,6 +121,8 @@ class Model:
     forcing_period: ca.Function | None = None
     symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
     """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
+    landmarks: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """places (n each) that pictures mark and guesses may start from, at the model's own parameter values"""
     constraint: HolonomicConstraint | None = None
     hybrid: Any = None
     """modes, transitions and the cycle of a hybrid system, see `mechanics.hybrid`"""

@@ -153,7 +153,11 @@ def canonical_motion(
     path = integrate_in(units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD)
     half = start.size // 2
     work = float(units @ units) / period if model.rates is not None else float(units[:half] @ units[half:]) or 1.0
-    transitions, action = _pieces(vector_field(equations.equations.variational), start, units, work, period)
+    found = _pieces(vector_field(equations.equations.variational), start, units, work, period)
+    transitions, end, action = found
+    if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
+        missed = end - start - shift(turns[chosen[: masses.size]], start.size)
+        action -= float(end[half:] @ missed[:half])
     gradients, directions, constraints = equations.frame(state, start)
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
@@ -187,8 +191,8 @@ def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float) -> np.ndarr
 
 def _pieces(
     variational: VectorField, start: np.ndarray, units: np.ndarray, work: float, period: float
-) -> tuple[list[np.ndarray], float]:
-    """State-transition matrices (m x m) of equal pieces of a period, and the action, which is measured in `work`."""
+) -> tuple[list[np.ndarray], np.ndarray, float]:
+    """State-transition matrices (m x m) of equal pieces of a period, its end, and the action, measured in `work`."""
     size, now, action = start.size, start, 0.0
     matrix = (units[:, None] / units[None, :]).ravel("F")
     measures, pieces = np.concatenate([units, matrix, [work]]), []
@@ -198,7 +202,7 @@ def _pieces(
         end = integrate_in(measures, variational, extended, span, VARIED)[-1]
         pieces.append(end[size:-1].reshape(size, size, order="F"))
         now, action = end[:size], action + float(end[-1])
-    return pieces, action
+    return pieces, now, action
 
 
 def evenly(period: float) -> np.ndarray:

@@ -201,8 +201,10 @@ class GuessTable(Table):
     rates: dict[str, float] | None = Field(
         None, description="linkages: some rates at t = 0 in rad/s, such as { theta1dot = 2.0 }; at rest when left out"
     )
-    equilibrium: list[float] | None = Field(
-        None, description="linkages: link angles near the equilibrium of the mode, the lowest one when left out"
+    equilibrium: list[float] | str | None = Field(
+        None,
+        description="coordinates near the equilibrium of the mode, or the name of a landmark such as L1; when left out "
+        "the one at 0, of a linkage (link angles) the lowest",
     )
 
     @model_validator(mode="after")
