@@ -54,8 +54,10 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
         where = np.array2string(centre(curve, before.found), precision=6)
         period = before.point.period
         return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s")
+    if curve.equations.model.forced:
+        return None
     share, state = slowness(curve, found)
-    if share <= SLOW_SHARE or curve.equations.model.forced:
+    if share <= SLOW_SHARE:
         return None
     grown, more = found.place.period / after.shortest_period, None
     if grown > run.settings.longest_period:

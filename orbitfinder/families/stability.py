@@ -52,7 +52,7 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     conservative = p.symplectic and abs(area - 1.0) < AREA  # resets need not keep areas
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
-    indices = analyse(reduced, conservative).indices
+    indices = analyse(reduced).indices if conservative else floquet.indices
     krein: tuple[int, ...] = ()
     turns = np.zeros(indices.size, int)
     if conservative:

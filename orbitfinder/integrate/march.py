@@ -150,13 +150,17 @@ class March(Refining):
         edges = mesh[:: (mesh.size - 1) // len(nodes)]
         late = self.rates(ends, tail, tail[0] * edges[1:])
         slopes = late * np.diff(edges)[:, None]
-        if self.forced:
+        if self.forced and len(nodes) > 1:
             early = self.rates(nodes, tail, tail[0] * edges[:-1])
             slopes += (late - np.einsum("kij,kj->ki", transitions, early)) * edges[:-1, None]
         return slopes
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d)."""
+        if len(states) == 1:
+            moment = times if isinstance(times, float) else times[0]
+            s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
+            return self.at(self.field, moment, states, s, free)[0].T
         moments = np.broadcast_to(times, len(states))[:, None]
         s, free = np.split(np.broadcast_to(tail[1:], (len(states), tail.size - 1)), [self.unfolding], axis=1)
         return self._lanes.evaluated(self.field, 1, moments, states, s, free)

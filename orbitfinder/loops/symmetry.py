@@ -62,10 +62,8 @@ class Involution:
         return np.asarray(np.broadcast_to(self.signs, n).astype(float)[:, None] * found)
 
     def matrix(self, n: int) -> np.ndarray:
-        """S (2n x 2n) of x -> S x."""
-        if self.first_order:
-            return self.places(n)
-        return np.kron(np.diag([1.0, self.sense]), self.places(n))
+        """S (2n x 2n) of x -> S x, not to be written to."""
+        return _matrix(self, n)
 
     def after(self, other: Involution) -> Involution:
         """The product of two that commute, the other one done first."""
@@ -92,6 +90,13 @@ class Involution:
         rows = self.places(len(names))
         images = [("-" if row.min() < 0 else "") + names[int(np.abs(row).argmax())] for row in rows]
         return ", ".join(f"{name} -> {image}" for name, image in zip(names, images, strict=True) if image != name)
+
+
+@lru_cache(maxsize=64)
+def _matrix(one: Involution, n: int) -> np.ndarray:
+    found = one.places(n) if one.first_order else np.kron(np.diag([1.0, one.sense]), one.places(n))
+    found.flags.writeable = False
+    return found
 
 
 @dataclass(frozen=True)
