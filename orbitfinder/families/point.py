@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +12,8 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.orbits.closure import carried
+from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.closure import alone, carried
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
@@ -79,7 +80,7 @@ def make_point(
     """
     p, place = curve.equations, found.place
     about = about or spectrum(curve, found)
-    units = extents(found.march.states)
+    units = extents(found.march.states, p.model)
     parts = list(found.march.transitions * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
@@ -131,7 +132,7 @@ def piecewise_defect(
 
     Both relative to the motion; the growth of a piece is the 2-norm of its state-transition matrix.
     """
-    place, units = found.place, extents(found.march.states)
+    place, units = found.place, extents(found.march.states, curve.equations.model)
     first, last = curve.equations.boundary
     across = np.maximum(np.abs(first) * units, np.abs(last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
@@ -159,13 +160,20 @@ def freed(curve: Curve, place: Unknowns) -> dict[str, float]:
     return dict(zip(curve.equations.free, map(float, place.free), strict=True))
 
 
-def length(angles: Sequence[bool], states: np.ndarray) -> float:
-    """What coordinates are measured in: rad and m where there are angles, else the largest extent of a motion."""
-    return 1.0 if any(angles) else max(float(np.ptp(np.split(states, 2, axis=1)[0], axis=0).max()), 1e-300)
+def length(model: Model, states: np.ndarray) -> float | np.ndarray:
+    """What coordinates are measured in: rad and m where there are angles, else the largest extent of a motion.
+
+    Each component (d) of a first-order state is measured by itself, angles in rad.
+    """
+    if model.rates is not None:
+        return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0)))
+    return 1.0 if any(model.angles) else max(float(np.ptp(np.split(states, 2, axis=1)[0], axis=0).max()), 1e-300)
 
 
-def extents(states: np.ndarray) -> np.ndarray:
+def extents(states: np.ndarray, model: Model) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
+    if model.rates is not None:
+        return np.asarray(np.maximum(alone(np.ptp(states, axis=0)), LEAST * np.abs(states).max(axis=0)))
     halves = np.split(states, 2, axis=1)
     sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in halves]
     return np.repeat(sizes, states.shape[1] // 2)
@@ -173,7 +181,7 @@ def extents(states: np.ndarray) -> np.ndarray:
 
 def extent(curve: Curve, found: Solution) -> float:
     """How far the configurations of an orbit are apart in a family's metric."""
-    n = curve.equations.size // 2
+    n = curve.equations.model.degrees_of_freedom
     return max(float(np.sqrt(curve.weights[:n] @ np.ptp(found.march.states[:, :n], axis=0) ** 2)), 1e-300)
 
 

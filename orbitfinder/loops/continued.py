@@ -15,6 +15,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
+from orbitfinder.loops.problem import clocked
 
 NEWTON_READY = 1e-11
 """Residual, in units of the metric, from which one more Newton step, not evaluated again, reaches round-off."""
@@ -34,7 +35,8 @@ class Curve(Loop):
     """One family's loop, and its metric.
 
     `weights` measures a head (x(0), T, free): angles count as they are, lengths without angles relative
-    to the starting orbit, rates by its time scale, period and parameters relative to their starting values.
+    to the starting orbit, as is each component of a first-order state, rates by its time scale, period and parameters
+    relative to their starting values.
     """
 
     weights: np.ndarray = field(kw_only=True)
@@ -51,18 +53,20 @@ class Solution:
 
 
 def make_curve(
-    equations: Equations, constant: np.ndarray, w: Unknowns, conditions: tuple[Condition, ...] = (), unit: float = 1.0
+    equations: Equations,
+    constant: np.ndarray,
+    w: Unknowns,
+    conditions: tuple[Condition, ...] = (),
+    unit: float | np.ndarray = 1.0,
 ) -> Curve:
     """The curve through (or near) w; its metric is fixed there once for the whole family.
 
-    `unit` is what coordinates are measured in (see `scale.length`).
+    `unit` is what coordinates, or each component (d) of a first-order state, are measured in (see `point.length`).
     """
-    n = equations.size // 2
-    clock = (w.period / (2 * np.pi)) ** 2
     relative = 1.0 / np.maximum(np.abs(w.free), 1e-3) ** 2
     with np.errstate(over="ignore"):  # what comes of a period that is too small is said where it is integrated
         pace = np.square(1.0 / w.period)
-    weights = np.concatenate([np.ones(n) / unit**2, np.full(n, clock) / unit**2, [pace], relative])
+    weights = np.concatenate([clocked(equations.model, w.period / (2 * np.pi)) ** 2 / unit**2, [pace], relative])
     return Curve(equations, constant, conditions, weights=weights)
 
 

@@ -416,11 +416,16 @@ def _usual_alone(model: Model) -> tuple[Involution, ...]:
     return Involution(BRAKE_MAP.name, BRAKE_MAP.sense, (1,) * half + (-1,) * half, first_order=True), mirror
 
 
+def involutions(model: Model) -> tuple[Involution, ...]:
+    """The usual involutions of a model and those that it declares."""
+    return (*(USUAL if model.rates is None else _usual_alone(model)), *declared(model))
+
+
 def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     """The symmetries that a Problem of this model may ask for, by name: the usual ones and those it declares."""
     own = declared(model)
     if model.rates is not None:
-        own = (*_usual_alone(model), *own)
+        own = involutions(model)
         pairs = [(first, last) for first in own for last in own if first.sense < last.sense]
         alone = (ALONE, *(Symmetry(maps, True) for maps in (*((one,) for one in own), *pairs)))
         return {one.name: one for one in alone}
@@ -510,7 +515,7 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
     """
     angles = model.angular
     if model.rates is not None:
-        return _first_order(states, (*_usual_alone(model), *(declared(model) if own else ())), angles)
+        return _first_order(states, involutions(model) if own else _usual_alone(model), angles)
     found = [one for one in QUARTER.maps if has(one, times, states, angles)]
     for one in (REVERSAL_MAP, *(declared(model) if own else ())):
         taken = {each.sense for each in found}
