@@ -307,6 +307,12 @@ def boundary_constants(problem: Problem, nodes: np.ndarray, end: np.ndarray | No
     return problem.boundary.constants(problem.model.angular, start, end, problem.winding)
 
 
+def guessed_nodes(guess: Guess, shares: np.ndarray) -> np.ndarray:
+    """Node states (N x 2n) at shares of the period (N), from a guess that has a trajectory."""
+    assert guess.times is not None and guess.states is not None
+    return np.stack([np.interp(shares * guess.period, guess.times, column) for column in guess.states.T], axis=1)
+
+
 WINDING_MARGIN = 0.25
 """A motion whose angles end farther than this from whole turns (in turns) runs round in none of them."""
 
@@ -327,15 +333,13 @@ def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
 def pinned(equations: Equations, name: str, value: float) -> Condition:
     """The condition that a period, an invariant, the energy, a freed parameter or a state at t = 0 has a value."""
     model, size = equations.model, equations.size
-    unit = np.eye(size + 1 + len(equations.free))
-    names = [one.name for one in model.invariants]
-    if name == "period":
-        return Condition(value, unit[size])
-    if name in (*names, "energy"):
-        return Condition(value, quantity=(*names, "energy").index(name))
-    if name in equations.free:
-        return Condition(value, unit[size + 1 + equations.free.index(name)])
-    return Condition(value, unit[model.state_index(name)])
+    names = (*(one.name for one in model.invariants), "energy")
+    if name in names:
+        return Condition(value, quantity=names.index(name))
+    normal = np.zeros(size + 1 + len(equations.free))
+    known = ("period", *equations.free)
+    normal[size + known.index(name) if name in known else model.state_index(name)] = 1.0
+    return Condition(value, normal)
 
 
 def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.ndarray:

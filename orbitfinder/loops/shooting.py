@@ -11,7 +11,7 @@ from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.loops.conditions import Variables, constrained_brake_rows
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
-from orbitfinder.loops.problem import Problem, clocked, loop_of
+from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.mechanics.constrained import allowed_velocities
 
 PERIOD_RANGE = 5.0
@@ -95,8 +95,8 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
     ends = _ends(problem, flow, parts, tail)
     constraints = rows(w, ends)
-    lower, upper = (one.vector / units for one in _bounds(problem, flow, guess))
-    weights = _weights(problem, flow, guess.at(start))
+    lower, upper = (one.vector / units for one in _bounds(problem, flow, guess, guess.at(units)))
+    weights = _weights(problem, guess.at(start))
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
         value = 0.5 * ca.dot(ca.DM(weights), (w - start) ** 2)
@@ -140,16 +140,11 @@ def _rounded(value: float) -> float:
     return float(256.0 ** np.round(np.log(value) / np.log(256.0))) if value > 0 else 1.0
 
 
-def _clock(flow: Flow, period: float) -> float:
-    """What times are measured in, of a motion of this period."""
-    return _rounded(period / (2 * np.pi)) if flow.units else 1.0
-
-
 def _units(flow: Flow, guess: Unknowns) -> np.ndarray:
     """Units of every entry of w: the flow's for nodes and period, 1 / period, the freed parameters' own sizes."""
     if not flow.units:
         return np.ones(guess.vector.size)
-    clock, sizes = _clock(flow, guess.period), np.abs(guess.free)
+    clock, sizes = _rounded(guess.period / (2 * np.pi)), np.abs(guess.free)
     return guess.joined(np.asarray(flow.units), clock, 1.0 / clock, np.where(sizes > 0, sizes, 1.0))
 
 
@@ -244,20 +239,14 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 
 
-def _scales(problem: Problem, flow: Flow, guess: Unknowns) -> tuple[np.ndarray, float]:
-    n = problem.model.degrees_of_freedom
-    least = FAR * np.asarray(flow.units[:n]) if flow.units else 1.0
-    coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
-    fastest = float(np.abs(guess.nodes[:, n:]).max(initial=0.0))
-    return coordinates, max(fastest, 2 * np.pi / problem.guess.period * float(np.max(least)))
-
-
-def _bounds(problem: Problem, flow: Flow, guess: Unknowns) -> tuple[Unknowns, Unknowns]:
+def _bounds(problem: Problem, flow: Flow, guess: Unknowns, units: Unknowns) -> tuple[Unknowns, Unknowns]:
     """Lowest and highest unknowns."""
-    coordinates, rate = _scales(problem, flow, guess)
-    rates = guess.nodes.shape[1] - coordinates.size
-    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(rates, RATE_RANGE * rate)])
-    unfolding = np.full(guess.unfolding.size, UNFOLDING_RANGE / _clock(flow, guess.period))
+    n, turning = problem.model.degrees_of_freedom, 2 * np.pi / problem.guess.period
+    least = FAR * units.nodes[0, :n] if flow.units else np.ones(n)
+    coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
+    rate = max(float(np.abs(guess.nodes[:, n:]).max(initial=0.0)), turning * float(least.max()))
+    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(guess.nodes[0].size - n, RATE_RANGE * rate)])
+    unfolding = UNFOLDING_RANGE * units.unfolding
     spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
     times = problem.bounds.get("period", (guess.period / PERIOD_RANGE, guess.period * PERIOD_RANGE))
     ends = zip(problem.free, guess.free - spread, guess.free + 10 * spread, strict=True)
@@ -268,9 +257,9 @@ def _bounds(problem: Problem, flow: Flow, guess: Unknowns) -> tuple[Unknowns, Un
     )
 
 
-def _weights(problem: Problem, flow: Flow, start: Unknowns) -> np.ndarray:
+def _weights(problem: Problem, start: Unknowns) -> np.ndarray:
     """Weights of the distance to the guess: 1 for angles in rad, or for each unit; rates and periods comparable."""
-    unit = _clock(flow, start.period)
-    node = clocked(problem.model, problem.guess.period / (2 * np.pi) / unit) ** 2 / len(start.nodes)
+    size, n, clock = start.nodes.shape[1], problem.model.degrees_of_freedom, start.period / (2 * np.pi)
+    node = np.concatenate([np.ones(n), np.full(size - n, clock**2)]) / len(start.nodes)
     relative = 1.0 / np.maximum(np.abs(start.free), 1e-6) ** 2
-    return start.joined(node, (unit / problem.guess.period) ** 2, 0.0, relative)
+    return start.joined(node, (1.0 / start.period) ** 2, 0.0, relative)

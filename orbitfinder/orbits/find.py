@@ -25,7 +25,15 @@ from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.polish import polish, segment, tail_of
-from orbitfinder.loops.problem import Guess, Problem, boundary_constants, clocked, segments_for, whole_turns
+from orbitfinder.loops.problem import (
+    Guess,
+    Problem,
+    boundary_constants,
+    clocked,
+    guessed_nodes,
+    segments_for,
+    whole_turns,
+)
 from orbitfinder.loops.shooting import Shooting, far_end, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -34,7 +42,7 @@ from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import between, extents_of, gap
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance
-from orbitfinder.orbits.objectives import chosen, guessed_nodes
+from orbitfinder.orbits.objectives import chosen
 from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
@@ -304,7 +312,7 @@ def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.n
     guess, horizon = problem.guess, problem.boundary.fraction * problem.guess.period
     count = problem.segments or _segments_needed(problem, flow, horizon, settings)
     if guess.times is not None and guess.states is not None:
-        return guessed_nodes(problem, count)
+        return guessed_nodes(guess, np.arange(count) * problem.boundary.fraction / count)
     nodes = [np.asarray(guess.state, float)]
     for k in range(1, count):
         try:
