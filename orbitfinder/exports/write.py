@@ -51,7 +51,7 @@ def c_file(source: Source) -> str:
     return C_FILE.format(
         heading="/* " + "\n   ".join(source.heading) + " */",
         word=source.identifier,
-        size=2 * model.degrees_of_freedom,
+        size=len(model.state_names),
         count=len(model.parameter_names),
         unfolded=len(model.invariants),
         parameter_names=", ".join(model.parameter_names) or "no parameters",

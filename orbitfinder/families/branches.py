@@ -38,6 +38,7 @@ from orbitfinder.loops.symmetry import Symmetry, involutions, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
+from orbitfinder.records.reading import finite
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
@@ -267,7 +268,7 @@ class Branch:
         """The same in plain numbers."""
         return {
             "family": self.family, "event": self.number, "branch": self.branch, "kind_of_event": self.event.kind,
-            "order": self.event.order, "energy": self.event.energy, "period": self.event.period,
+            "order": self.event.order, "energy": finite(self.event.energy), "period": self.event.period,
         }  # fmt: skip
 
 

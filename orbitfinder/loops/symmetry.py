@@ -283,8 +283,10 @@ class Symmetry:
         gap = last @ states[-1] + (0.0 if self.reverses else first @ states[0])
         kept = np.any(last != 0, axis=1)
         where = np.any(last[:, :n] != 0, axis=1)
-        kept &= ~where | self.reverses
+        kept &= ~where | self.reverses | self.first_order
         constant = self.constants(angles, states[0], states[-1]) * where
+        if self.first_order and not self.reverses:
+            constant = np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0)
         units = (np.abs(last) * _moved(states, n)).max(axis=1)
         return float((np.abs(gap - constant) / np.where(kept, units, 1.0))[kept].max())
 

@@ -64,7 +64,7 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
         "motion": motion,
         "aspect": _aspect(motion),
         "shown": shown(motion) if motion else [],
-        "coordinates": len(motion.names) // 2 if motion else 0,
+        "coordinates": len(motion.angles) if motion else 0,
         "facts": _facts(entry),
         "multipliers": _multipliers(document),
         "proof": _recorded_proof(entry),
@@ -89,7 +89,7 @@ def _facts(entry: Entry) -> list[tuple[str, str]]:
     rows = [
         ("Period", f"{float(document['period'])!r} s"),
         ("Frequency", f"{number(1.0 / document['period'], 8)} 1/s"),
-        ("Energy", f"{number(document['energy'], 12)} J"),
+        ("Energy", "none is conserved" if document["energy"] is None else f"{number(document['energy'], 12)} J"),
         ("Action", f"{number(document['action'], 10)} J s"),
         ("Closure", number(document["closure"], 2)),
         ("Largest multiplier", number(entry.largest, 6)),
@@ -103,7 +103,7 @@ def _facts(entry: Entry) -> list[tuple[str, str]]:
 
 def shown(motion: Motion) -> list[int]:
     """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
-    n = len(motion.names) // 2
+    n = len(motion.angles)
     candidates = list(range(n))
     if n > 6 and any(motion.angles) and not all(motion.angles):
         candidates = [k for k in candidates if motion.angles[k]]
@@ -136,13 +136,15 @@ def orbit_data(entry: Entry) -> dict[str, Any]:
         "motion": None,
     }
     if motion is not None:
-        n = len(motion.names) // 2
+        n = len(motion.angles)
         data |= {
             "motion": packed(motion),
             "histories": histories(motion),
             "names": list(motion.names),
+            "coordinates": n,
+            "partners": motion.partners,
             "labels": [coordinate(name) for name in motion.names[:n]],
-            "units": ["rad" if angle else "m" for angle in motion.angles],
+            "units": ["rad" if angle else "m" if n < len(motion.names) else "" for angle in motion.angles],
             "shown": shown(motion),
         }
     return data
