@@ -12,6 +12,7 @@ from orbitfinder.integrate.march import March, uniform
 from orbitfinder.loops.conditions import Variables, constrained_brake_rows
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
+from orbitfinder.loops.symmetry import STILL
 from orbitfinder.mechanics.constrained import allowed_velocities
 
 PERIOD_RANGE = 5.0
@@ -129,9 +130,9 @@ def units_of(problem: Problem) -> tuple[float, ...]:
 
 
 def _units_alone(states: np.ndarray, rate: np.ndarray, clock: float) -> tuple[float, ...]:
-    """What a first-order state (d) is measured in: each component by itself, that at 0 as the largest."""
+    """What a first-order state (d) is measured in: each component by itself, one at 0 as the largest."""
     sizes = np.maximum(np.abs(states).max(axis=0), np.abs(np.nan_to_num(rate)) * clock)
-    units = [_rounded(one) for one in np.where(sizes > 0, sizes, sizes.max())]
+    units = [_rounded(one) for one in np.where(sizes > STILL * sizes.max(), sizes, sizes.max())]
     return () if all(one == 1.0 for one in units) else tuple(units)
 
 

@@ -22,13 +22,17 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     if model.constraint is not None and model.system.get("kind") == "linkage":
         return _linkage_guess(given, model, folder)
     linkage_keys = [key for key in ("angles", "branch", "rates", "equilibrium") if getattr(given, key) is not None]
+    if model.rates is not None and given.mode is not None:
+        linkage_keys = [key for key in linkage_keys if key != "equilibrium"]
     if linkage_keys:
         raise InputError(f"guess.{linkage_keys[0]}: is for linkages only; give state and period, mode or csv")
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names))
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
-            return normal_mode(model, given.mode, given.amplitude)
+            return normal_mode(model, given.mode, given.amplitude, given.equilibrium)
+        if model.rates is not None:
+            raise InputError("guess.mode: a first-order system takes one mode with one amplitude; give numbers")
         modes = given.mode if isinstance(given.mode, list) else [given.mode]
         sizes = given.amplitude if isinstance(given.amplitude, list) else [given.amplitude]
         return normal_mode_sum(model, modes, sizes)

@@ -194,7 +194,9 @@ class GuessTable(Table):
         None, description="linkages: some rates at t = 0 in rad/s, such as { theta1dot = 2.0 }; at rest when left out"
     )
     equilibrium: list[float] | None = Field(
-        None, description="linkages: link angles near the equilibrium of the mode, the lowest one when left out"
+        None,
+        description="linkages: link angles near the equilibrium of the mode, the lowest one when left out; "
+        "first-order systems: a state near it, 0 when left out",
     )
 
     @model_validator(mode="after")
