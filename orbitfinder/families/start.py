@@ -13,16 +13,17 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.point import FamilySettings, length, parameter_value, span
-from orbitfinder.integrate.march import uniform
+from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
-from orbitfinder.loops.mesh import remeshed, settled
+from orbitfinder.loops.mesh import arc_states, remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem, clock, clocked, pinned
 from orbitfinder.loops.symmetry import NONE, Symmetry, moved, named, off_centre, recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.hybrid import first_unknowns
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import read_as
 
@@ -58,7 +59,7 @@ def begin(
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
-    if symmetry == "auto":
+    if symmetry == "auto" and problem.model.hybrid is None:
         wanted = symmetry_of(start.curve, start.found)
     return reformulated(start, named(wanted, problem.model))
 
@@ -119,7 +120,9 @@ def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
     old, place = base.curve, base.found.place
     model = old.equations.model
     equations = Equations(model, old.equations.symmetry, free, action=True)
-    place = replace(place, free=equations.numbers)
+    shares = dict(zip(old.equations.free, place.free, strict=True))
+    numbers = [shares.get(name, value) for name, value in zip(equations.free, equations.numbers, strict=True)]
+    place = replace(place, free=np.array(numbers))
     curve = replace(curve_at(equations, place, held), constant=old.constant)
     return corrected(curve, place, _own_aim(curve, place))
 
@@ -128,6 +131,8 @@ def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     equations = Equations(problem.model, problem.boundary, free, action=True)
     fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
+    if equations.links:
+        place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
     curve = curve_at(equations, place, turns=problem.turns)
     pin = None if free or not problem.pin else problem.pin[0]
     aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
@@ -154,8 +159,10 @@ def curve_at(
     model, symmetry = equations.model, equations.symmetry
     steps, alone = uniform(symmetry.fraction, len(place.nodes), 40), ungenerated(model)[1:]
     states = equations.march.states(place.nodes, steps, place.tail)
-    whole = None if symmetry.maps else turns
-    constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], states[-1], whole)
+    whole, end = None if symmetry.maps else turns, states[-1]
+    if equations.links:
+        end = equations.links.passed(place, equations.ends(replace(place, mesh=steps)))[0][-1]
+    constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, whole)
     values = equations.quantities_at(place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False))
@@ -273,12 +280,31 @@ def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmet
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
     p, place = curve.equations, found.place
+    if p.links:
+        return _linked_samples(curve, found, count)
     each, edges = -(-count // len(place.nodes)), place.edges
     mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
     mesh, states = p.symmetry.whole(mesh, p.march.states(place.nodes, mesh, place.tail), curve.constant)
     times = np.linspace(0.0, place.period, count + 1)
     moments = mesh * place.period
     return times, CubicHermiteSpline(moments, states, p.march.rates(states, place.tail, moments))(times)
+
+
+def _linked_samples(curve: Curve, found: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a hybrid orbit; at an event the state after it."""
+    p, place = curve.equations, found.place
+    arcs = p.links.count
+    steps = (place.mesh.size - 1) // arcs
+    ends = place.period * np.cumsum(p.links.shares(place.free))
+    begins, pieces = np.concatenate([[0.0], ends[:-1]]), []
+    times = np.linspace(0.0, place.period, count + 1)
+    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        states = arc_states(found, arcs, k)
+        mesh = place.mesh[k * steps : (k + 1) * steps + 1] * arcs - k
+        slopes = p.march.arcs[k].rates(states, place.tail) * place.period / arcs
+        own = times[(times >= begin) & ((times < end) if k < arcs - 1 else (times <= place.period))]
+        pieces.append(CubicHermiteSpline(mesh, states, slopes)((own - begin) / (end - begin)))
+    return times, np.vstack(pieces)
 
 
 def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:

@@ -145,11 +145,13 @@ class Problem:
         intervals = segments or self.segments or 1
         size, symmetry = len(self.model.state_names), self.boundary
         unfolded = symmetry.unfolded(self.model)
+        arcs = 0 if self.model.hybrid is None else len(self.model.hybrid.cycle)
         others = sum(one.generator is not None for one in unfolded)
         equations = {
             "defects": size * (intervals - 1),
             "boundary": size,
-            "phase conditions": int(not symmetry.reverses and not self.model.forced) + others,
+            "phase conditions": int(not symmetry.reverses and not self.model.forced and not self.model.hybrid) + others,
+            "guards": arcs,
             "forcing period": int(self.model.forced),
             "pins": len(self.pin),
             "constraints": sum(one.rows for one in self.constraints if one.equation),
@@ -159,6 +161,7 @@ class Problem:
             "period": 1,
             "unfolding": len(unfolded),
             "freed parameters": len(self.free),
+            "durations of arcs": max(0, arcs - 1),
         }
         return Count(equations, unknowns)
 
@@ -195,6 +198,17 @@ class Problem:
                 "min_instability give the range of periods in bounds to choose among separate orbits"
             )
         return count
+
+
+def at_forcing_period(problem: Problem) -> Problem:
+    """The Problem with its guess's period moved to the multiple of the forcing's that it must have."""
+    clock = problem.model.forcing_period
+    if clock is None:
+        return problem
+    period = problem.forcing_cycles * float(clock(problem.model.parameter_values))
+    guess = problem.guess
+    times = None if guess.times is None else guess.times * (period / guess.period)
+    return replace(problem, guess=replace(guess, period=period, times=times))
 
 
 def _check(problem: Problem) -> None:

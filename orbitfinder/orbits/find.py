@@ -28,6 +28,7 @@ from orbitfinder.loops.polish import polish, segment, tail_of
 from orbitfinder.loops.problem import (
     Guess,
     Problem,
+    at_forcing_period,
     boundary_constants,
     clocked,
     guessed_nodes,
@@ -40,9 +41,11 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import between, extents_of, gap
+from orbitfinder.orbits.hybrid import hybrid_orbit
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance
 from orbitfinder.orbits.objectives import chosen
+from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
@@ -83,17 +86,6 @@ def check_invariants(problem: Problem) -> None:
                 f"{problem.guess.period:.4g} s along the guess's motion; leave it out of invariants=, or look for a "
                 "force that changes it"
             )
-
-
-def at_forcing_period(problem: Problem) -> Problem:
-    """The Problem with its guess's period moved to the multiple of the forcing's that it must have."""
-    clock = problem.model.forcing_period
-    if clock is None:
-        return problem
-    period = problem.forcing_cycles * float(clock(problem.model.parameter_values))
-    guess = problem.guess
-    times = None if guess.times is None else guess.times * (period / guess.period)
-    return replace(problem, guess=replace(guess, period=period, times=times))
 
 
 def at_section(problem: Problem, flow: Flow) -> Problem:
@@ -206,6 +198,8 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     if settings.with_certificate:
         _certifiable(problem.model)
     hint(degrees_taken_for_radians(problem))
+    if problem.model.hybrid is not None:
+        return _found_hybrid(problem, settings, began)
     if suits(problem):
         return find_long_chain(problem, settings, progress)
     check_invariants(problem)
@@ -234,6 +228,18 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
+
+
+def _found_hybrid(problem: Problem, settings: SolveSettings, began: float) -> Orbit:
+    """The orbit of a hybrid system, by Newton's method from its guess simulated."""
+    refiner = Refiner(problem)
+    refined = refiner.refine()
+    solved = problem if not problem.free else replace(
+        problem, free=(), pin=(),
+        model=with_parameters(problem.model, dict(zip(problem.free, refined.free, strict=False))),
+    )  # fmt: skip
+    orbit = replace(hybrid_orbit(solved, refined), provenance=provenance(problem, settings, began))
+    return certified(orbit, solved.model) if settings.with_certificate else orbit
 
 
 def _certifiable(model: Model) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,37 +19,15 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.newton import Newton, NewtonSettings
-from orbitfinder.loops.problem import Guess, Problem, guessed_nodes, loop_of, segments_needed
+from orbitfinder.loops.newton import Newton, NewtonSettings, Refined
+from orbitfinder.loops.problem import Guess, Problem, at_forcing_period, guessed_nodes, loop_of, segments_needed
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.find import at_forcing_period
+from orbitfinder.orbits.hybrid import first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import measure
 from orbitfinder.records.orbit import Orbit
 
 STANDSTILL = 1e-6
 """Largest rate at the start times the period, below which the motion is none."""
-
-
-@dataclass(frozen=True)
-class Refined:
-    """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
-
-    `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment;
-    `marches` and `jacobians` are what it took.
-    """
-
-    __repr__ = brief("state", "period")
-
-    state: np.ndarray
-    period: float
-    nodes: np.ndarray
-    unfolding: np.ndarray
-    free: np.ndarray
-    turns: np.ndarray
-    residual: float
-    steps: int
-    marches: int
-    jacobians: int
 
 
 class Refiner:
@@ -67,13 +45,18 @@ class Refiner:
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        self.flow = build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
+        hybrid = problem.model.hybrid is not None
+        self.flow = (
+            None if hybrid else build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
+        )
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
         fraction = problem.boundary.fraction
         whole = max(4, int(np.ceil(chosen.steps_per_period * fraction)))
-        self.segments = problem.segments or self._segments(whole)
-        self._steps = max(4, -(-whole // self.segments))
+        arcs = self.equations.links.count
+        self.segments = problem.segments or (1 if hybrid else self._segments(whole))
+        self._steps = max(4, -(-whole // (arcs * self.segments)))
+        self._first = self._simulated(problem.guess) if hybrid else None
 
     def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None) -> Refined:
         """The orbit near a guess (default: the problem's) at the pins (default: the problem's).
@@ -107,6 +90,9 @@ class Refiner:
         """The Orbit of a refined one, measured and certified (tenths of a second). No freed parameters."""
         if refined.free.size:
             raise InputError("free: an Orbit carries no freed parameters; put their values into the model")
+        if self.flow is None:
+            orbit = hybrid_orbit(self.problem, refined)
+            return certified(orbit, self.problem.model) if with_certificate else orbit
         turns = tuple(int(k) for k in refined.turns)
         problem = replace(self.problem, guess=Guess(refined.state, refined.period), winding=turns)
         orbit = measure(problem, self.flow, refined.nodes, refined.period, refined.unfolding)
@@ -127,6 +113,8 @@ class Refiner:
     def _start(self, guess: Guess) -> Unknowns:
         """The unknowns of a guess: sampled from its trajectory, else simulated from its state."""
         state, fraction = np.asarray(guess.state, float), self.problem.boundary.fraction
+        if self._first is not None:
+            return self._first if guess is self.problem.guess else self._simulated(guess)
         mesh = uniform(fraction, self.segments, self._steps)
         if guess.times is not None and guess.states is not None:
             return self.equations.unknowns(guessed_nodes(guess, mesh[: -1 : self._steps]), guess.period, mesh)
@@ -134,6 +122,10 @@ class Refiner:
         if self.segments == 1:
             return w
         return replace(w, nodes=self.equations.march.states(w.nodes, w.mesh, w.tail)[: -1 : self._steps])
+
+    def _simulated(self, guess: Guess) -> Unknowns:
+        """The unknowns of a hybrid guess: its cycle simulated."""
+        return first_unknowns(self.equations, guess, self.segments, self._steps)
 
     def _rates(self, w: Unknowns) -> float:
         """Largest component of T f at the nodes: 0 at an equilibrium."""
