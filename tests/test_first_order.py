@@ -362,3 +362,14 @@ def test_command_line(tmp_path):
     assert shown.exit_code == 0 and "none is conserved" in "".join(
         page.read_text() for page in (tmp_path / "site").rglob("*.html")
     )
+
+
+def test_an_atlas_tells_orbits_of_a_clock_apart(tmp_path):
+    """One orbit begun at two of its instants is one orbit; its energy is 0 in the index and nan in the Orbit."""
+    clock = of.systems.brusselator()
+    one = of.find_orbit(of.Problem(clock, of.Guess([3.6, 1.3], 7.2)))
+    same = of.find_orbit(of.Problem(clock, of.Guess(one.samples[len(one.samples) // 3], 7.2)))
+    with of.Atlas(tmp_path / "a.sqlite", clock.system, write=True) as atlas:
+        assert atlas.add(one) == (1, True) and atlas.add(same) == (1, False)
+        assert atlas.rows()[0].energy == 0.0 and np.isnan(atlas.orbit(1).energy)
+    assert of.load_orbit(f"{tmp_path}/a.sqlite#1").period == one.period

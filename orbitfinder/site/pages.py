@@ -192,7 +192,7 @@ def _item(one: FamilyPoint | Event, system: Mapping[str, Any], at: FamilyPoint, 
     """A point or an event; `at` is the point itself, or the one before an event, which does not carry all of it."""
     motion, point, event = simulator.member(system, one), one is at, one if isinstance(one, Event) else None
     return {
-        "energy": one.energy,
+        "energy": float(np.nan_to_num(one.energy)),
         "period": one.period,
         "value": at.value if event is None else event.parameter,
         "action": at.action if point else None,
@@ -208,7 +208,8 @@ def _item(one: FamilyPoint | Event, system: Mapping[str, Any], at: FamilyPoint, 
 
 def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
     """What the family page's script works with."""
-    columns = {name: family.values(name).tolist() for name in ("energy", "period", "action", "closure", "value")}
+    names = ("energy", "period", "action", "closure", "value")
+    columns = {name: np.nan_to_num(family.values(name)).tolist() for name in names}
     return {
         "page": "family",
         "name": family.name,
@@ -259,7 +260,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[st
         items.append({
             "title": entry.title,
             "mechanism": entry.mechanism,
-            "energy": document["energy"],
+            "energy": document["energy"] or 0.0,
             "period": document["period"],
             "action": document["action"],
             "closure": document["closure"],
@@ -275,7 +276,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[st
 
 def atlas_values(entries: Sequence[Entry], total: int) -> dict[str, Any]:
     """What the template of an atlas page is filled with."""
-    energies, periods = ([float(one.document[key]) for one in entries] for key in ("energy", "period"))
+    energies, periods = ([float(one.document[key] or 0.0) for one in entries] for key in ("energy", "period"))
     kinds = sorted({one.mechanism for one in entries})
     unstable = sum(one.document["stability"] == "unstable" for one in entries)
     part = "" if total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
