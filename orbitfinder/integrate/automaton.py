@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 from orbitfinder._runtime import limit
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
+from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.mechanics.hybrid import Transition
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import vector_field as field_of
@@ -35,6 +36,10 @@ TOGETHER = 1e-9
 """Share of an arc within which two events are simultaneous"""
 ROUND_OFF = 1e-12
 """A guard this small, relative to how it changes along the arc, is 0"""
+
+
+Height = Callable[[np.ndarray], float]
+"""x -> how far a guard is from being crossed, or its rate"""
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,7 @@ class Automaton:
         assert model.hybrid is not None
         self.model, self.hybrid, self.settings = model, model.hybrid, settings
         self._fields: dict[str, VectorField] = {}
-        self._slopes: dict[str, ca.Function] = {}
+        self._buffered: dict[int, Buffered] = {}
 
     def field(self, mode: str) -> VectorField:
         """dx/dt (t, x) in a mode."""
@@ -99,7 +104,9 @@ class Automaton:
 
     def value(self, function: ca.Function, x: np.ndarray) -> np.ndarray:
         """A guard, a reset or a condition at one state."""
-        return np.asarray(function(x, self.model.parameter_values)).ravel()
+        if id(function) not in self._buffered:
+            self._buffered[id(function)] = Buffered(function)
+        return self._buffered[id(function)](x, self.model.parameter_values)[0].ravel()
 
     def arcs(
         self, state: np.ndarray, mode: str, duration: float = np.inf, events: int = MOST_EVENTS, start: float = 0.0
@@ -134,7 +141,7 @@ class Automaton:
         settings = self.settings
         solver = DOP853(field, 0.0, x, until - t, rtol=settings.relative_tolerance, atol=settings.absolute_tolerance)
         own = [by in ("", one.name) for one in leaving]
-        heights = _Heights([self._height(one) for one in leaving], own, x)
+        heights = _Heights([self._height(one) for one in leaving], [self._climb(one, field) for one in leaving], own, x)
         times: list[np.ndarray] = [np.zeros(1)]
         states: list[np.ndarray] = [x[None]]
         for _ in range(MOST_STEPS):
@@ -160,8 +167,11 @@ class Automaton:
                 return Arc(mode, t + np.concatenate(times), path, None, path[-1], 0.0, self._margins(mode, path))
         raise IntegrationError(f"no event ends mode {mode} within {MOST_STEPS} steps", time=solver.t, state=solver.y)
 
-    def _height(self, one: Transition) -> Callable[[np.ndarray], float]:
+    def _height(self, one: Transition) -> Height:
         return lambda x: one.direction * float(self.value(one.guard, x)[0])
+
+    def _climb(self, one: Transition, field: VectorField) -> Height:
+        return lambda x: one.direction * self._rate(one, field, 0.0, x)
 
     def _crossing(
         self, heights: _Heights, leaving: Sequence[Transition], looks: np.ndarray, within: np.ndarray,
@@ -170,7 +180,7 @@ class Automaton:
         """The first crossing that counts among those within a step: moment, state, number of its transition."""
         found: list[tuple[float, np.ndarray, int]] = []
         for k, one in enumerate(leaving):
-            for before, after in heights.crossed(k, looks, within):
+            for before, after in heights.crossed(k, looks, within, dense):
                 moment = self._located(heights.of[k], before, after, dense)
                 moment, state = self._polished(one, field, begin, moment)
                 if one.allowed is None or float(self.value(one.allowed, state)[0]) > 0:
@@ -185,9 +195,7 @@ class Automaton:
             raise IntegrationError(f"events {both} are simultaneous at t = {found[0][0]:.6g} s", time=found[0][0])
         return found[0]
 
-    def _located(
-        self, height: Callable[[np.ndarray], float], before: float, after: float, dense: Callable[[float], np.ndarray]
-    ) -> float:
+    def _located(self, height: Height, before: float, after: float, dense: Callable[[float], np.ndarray]) -> float:
         ends = height(dense(before)), height(dense(after))
         if not ends[0] < 0 <= ends[1]:
             return before if ends[0] >= 0 else after
@@ -216,10 +224,7 @@ class Automaton:
 
     def _rate(self, one: Transition, field: VectorField, t: float, x: np.ndarray) -> float:
         """The guard's rate of change along the motion."""
-        if one.name not in self._slopes:
-            names = one.guard.name_in(), one.guard.name_out()
-            self._slopes[one.name] = one.guard.factory("slope", names[0], [f"jac:{names[1][0]}:{names[0][0]}"])
-        return float(self._slopes[one.name](x, self.model.parameter_values).full().ravel() @ field(t, x))
+        return float(self.value(one.slope, x) @ field(t, x))
 
     def _ended(
         self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float
@@ -241,26 +246,32 @@ class Automaton:
 
 
 class _Heights:
-    """The guards' values in their directions along an arc: below 0 before, above after."""
+    """The guards' values in their directions along an arc: below 0 before, above after; and their rates."""
 
-    def __init__(self, of: Sequence[Callable[[np.ndarray], float]], own: Sequence[bool], x: np.ndarray) -> None:
-        self.of = of
-        self.last = [(0.0, one(x)) for one in of]
-        self.ranges = [abs(value) for _, value in self.last]
+    def __init__(self, of: Sequence[Height], rates: Sequence[Height], own: Sequence[bool], x: np.ndarray) -> None:
+        self.of, self.rates = of, rates
+        self.last = [(0.0, one(x), rate(x)) for one, rate in zip(of, rates, strict=True)]
+        self.ranges = [abs(value) for _, value, _ in self.last]
         self.fresh = [not one for one in own]
 
-    def crossed(self, k: int, looks: np.ndarray, within: np.ndarray) -> list[tuple[float, float]]:
-        """The intervals in which guard k rises through 0.
+    def crossed(
+        self, k: int, looks: np.ndarray, within: np.ndarray, dense: Callable[[float], np.ndarray]
+    ) -> list[tuple[float, float]]:
+        """The intervals in which guard k rises through 0, also for less than the time between two looks.
 
         An arc that starts on a guard and goes on through it crosses it there, unless that guard began the arc.
         """
         found = []
-        for t, x in zip(looks, within, strict=True):
-            value = self.of[k](x)
-            before, low = self.last[k]
+        for t, x in zip(map(float, looks), within, strict=True):
+            value, rate = self.of[k](x), self.rates[k](x)
+            before, low, rising = self.last[k]
             self.ranges[k] = max(self.ranges[k], abs(value))
             on_it = abs(low) <= ROUND_OFF * max(self.ranges[k], abs(value)) and before == 0.0
             if value >= 0 and (self.fresh[k] if on_it else low < 0):
-                found.append((before, float(t)))
-            self.last[k] = float(t), value
+                found.append((before, t))
+            elif value < 0 and low < 0 and rising > 0 > rate:
+                peak = float(brentq(lambda moment: self.rates[k](dense(moment)), before, t))
+                if self.of[k](dense(peak)) >= 0:
+                    found.append((before, peak))
+            self.last[k] = t, value, rate
         return found

@@ -20,6 +20,7 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
+from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
@@ -270,7 +271,8 @@ class Links:
     def __init__(self, model: Model, free: tuple[str, ...]) -> None:
         arcs = () if model.hybrid is None else model.hybrid.arcs
         self.count = max(1, len(arcs))
-        self._parts = [_link(model, one, free) for _, one in arcs]
+        self._parts = [Buffered(_link(model, one, free, True)) for _, one in arcs]
+        self._passes = [Buffered(_link(model, one, free, False)) for _, one in arcs]
 
     def __bool__(self) -> bool:
         return bool(self._parts)
@@ -300,16 +302,15 @@ class Links:
 
     def at(self, w: Unknowns, ends: np.ndarray) -> list[list[np.ndarray]]:
         """(R, g, dR/dx, dR/dfree, dg/dx, dg/dfree) of each arc."""
-        return [
-            [value.full() for value in one(ends[k], w.free)]
-            for one, k in zip(self._parts, self.ends(len(ends)), strict=True)
-        ]
+        places = self.ends(len(ends))
+        return [[value.T for value in one(ends[k], w.free)] for one, k in zip(self._parts, places, strict=True)]
 
     def passed(self, w: Unknowns, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The ends with those of arcs reset, and the guards (K)."""
         after, guards = ends.copy(), np.empty(self.count)
-        for k, (reset, guard, *_) in enumerate(self.at(w, ends)):
-            after[self.ends(len(ends))[k]], guards[k] = reset.ravel(), guard.item()
+        for k, (one, place) in enumerate(zip(self._passes, self.ends(len(ends)), strict=True)):
+            reset, guard = one(ends[place], w.free)
+            after[place], guards[k] = reset, guard.item()
         return after, guards
 
     def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, Inner]:
@@ -337,11 +338,12 @@ class Links:
         return found
 
 
-def _link(model: Model, one: Transition, free: tuple[str, ...]) -> ca.Function:
+def _link(model: Model, one: Transition, free: tuple[str, ...], varied: bool) -> ca.Function:
+    """(R, g) and, where asked for, their derivatives by state and freed parameters."""
     x, chosen = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("free", len(free))
     p = model.parameters(free, chosen)
     after, guard = one.reset(x, p), one.guard(x, p)
-    slopes = [ca.jacobian(value, by) for value in (after, guard) for by in (x, chosen)]
+    slopes = [ca.jacobian(value, by) for value in (after, guard) for by in (x, chosen)] if varied else []
     return ca.Function("link", [x, chosen], [after, guard, *map(ca.densify, slopes)])
 
 

@@ -60,6 +60,8 @@ class Transition:
     ignored: str = ""
     impulse: Any = None
     lost: Any = None
+    slope: Any = None
+    """the guard's gradient (1 x d), made when the system is built"""
 
 
 @dataclass(frozen=True)
@@ -288,7 +290,12 @@ def _transition(one: Transition, model: Model) -> Transition:
         raise InputError(f"transition {one.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
     others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost")}
     made = {name: None if value is None else _function(name, value, model) for name, value in others.items()}
-    return replace(one, guard=guard, reset=reset, **made)  # type: ignore[arg-type]
+    return replace(one, guard=guard, reset=reset, slope=_gradient(guard), **made)  # type: ignore[arg-type]
+
+
+def _gradient(guard: ca.Function) -> ca.Function:
+    x, p = (guard.sx_in if guard.is_a("SXFunction") else guard.mx_in)()
+    return ca.Function("slope", [x, p], [ca.densify(ca.jacobian(guard(x, p), x))])
 
 
 def _unchanged(x: Named, _: Named) -> Any:

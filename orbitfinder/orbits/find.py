@@ -34,6 +34,7 @@ from orbitfinder.loops.problem import (
     guessed_nodes,
     segments_for,
     whole_turns,
+    without_choice,
 )
 from orbitfinder.loops.shooting import Shooting, far_end, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
@@ -360,7 +361,8 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
         natural = natural_pin(settled, nodes[0])
-        given = problem.pin[: len(natural)] if len(problem.pin) >= len(natural) else ()
+        kept = tuple(one for one in problem.pin if one.name not in problem.free)
+        given = kept[: len(natural)] if len(kept) >= len(natural) else ()
         settled = replace(settled, pin=given or _held(problem, natural, period))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
     return held, polish(held, held.vector(replace(held.guess, unfolding=found.unfolding)))
@@ -380,13 +382,6 @@ def _held(problem: Problem, natural: tuple[Pin, ...], period: float) -> tuple[Pi
     if held in problem.bounds.get("period", ()):
         return (Pin("period", held), *natural[1:])
     return tuple(Pin(one.name, _snapped(problem, one.name, one.value)) for one in natural)
-
-
-def without_choice(problem: Problem) -> Problem:
-    """The same Problem with nothing left to choose: no freed parameters, objective, bounds, constraints or pins."""
-    return replace(
-        problem, free=(), pin=(), objective="nearest", coordinate=None, bounds={}, constraints=(), phase_condition=None
-    )
 
 
 def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
