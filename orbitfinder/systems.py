@@ -19,6 +19,7 @@ from orbitfinder.mechanics.library import (
     rossler,
     rotating_hoop,
     spring_pendulum,
+    three_bodies,
     van_der_pol,
     vibrated_pendulum,
 )
@@ -42,6 +43,7 @@ __all__ = [
     "rossler",
     "rotating_hoop",
     "spring_pendulum",
+    "three_bodies",
     "van_der_pol",
     "vibrated_pendulum",
 ]

@@ -15,6 +15,7 @@ from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.mechanics.hybrid import SHARE
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.closure import alone, carried
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import crossed_early
@@ -78,7 +79,7 @@ def make_point(
     if p.links and (early := crossed_early(p, place, found.march.states)):
         raise ConvergenceError(f"the cycle of events changes: {early}")
     about = about or spectrum(curve, found)
-    units = extents(found.march.states, p.model)
+    units = extents(curve, found.march.states)
     parts = list(found.march.transitions * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
@@ -130,11 +131,11 @@ def piecewise_defect(
 
     Both relative to the motion; the growth of a piece is the 2-norm of its state-transition matrix.
     """
-    place, units = found.place, extents(found.march.states, curve.equations.model)
+    place, units = found.place, extents(curve, found.march.states)
     first, last = curve.equations.boundary
     across = np.maximum(np.abs(first) * units, np.abs(last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
-    ends = check.ends(place.nodes, durations, free)
+    ends = check.ends(place.nodes, durations, free, units)
     boundary = first @ place.nodes[0] + last @ ends[-1] - curve.constant
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
     growth = max(np.linalg.norm(matrix * units / units[:, None], 2) for matrix in found.march.transitions)
@@ -158,23 +159,21 @@ def freed(curve: Curve, place: Unknowns) -> dict[str, float]:
     return dict(zip(curve.equations.free, map(float, place.free), strict=True))
 
 
-def length(model: Model, states: np.ndarray) -> float | np.ndarray:
-    """What coordinates are measured in: rad and m where there are angles, else the largest extent of a motion.
-
-    Each component (d) of a first-order state is measured by itself, angles in rad.
-    """
-    if model.rates is not None:
-        return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0)))
-    return 1.0 if any(model.angles) else max(float(np.ptp(np.split(states, 2, axis=1)[0], axis=0).max()), 1e-300)
+def length(model: Model, states: np.ndarray) -> np.ndarray:
+    """What coordinates (n) are measured in (see `mechanics.scales.lengths`); of a first-order state each by itself."""
+    if model.rates is None:
+        return lengths(model, states)
+    return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0)))
 
 
-def extents(states: np.ndarray, model: Model) -> np.ndarray:
+def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
-    if model.rates is not None:
+    n = curve.shares.size
+    if n == states.shape[1]:
         return np.asarray(np.maximum(alone(np.ptp(states, axis=0)), LEAST * np.abs(states).max(axis=0)))
-    halves = np.split(states, 2, axis=1)
-    sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in halves]
-    return np.repeat(sizes, states.shape[1] // 2)
+    parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
+    sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
+    return np.concatenate([size * curve.shares for size in sizes])
 
 
 def extent(curve: Curve, found: Solution) -> float:

@@ -267,7 +267,7 @@ def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmet
     half = states.shape[1] // 2
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
     slopes = curve.equations.march.rates(states, tail)
-    clock = clocked(model, times[-1] / (2 * np.pi))
+    clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, states.shape[1] // curve.shares.size)
     away = off_centre(one, states[:-1] * clock, model.angles)
     k = int(np.argmin(np.abs(away).max(axis=1)))
     first, _ = symmetry.rows(model.degrees_of_freedom)
@@ -326,7 +326,7 @@ def reformulated(start: Start, symmetry: Symmetry) -> Start:
     fresh = equations.unknowns(first[None], place.period, np.zeros(0), place.free)
     if len(place.nodes) > 1:  # too unstable to shoot over the horizon in one piece: nodes from the samples
         shifted = np.vstack([states[:-1], states])
-        begin_at = int(np.argmin(np.abs(states[:-1] - first).max(axis=1)))
+        begin_at = int(np.argmin(np.abs((states[:-1] - first) / old.units).max(axis=1)))
         parts = max(1, round(len(place.nodes) * equations.symmetry.fraction))
         chosen = begin_at + (np.arange(parts) * equations.symmetry.fraction * (len(states) - 1) / parts).astype(int)
         fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))
