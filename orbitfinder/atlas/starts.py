@@ -188,6 +188,11 @@ def check(model: Model, target: Target) -> None:
             "search: works in minimal coordinates, not on systems under constraints; give minimal_linkage(...) from "
             "Python, or use find with a guess"
         )
+    if model.rates is not None:
+        raise InputError(
+            "search: draws its starts by kinetic and potential energy, which a first-order system has not; find its "
+            "orbits from close returns of a simulation ([guess] state and duration), or from modes of equilibria"
+        )
     names = [one.name for one in model.invariants]
     if not model.conservative or model.forced or len(names) != 1:
         raise InputError(

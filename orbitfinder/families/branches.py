@@ -34,11 +34,12 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, called, declared, named
+from orbitfinder.loops.symmetry import Symmetry, called, involutions, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import SHARE, repeated
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
+from orbitfinder.records.reading import finite
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
@@ -74,9 +75,9 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
     found: list[Start] = []
-    for kept, share in (*curve.equations.symmetry.narrower(), (NONE, 0.0)):
+    for kept, share in (*curve.equations.symmetry.narrower(), (replace(curve.equations.symmetry, maps=()), 0.0)):
         symmetry = called(kept, curve.equations.model)
-        if symmetry == NONE and found:
+        if not symmetry.maps and found:
             break
         if len(symmetry.maps) > 1 and event.order % 2 == 0:  # half of an even number of turns is no half turn
             continue
@@ -152,14 +153,14 @@ def _turns(curve: Curve, event: Event) -> np.ndarray:
 def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> Unknowns:
     """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
     base, fraction = at_place(curve, unknowns_of(curve, event)), symmetry.fraction
-    n = curve.equations.size // 2
+    n = curve.equations.model.degrees_of_freedom
     each = (base.place.mesh.size - 1) // len(event.shooting_nodes)
     mesh, states = curve.equations.symmetry.whole(base.place.mesh, base.march.states, curve.constant)
     count = mesh.size - 1
     first = int(np.argmin(np.abs(mesh - share)))
     laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
     times = (laps + mesh[index] - mesh[first]) / event.order
-    turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(n)])
+    turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(curve.equations.size - n)])
     nodes = (states[index] + laps[:, None] * turn)[:-1:each]
     nodes[0, n:][symmetry.held(n)[n:]] = 0.0
     return Unknowns(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
@@ -230,9 +231,8 @@ def _same(one: Start, other: Start, cover: Cover, event: Event) -> bool:
     scale = np.sqrt(cover.curve.weights[: cover.curve.equations.size])
     mine, theirs = (full_samples(start.curve, start.found)[1] * scale for start in (one, other))
     old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] * scale
-    n, size = scale.size // 2, _apart(mine, old)
-    maps = [*USUAL, *declared(cover.curve.equations.model)]
-    images = [theirs, *(theirs @ each.matrix(n).T for each in maps)]
+    model, size = cover.curve.equations.model, _apart(mine, old)
+    images = [theirs, *(theirs @ each.matrix(model.degrees_of_freedom).T for each in involutions(model))]
     feet = [_foot(image, old) for image in images]  # told apart at the same distance from the old orbit
     images = [foot + size / _apart(image, old) * (image - foot) for image, foot in zip(images, feet, strict=True)]
     return min(_apart(mine, image) for image in images) < ALIKE * size
@@ -260,7 +260,7 @@ def _foot(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
 def _moved(start: Start, event: Event) -> np.ndarray:
     """How far energy, period and freed parameters are from the event's."""
     place = start.found.place
-    energy = parameter_value(start.curve, place, "energy") - event.energy
+    energy = np.nan_to_num(parameter_value(start.curve, place, "energy") - event.energy)
     old = np.array([value for name, value in event.free.items() if not name.startswith(SHARE)])
     return np.array([energy, place.period - event.period * event.order, *(place.free[: old.size] - old)])
 
@@ -282,7 +282,7 @@ class Branch:
         """The same in plain numbers."""
         return {
             "family": self.family, "event": self.number, "branch": self.branch, "kind_of_event": self.event.kind,
-            "order": self.event.order, "energy": self.event.energy, "period": self.event.period,
+            "order": self.event.order, "energy": finite(self.event.energy), "period": self.event.period,
         }  # fmt: skip
 
 

@@ -14,7 +14,9 @@ from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.mechanics.hybrid import SHARE
-from orbitfinder.orbits.closure import carried
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lengths
+from orbitfinder.orbits.closure import alone, carried
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import crossed_early
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
@@ -157,9 +159,18 @@ def freed(curve: Curve, place: Unknowns) -> dict[str, float]:
     return dict(zip(curve.equations.free, map(float, place.free), strict=True))
 
 
+def length(model: Model, states: np.ndarray) -> np.ndarray:
+    """What coordinates (n) are measured in (see `mechanics.scales.lengths`); of a first-order state each by itself."""
+    if model.rates is None:
+        return lengths(model, states)
+    return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0)))
+
+
 def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
     n = curve.shares.size
+    if n == states.shape[1]:
+        return np.asarray(np.maximum(alone(np.ptp(states, axis=0)), LEAST * np.abs(states).max(axis=0)))
     parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
     sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
     return np.concatenate([size * curve.shares for size in sizes])
@@ -167,7 +178,7 @@ def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
 
 def extent(curve: Curve, found: Solution) -> float:
     """How far the configurations of an orbit are apart in a family's metric."""
-    n = curve.equations.size // 2
+    n = curve.equations.model.degrees_of_freedom
     return max(float(np.sqrt(curve.weights[:n] @ np.ptp(found.march.states[:, :n], axis=0) ** 2)), 1e-300)
 
 

@@ -12,17 +12,16 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.point import FamilySettings, parameter_value, span
+from orbitfinder.families.point import FamilySettings, length, parameter_value, span
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import arc_states, remeshed, settled
-from orbitfinder.loops.problem import Guess, Problem, clock, pinned
+from orbitfinder.loops.problem import Guess, Problem, clock, clocked, pinned
 from orbitfinder.loops.symmetry import NONE, Symmetry, moved, named, off_centre, recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.hybrid import first_unknowns
 from orbitfinder.records.orbit import Orbit
@@ -85,7 +84,7 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
     if isinstance(origin, Problem):
         return minimal_problem(origin)
     model = model or build_model(origin.system)
-    energy = next((one.name for one in model.invariants if one.generator is None), None)
+    energy = next(iter(ungenerated(model)), None)
     return minimal_problem(Problem(
         model, Guess(origin.state, origin.period), (Pin(energy, origin.energy),) if energy else (),
         winding=origin.winding, name=origin.name,
@@ -158,7 +157,7 @@ def curve_at(
     The constants are multiples of pi: a symmetric motion may be symmetric about an upright link.
     """
     model, symmetry = equations.model, equations.symmetry
-    steps = uniform(symmetry.fraction, len(place.nodes), 40)
+    steps, alone = uniform(symmetry.fraction, len(place.nodes), 40), ungenerated(model)[1:]
     states = equations.march.states(place.nodes, steps, place.tail)
     whole, end = None if symmetry.maps else turns, states[-1]
     if equations.links:
@@ -168,8 +167,17 @@ def curve_at(
     names = [one.name for one in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False))
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
-    fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in held if one in known)
-    return make_curve(equations, constant, place, fixed, lengths(model, states))
+    kept = dict.fromkeys((*held, *alone))
+    fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in kept if one in known)
+    return make_curve(equations, constant, place, fixed, length(model, states))
+
+
+def ungenerated(model: Model) -> tuple[str, ...]:
+    """The invariants that no symmetry belongs to, by name: the energy, of a free top its momentum too.
+
+    Each is a parameter of the family; all but the first, in which it is followed, are held.
+    """
+    return tuple(one.name for one in model.invariants if one.generator is None)
 
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
@@ -247,7 +255,7 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     seen = symmetries_of(model)[recognise(times, states, model)]
     candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
-        candidates = [Symmetry((seen.forward,))] if seen.forward else []
+        candidates = [replace(seen, maps=(seen.forward,))] if seen.forward else []
     models = (model, moved(model, curve.equations.free))
     kept = (one.name for one in candidates if all(one.held_by(each, states[0], curve.cycles) for each in models))
     return next(kept, NONE.name)
@@ -256,17 +264,17 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
 def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: Symmetry) -> np.ndarray:
     """The state at the instant nearest to the fixed set that the horizon starts in, moved into it."""
     model, one = curve.equations.model, symmetry.maps[0]
-    n = model.degrees_of_freedom
+    half = states.shape[1] // 2
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
     slopes = curve.equations.march.rates(states, tail)
-    clock = np.concatenate([1.0 / curve.shares, times[-1] / (2 * np.pi) / curve.shares])
+    clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, states.shape[1] // curve.shares.size)
     away = off_centre(one, states[:-1] * clock, model.angles)
     k = int(np.argmin(np.abs(away).max(axis=1)))
-    first, _ = symmetry.rows(n)
-    speed = (first @ (slopes[k] * clock))[:n]
+    first, _ = symmetry.rows(model.degrees_of_freedom)
+    speed = (first @ (slopes[k] * clock))[:half]
     moment = times[k] - float(away[k] @ speed) / max(float(speed @ speed), 1e-300)
     state = np.asarray(CubicHermiteSpline(times, states, slopes)(moment % times[-1]))
-    return np.asarray(state - np.linalg.pinv(first[:n]) @ off_centre(one, state[None], model.angles)[0])
+    return np.asarray(state - np.linalg.pinv(first[:half]) @ off_centre(one, state[None], model.angles)[0])
 
 
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:

@@ -309,6 +309,10 @@ def _check_objective(problem: Problem) -> None:
         if problem.coordinate not in problem.model.state_names[:n]:
             known = ", ".join(problem.model.state_names[:n])
             raise InputError(f"coordinate: unknown {problem.coordinate!r}; this system has {known}")
+    if named == PEAKS[1] and problem.model.rates is not None:
+        raise InputError(
+            "objective: min_peak_rate is about velocities, which a first-order system has not; give a callable"
+        )
     phased = not symmetry.reverses and not problem.model.forced
     if not phased and (named == "min_peak_rate" or problem.phase_condition is not None):
         raise InputError(

@@ -289,8 +289,10 @@ class Symmetry:
         gap = last @ states[-1] + (0.0 if self.reverses else first @ states[0])
         kept = np.any(last != 0, axis=1)
         where = np.any(last[:, :n] != 0, axis=1)
-        kept &= ~where | self.reverses
+        kept &= ~where | self.reverses | self.first_order
         constant = self.constants(angles, states[0], states[-1]) * where
+        if self.first_order and not self.reverses:
+            constant = np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0)
         units = (np.abs(last) * _moved(states, n)).max(axis=1)
         return float((np.abs(gap - constant) / np.where(kept, units, 1.0))[kept].max())
 
@@ -422,11 +424,16 @@ def _usual_alone(model: Model) -> tuple[Involution, ...]:
     return Involution(BRAKE_MAP.name, BRAKE_MAP.sense, (1,) * half + (-1,) * half, first_order=True), mirror
 
 
+def involutions(model: Model) -> tuple[Involution, ...]:
+    """The usual involutions of a model and those that it declares."""
+    return (*(USUAL if model.rates is None else _usual_alone(model)), *declared(model))
+
+
 def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     """The symmetries that a Problem of this model may ask for, by name: the usual ones and those it declares."""
     own = declared(model)
     if model.rates is not None:
-        own = (*_usual_alone(model), *own)
+        own = involutions(model)
         pairs = [(first, last) for first in own for last in own if first.sense < last.sense]
         alone = (ALONE, *(Symmetry(maps, True) for maps in (*((one,) for one in own), *pairs)))
         return {one.name: one for one in alone}
@@ -538,7 +545,7 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
     """
     angles = model.angular
     if model.rates is not None:
-        return _first_order(states, (*_usual_alone(model), *(declared(model) if own else ())), angles)
+        return _first_order(states, involutions(model) if own else _usual_alone(model), angles)
     states = states / np.tile(proportions(model, states[0]), 2)
     found = [one for one in QUARTER.maps if has(one, times, states, angles)]
     for one in (REVERSAL_MAP, *(declared(model) if own else ())):

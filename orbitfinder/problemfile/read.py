@@ -241,6 +241,8 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
             return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
+        if model.rates is not None:
+            raise InputError("guess.mode: a first-order system takes one mode with one amplitude; give numbers")
         modes = given.mode if isinstance(given.mode, list) else [given.mode]
         sizes = given.amplitude if isinstance(given.amplitude, list) else [given.amplitude]
         return normal_mode_sum(model, modes, sizes)
