@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.point import FamilySettings, extent, parameter_value, unknowns_of, winding
+from orbitfinder.families.point import FamilySettings, extent, parameter_value, shift_at, unknowns_of, winding
 from orbitfinder.families.run import parameter_slopes
 from orbitfinder.families.start import (
     Start,
@@ -34,9 +34,10 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, named
+from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, momenta_of, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.closure import turned
 from orbitfinder.records.family import Event, Family, load_family
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
@@ -95,9 +96,10 @@ def _known(start: Start, found: list[Start], cover: Cover, event: Event) -> bool
 
 def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Cover:
     """The q-fold orbit in a formulation and the kernel of its Jacobian without the family's own tangent."""
-    free, held = unknown_parameters(curve.equations.model, settings)
+    model, symmetry = curve.equations.model, replace(symmetry, relative=curve.equations.symmetry.relative)
+    free, held = unknown_parameters(model, settings, momenta_of(symmetry, model))
     place = _repeated(curve, event, symmetry, share)
-    equations = Equations(curve.equations.model, symmetry, free, action=True)
+    equations = Equations(model, symmetry, free, action=True)
     place = replace(place, unfolding=np.zeros(equations.march.unfolding))
     there = replace(curve_at(equations, place, held, _turns(curve, event)), weights=curve.weights.copy())
     matrix, units = scaled(there, at_place(there, place))
@@ -149,7 +151,8 @@ def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> U
     first = int(np.argmin(np.abs(mesh - share)))
     laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
     times = (laps + mesh[index] - mesh[first]) / event.order
-    turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(n)])
+    turns = turned(curve.equations.model, np.array(winding(curve)), shift_at(curve, base.place))
+    turn = np.concatenate([2 * np.pi * turns, np.zeros(n)])
     nodes = (states[index] + laps[:, None] * turn)[:-1:each]
     nodes[0, n:][symmetry.held(n)[n:]] = 0.0
     return Unknowns(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
@@ -184,6 +187,8 @@ def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
 
 def _symmetric(start: Start) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
+    if start.curve.equations.symmetry.relative:
+        return start
     try:
         other = reformulated(start, named(symmetry_of(start.curve, start.found), start.curve.equations.model))
     except (ConvergenceError, IntegrationError):

@@ -23,6 +23,7 @@ from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.closure import turned
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import (
     CLOSURE,
@@ -112,7 +113,8 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     check = ClosureCheck(curve.equations.model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
-        closure = check(point.state, point.period, np.array(winding(curve)), allowed, point.free)
+        turns = turned(curve.equations.model, np.array(winding(curve)), point.shift)
+        closure = check(point.state, point.period, turns, allowed, point.free)
         if not closure <= allowed:
             raise InputError(
                 f"{folder / JOURNAL}: the point at {journal.header['parameter']} {point.value:.9g} closes only to "
@@ -175,7 +177,7 @@ def _header(
         "curve": {
             "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
             "constant": curve.constant, "winding": winding(curve), "weights": curve.weights,
-            **entry_of(curve.conditions),
+            **entry_of(curve.conditions), **({"relative": list(origin.shift)} if origin.shift else {}),
         },
     })  # fmt: skip
     return header

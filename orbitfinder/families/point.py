@@ -12,7 +12,8 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.orbits.closure import carried
+from orbitfinder.loops.symmetry import shifting
+from orbitfinder.orbits.closure import carried, turned
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
@@ -59,8 +60,10 @@ def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:
         return float(place.free[p.free.index(name)])
     if name == "period":
         return place.period
-    if name == "energy":
-        return float(p.quantities_at(place.nodes[0], place.free)[0][p.energy])
+    names = [one.name for one in p.model.invariants]
+    if name == "energy" or name in names:
+        which = p.energy if name == "energy" else names.index(name)
+        return float(p.quantities_at(place.nodes[0], place.free)[0][which])
     return float(place.nodes[0][p.model.state_index(name)])
 
 
@@ -83,8 +86,9 @@ def make_point(
     parts = list(found.march.transitions * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
-    free, turned = freed(curve, place), winding(curve)
-    closure = 0.0 if check is None else check(place.nodes[0], place.period, np.array(turned), allowed, free, units)
+    free, shift = freed(curve, place), shift_at(curve, place)
+    turns = turned(p.model, np.array(winding(curve)), shift)
+    closure = 0.0 if check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
     defect = closure
@@ -96,7 +100,8 @@ def make_point(
     return FamilyPoint(
         name="",
         system=system_at(p.model.system, free),
-        winding=turned,
+        winding=winding(curve),
+        shift=shift,
         nodes=place.nodes[:1],
         times=np.zeros(0),
         samples=np.zeros((0, p.size)),
@@ -136,7 +141,7 @@ def piecewise_defect(
     across = np.maximum(np.abs(first) * units, np.abs(last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
     ends = check.ends(place.nodes, durations, free)
-    boundary = first @ place.nodes[0] + last @ ends[-1] - curve.constant
+    boundary = first @ place.nodes[0] + last @ ends[-1] - curve.equations.aimed(curve.constant)
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
     growth = max(np.linalg.norm(matrix * units / units[:, None], 2) for matrix in found.march.transitions)
     return float(np.abs(gaps).max()), max(1.0, float(growth))
@@ -145,6 +150,17 @@ def piecewise_defect(
 def winding(curve: Curve) -> tuple[int, ...]:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
     return tuple(int(k) for k in curve.equations.symmetry.turns(curve.constant))
+
+
+def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:
+    """How far a relative orbit of a family shifts in a period, by name."""
+    symmetry = curve.equations.symmetry
+    known = shifting(symmetry, curve.equations.model)
+    if not known:
+        return {}
+    end = curve.equations.ends(place)[-1]
+    amounts = symmetry.shifts(symmetry.settled(curve.constant, place.nodes[0], end))
+    return {name: float(amounts[symmetry.relative.index(one.direction)]) for name, one in known.items()}
 
 
 def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:

@@ -19,10 +19,20 @@ from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_c
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem, pinned
-from orbitfinder.loops.symmetry import NONE, Symmetry, named, off_centre, recognise, symmetries_of
+from orbitfinder.loops.symmetry import (
+    NONE,
+    Symmetry,
+    momenta_of,
+    named,
+    off_centre,
+    recognise,
+    related,
+    shifts_of,
+    symmetries_of,
+)
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.find import find_orbit, natural_pin
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import read_as
 
@@ -51,16 +61,17 @@ def begin(
     """
     settings = settings or FamilySettings()
     problem = as_problem(origin, model)
-    free, held = unknown_parameters(problem.model, settings)
-    if free and problem.model.conservative:
-        return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held)
+    free, held = unknown_parameters(problem.model, settings, momenta_of(problem.boundary, problem.model))
+    by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)
+    if (free and problem.model.conservative) or by_momentum:
+        return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held, settings.parameter)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest"
     start = (_found_first if chosen else _tried)(base, free)
-    if symmetry == "auto":
+    if symmetry == "auto" and not problem.relative:
         wanted = symmetry_of(start.curve, start.found)
-    return reformulated(start, named(wanted, problem.model))
+    return reformulated(start, related(named(wanted, problem.model), problem.model, problem.relative))
 
 
 def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
@@ -84,59 +95,72 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
         return minimal_problem(origin)
     model = model or build_model(origin.system)
     energy = next((one.name for one in model.invariants if one.generator is None), None)
-    return minimal_problem(Problem(
+    problem = Problem(
         model, Guess(origin.state, origin.period), (Pin(energy, origin.energy),) if energy else (),
-        winding=origin.winding, name=origin.name,
-    ))  # fmt: skip
+        winding=origin.winding, name=origin.name, relative=tuple(origin.shift),
+    )  # fmt: skip
+    held = [one for one in natural_pin(problem, origin.state) if one.name in momenta_of(problem.boundary, model)]
+    return minimal_problem(replace(problem, pin=(*problem.pin, *held)) if held else problem)
 
 
-def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def unknown_parameters(
+    model: Model, settings: FamilySettings, momenta: tuple[str, ...] = ()
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """(freed physical parameters, names of what is held) for a continuation parameter. Raises `InputError`.
 
-    Momenta are never held: an orbit closes for one value of each, at which nothing drifts.
+    `momenta` of the coordinates that orbits are relative in are held, or one of them is followed and the energy held.
+    Others are not: an orbit closes for one value of each, at which nothing drifts.
     """
     name = settings.parameter
-    if name in ("energy", "period", *model.state_names):
+    turning = {one.name for one in model.invariants if one.generator is not None}
+    if name in ("energy", "period", *model.state_names, *turning):
         if not model.conservative:
             raise InputError(
                 f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
             )
-        return (), ()
+        if name not in momenta:
+            return (), momenta
+        return (), ("energy", *(one for one in momenta if one != name))
     if model.forced:
         raise InputError("system: a forced system's families are not followed yet; its orbits stand alone")
     if name not in model.parameter_names:
-        known = ["energy", "period", *model.state_names, *model.parameter_names]
+        known = ["energy", "period", *turning, *model.state_names, *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
     if not model.conservative:
-        return (name,), ()
+        return (name,), momenta
     if settings.hold not in ("energy", "period"):
         raise InputError(f"hold: must be energy or period, got {settings.hold!r}")
-    return (name,), (settings.hold,)
+    return (name,), (settings.hold, *momenta)
 
 
-def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
-    """The same orbit on the curve on which physical parameters vary and what is held keeps its value."""
+def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
+    """The same orbit on the curve on which a parameter of this name varies and what is held keeps its value."""
     old, place = base.curve, base.found.place
     model = old.equations.model
     equations = Equations(model, old.equations.symmetry, free, action=True)
     place = replace(place, free=equations.numbers)
     curve = replace(curve_at(equations, place, held), constant=old.constant)
-    return corrected(curve, place, _own_aim(curve, place))
+    return corrected(curve, place, _own_aim(curve, place, name))
 
 
 def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     equations = Equations(problem.model, problem.boundary, free, action=True)
     fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
-    curve = curve_at(equations, place, turns=problem.turns)
-    pin = None if free or not problem.pin else problem.pin[0]
+    momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
+    curve = curve_at(equations, place, momenta, problem.turns, {one.name: one.value for one in problem.pin})
+    pin = next((one for one in pins if one.name not in momenta), None)
     return corrected(curve, place, pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place))
 
 
 def curve_at(
-    equations: Equations, place: Unknowns, held: tuple[str, ...] = (), turns: np.ndarray | None = None
+    equations: Equations,
+    place: Unknowns,
+    held: tuple[str, ...] = (),
+    turns: np.ndarray | None = None,
+    given: Mapping[str, float] | None = None,
 ) -> Curve:
-    """The curve with its boundary constant and held values taken at a place near it.
+    """The curve with its boundary constant and held values, those not `given`, taken at a place near it.
 
     The constants are multiples of pi: a symmetric motion may be symmetric about an upright link.
     """
@@ -147,7 +171,7 @@ def curve_at(
     constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], states[-1], whole)
     values = equations.quantities_at(place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
-    known = {"period": place.period} | dict(zip(names, map(float, values), strict=False))
+    known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
     fixed = tuple(pinned(equations, one, known[one]) for one in held if one in known)
     return make_curve(equations, constant, place, fixed, length(model.angles, states))
 
@@ -160,7 +184,10 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     unknown_parameters(model, settings)
     for name in known.free:
         model.parameter_index(name)
-    equations = Equations(model, named(known.symmetry, model), known.free, action=True)
+    if not set(known.relative) <= set(shifts_of(model)):
+        raise InputError(f"curve.relative: {list(known.relative)} is not of this system; continue the family again")
+    symmetry = related(named(known.symmetry, model), model, known.relative)
+    equations = Equations(model, symmetry, known.free, action=True)
     wanted = equations.size, equations.size + 1 + len(known.free)
     if (known.constant.shape, known.weights.shape) != (wanted[:1], wanted[1:]) or not np.all(known.weights > 0):
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
@@ -188,11 +215,12 @@ class CurveEntry:
     held: tuple[tuple[int, float], ...]
     weights: np.ndarray
     period: float | None
+    relative: tuple[str, ...] = ()
 
 
-def _own_aim(curve: Curve, place: Unknowns) -> Condition:
-    """The first freed parameter, or else the energy, at the value that it has at a place."""
-    name = next(iter(curve.equations.free), "energy")
+def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:
+    """The parameter of a name, the first freed one or else the energy, at the value that it has at a place."""
+    name = name or next(iter(curve.equations.free), "energy")
     return pinned(curve.equations, name, parameter_value(curve, place, name))
 
 

@@ -43,9 +43,11 @@ def pin(**quantities: float) -> tuple[Pin, ...]:
 
 
 def boundary_rows(symmetry: Symmetry, start: Any, end: Any, constant: Any) -> Any:
-    """The rows (2n) that join the end of the horizon to its start, as expressions (see `Symmetry.rows`)."""
-    first, last = (ca.sparsify(ca.DM(matrix)) for matrix in symmetry.rows(start.numel() // 2))
-    return first @ start + last @ end - constant
+    """The rows that join the end of the horizon to its start, as expressions (see `Symmetry.rows` and `asked`)."""
+    n = start.numel() // 2
+    first, last = (ca.sparsify(ca.DM(matrix)) for matrix in symmetry.rows(n))
+    rows, asked = first @ start + last @ end - constant, symmetry.asked(n)
+    return rows if asked is None else ca.sparsify(ca.DM(asked)) @ rows
 
 
 def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, basis: np.ndarray) -> Any:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -117,6 +117,8 @@ class Symmetry:
     """What an orbit has: no involution, one, or one that runs time backwards and then one that does not."""
 
     maps: tuple[Involution, ...] = ()
+    relative: tuple[tuple[float, ...], ...] = ()
+    """directions (n each) along which the motion need not come back: it returns up to a shift"""
 
     @property
     def name(self) -> str:
@@ -196,6 +198,25 @@ class Symmetry:
             return np.concatenate([begin, begin + _fixed(first, n).rows @ travelled if first == last else 0 * begin])
         return np.concatenate([begin, nearest(last, end)])
 
+    def asked(self, n: int) -> np.ndarray | None:
+        """The combinations (r x 2n) of the rows that no shift along `relative` changes; None where all are asked."""
+        return _asked(self, n) if self.relative else None
+
+    def settled(self, constant: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """The constants with the shift that a motion from `start` to `end` of the part (2n each) has."""
+        if not self.relative:
+            return constant
+        first, last = self.rows(start.size // 2)
+        along = last[:, : start.size // 2] @ np.transpose(self.relative)
+        missed = first @ start + last @ end - constant
+        return np.asarray(constant + along @ np.linalg.lstsq(along, missed)[0])
+
+    def shifts(self, constant: np.ndarray) -> np.ndarray:
+        """How far a period takes the motion along each of `relative`, from constants that are `settled`."""
+        n = constant.size // 2
+        moved = self.displaced(constant)[1][:n] - 2 * np.pi * self.turns(constant)
+        return np.asarray(np.linalg.lstsq(np.reshape(self.relative, (-1, n)).T, moved)[0])
+
     def implied(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """The constants (2n) that coordinates at start and end have themselves, rates' ones 0: for drawing."""
         n = start.size // 2
@@ -224,7 +245,8 @@ class Symmetry:
         n = constant.size // 2
         if len(self.maps) > self.reverses:
             return np.zeros(n, int)
-        return np.round(self.displaced(constant)[1][:n] / (2 * np.pi)).astype(int)
+        turned = self.displaced(constant)[1][:n] / (2 * np.pi)
+        return np.round(beside(turned, self.relative)).astype(int)
 
     def may_turn(self, n: int) -> np.ndarray:
         """Which coordinates (n) may make whole turns in a period."""
@@ -248,7 +270,8 @@ class Symmetry:
 
         Without the rows' constants the states' own are taken.
         """
-        constant = self.implied(states[0], states[-1]) if constant is None else constant
+        given = self.implied(states[0], states[-1]) if constant is None else constant
+        constant = self.settled(given, states[0], states[-1])
         if self.reverses:
             _, (last, moved) = self.about(constant)
             times = np.concatenate([times, 2 * times[-1] - times[-2::-1]])
@@ -357,6 +380,22 @@ class Symmetry:
         return True
 
 
+def beside(moved: np.ndarray, directions: Sequence[Sequence[float]]) -> np.ndarray:
+    """What is left of how far coordinates moved (n) when each direction's first coordinate is brought back along it."""
+    for direction in np.asarray(directions, float):
+        first = int(np.flatnonzero(direction)[0])
+        moved = moved - moved[first] / direction[first] * direction
+    return moved
+
+
+@lru_cache(maxsize=64)
+def _asked(symmetry: Symmetry, n: int) -> np.ndarray:
+    along = symmetry.rows(n)[1][:, :n] @ np.transpose(symmetry.relative)
+    if np.all(np.count_nonzero(along, axis=0) == 1):
+        return np.delete(np.eye(2 * n), np.flatnonzero(along.any(axis=1)), axis=0)
+    return np.asarray(np.linalg.svd(along)[0][:, along.shape[1] :].T)
+
+
 @lru_cache(maxsize=64)
 def _rows(symmetry: Symmetry, n: int) -> tuple[np.ndarray, np.ndarray]:
     if not symmetry.reverses:
@@ -403,6 +442,48 @@ def named(name: str, model: Model) -> Symmetry:
     if name not in known:
         raise InputError(f"symmetry: unknown {name!r}; use one of {', '.join(known)}")
     return known[name]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A constant direction (n) along which the equations do not change, and the name of the momentum kept with it."""
+
+    direction: tuple[float, ...]
+    momentum: str
+
+
+def shifts_of(model: Model) -> Mapping[str, Shift]:
+    """The shifts of a model by name: its cyclic coordinates, and the momenta kept with other constant directions."""
+    n, found, random = model.degrees_of_freedom, {}, np.random.default_rng(0)
+    places = random.normal(0, 1.0, (2, 2, n))
+    for one in model.invariants:
+        if one.generator is None:
+            continue
+        here, there = (one.generator(*x, model.parameter_values).full().ravel() for x in places)
+        if np.array_equal(here, there) and not np.any(here[n:]) and np.any(here[:n]):
+            moving = np.flatnonzero(here[:n])
+            name = model.state_names[moving[0]] if moving.size == 1 else one.name
+            found[name] = Shift(tuple(map(float, here[:n])), one.name)
+    return found
+
+
+def related(symmetry: Symmetry, model: Model, names: Sequence[str]) -> Symmetry:
+    """A symmetry of orbits that come back up to shifts by name, those of `shifts_of`."""
+    if not names:
+        return symmetry
+    known = shifts_of(model)
+    return replace(symmetry, relative=tuple(known[name].direction for name in names))
+
+
+def shifting(symmetry: Symmetry, model: Model) -> Mapping[str, Shift]:
+    """What `relative` of a symmetry is called in a model."""
+    known = shifts_of(model) if symmetry.relative else {}
+    return {name: one for name, one in known.items() if one.direction in symmetry.relative}
+
+
+def momenta_of(symmetry: Symmetry, model: Model) -> tuple[str, ...]:
+    """The momenta that are kept with what orbits of a symmetry are relative in."""
+    return tuple(one.momentum for one in shifting(symmetry, model).values())
 
 
 def _parity(model: Model, invariant: Invariant, one: Involution) -> int:

@@ -14,12 +14,14 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from orbitfinder.errors import InputError
+from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
 
 EPSILON = float(np.finfo(float).eps)
@@ -101,10 +103,36 @@ def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
     return np.concatenate(extents(moved, rushed, masses_of(model.kinetic, states[0], model), period))
 
 
+def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.ndarray:
+    """How far coordinates (n) go in a period, in 2 pi: whole turns, and what an orbit shifts by name.
+
+    Raises `InputError` where the system has no such shift.
+    """
+    known, found = shifts_of(model) if shift else {}, turns
+    for name, amount in shift.items():
+        if name not in known or not np.isfinite(amount):
+            raise InputError(
+                f"shift: {name} = {amount} is none of this system, which has {', '.join(known) or 'no'} shifts; the "
+                "record contradicts its system, run the problem again"
+            )
+        found = found + amount / (2 * np.pi) * np.asarray(known[name].direction)
+    return found
+
+
+def shift_along(
+    model: Model, names: Iterable[str], start: np.ndarray, end: np.ndarray, turns: np.ndarray
+) -> dict[str, float]:
+    """How far a motion from `start` to `end` (2n each) goes by name along shifts of a model, beside whole turns (n)."""
+    chosen, known = list(names), shifts_of(model)
+    directions = np.array([known[name].direction for name in chosen]).reshape(len(chosen), -1)
+    moved = (end - start)[: turns.size] - 2 * np.pi * turns
+    return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved)[0]), strict=True)) if chosen else {}
+
+
 def gap(
     start: np.ndarray, end: np.ndarray, turns: np.ndarray | Sequence[int], units: np.ndarray | float = 1.0
 ) -> float:
-    """Largest component of x(T) - x(0) - 2 pi k, in `units`."""
+    """Largest component of x(T) - x(0) - 2 pi k, in `units`; k of a relative orbit are no whole numbers."""
     return float(np.abs((end - start - shift(turns, start.size)) / units).max())
 
 

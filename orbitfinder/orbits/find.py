@@ -34,7 +34,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import extents_of, gap
 from orbitfinder.orbits.long_chain import find_long_chain, suits
-from orbitfinder.orbits.measure import dense, measure, provenance
+from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen, guessed_nodes
 from orbitfinder.records.orbit import Orbit
 
@@ -128,7 +128,7 @@ def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ..
             end = end_state(flow, nodes[-1], duration, guess.period - duration)
         except IntegrationError:
             return None
-    turns = whole_turns(model, nodes[0], end)
+    turns = whole_turns(model, nodes[0], end, problem.boundary.relative)
     return None if turns is None else tuple(int(k) for k in turns)
 
 
@@ -346,7 +346,9 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     model = with_parameters(problem.model, values)
     settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
-        settled = replace(settled, pin=problem.pin[:1] or _held(problem, natural_pin(settled, nodes[0]), period))
+        natural = natural_pin(settled, nodes[0])
+        pins = problem.pin[: len(natural)]
+        settled = replace(settled, pin=pins if len(pins) == len(natural) else _held(problem, natural, period))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
     return held, polish(held, held.layout.join(nodes, period, np.zeros(0), unfolding))
 
@@ -375,11 +377,15 @@ def without_choice(problem: Problem) -> Problem:
 
 
 def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
-    """The pin that holds an orbit where it is in its family: its energy; nothing where none is conserved."""
+    """What holds an orbit where it is in its family: its energy, and the momenta of what it is relative in.
+
+    Nothing where nothing is conserved.
+    """
     n = problem.model.degrees_of_freedom
     values = problem.model.parameter_values
-    first = problem.model.invariants[:1]
-    return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in first)
+    kept = {one.momentum for one in problem.shifts}
+    held = [one for k, one in enumerate(problem.model.invariants) if k == 0 or one.name in kept]
+    return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in held)
 
 
 def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
@@ -412,6 +418,6 @@ def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float
         if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
             continue
         reached = np.concatenate([spline(period / cover), spline(period / cover, 1)])
-        if gap(states[0], reached, problem.turns // cover, units) < tolerance:
+        if gap(states[0], reached, shift_of(problem, states[0], states[-1])[1] / cover, units) < tolerance:
             return cover
     return 1

@@ -20,7 +20,7 @@ from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.model import energy as total_energy
-from orbitfinder.orbits.closure import gap
+from orbitfinder.orbits.closure import gap, shift_along, turned
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
 
@@ -52,6 +52,7 @@ def recorded(
     floquet: Floquet,
 ) -> Orbit:
     """The Orbit (without certificate) that begins at the first of its nodes and is at `end` after a period."""
+    shift, turns = shift_of(problem, nodes[0], end)
     return Orbit(
         name=problem.name,
         title=problem.title,
@@ -61,7 +62,7 @@ def recorded(
         period=period,
         energy=total_energy(problem.model, nodes[0]),
         action=action,
-        closure=gap(nodes[0], end, problem.turns),
+        closure=gap(nodes[0], end, turns),
         symmetry=recognise(times, samples, problem.model),
         winding=tuple(int(k) for k in problem.turns),
         floquet_multipliers=floquet.multipliers,
@@ -73,7 +74,14 @@ def recorded(
         samples=samples,
         tolerance=problem.tolerance,
         expected=problem.expected,
+        shift=shift,
     )
+
+
+def shift_of(problem: Problem, start: np.ndarray, end: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
+    """How far a relative orbit from `start` to `end` (2n each, a period apart) shifts, and its turns with that (n)."""
+    found = shift_along(problem.model, problem.relative, start, end, problem.turns)
+    return found, turned(problem.model, problem.turns, found)
 
 
 def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[str, Any]:

@@ -155,6 +155,7 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         pin=pin(**(find.pin or {})),
         symmetry=find.symmetry,
         winding=None if find.winding is None else tuple(find.winding),
+        relative=tuple(find.relative),
         segments=find.segments,
         tolerance=find.tolerance,
         free=tuple(find.free),

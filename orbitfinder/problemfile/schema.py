@@ -233,6 +233,11 @@ class FindTable(Table):
     winding: list[int] | None = Field(
         None, description="whole turns of each coordinate in one period, one whole number per coordinate"
     )
+    relative: list[str] = Field(
+        [],
+        description='cyclic coordinates along which the orbit comes back shifted by what is found, such as ["phi"]; '
+        "each leaves room for one pin more, such as its momentum, momentum_phi",
+    )
     segments: int | None = Field(
         None, ge=1, le=MOST_SEGMENTS, description="shooting segments, at least 1; chosen automatically when left out"
     )

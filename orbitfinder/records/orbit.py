@@ -95,6 +95,8 @@ class Orbit:
     """what was proved of it (see `proof.record`)"""
     record: str | None = None
     """digest of the numbers as written, present on orbits read from a file"""
+    shift: Mapping[str, float] = field(default_factory=dict)
+    """how far it comes back from where it was along the cyclic coordinates that it is relative in (rad, m)"""
 
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
@@ -127,6 +129,8 @@ def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
         "certificate": certificate_to_document(orbit.certificate),
         "provenance": dict(orbit.provenance),
     }
+    if orbit.shift:
+        document["shift"] = dict(orbit.shift)
     document["record"] = digest(document)
     return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
 
@@ -170,7 +174,8 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
 
 def digest(document: Mapping[str, Any]) -> str:
     """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
-    return content_digest({name: document.get(name) for name in DIGESTED})
+    relative = {"shift": document["shift"]} if document.get("shift") else {}
+    return content_digest({name: document.get(name) for name in DIGESTED} | relative)
 
 
 def save_orbit(orbit: Orbit, path: str | Path) -> Path:
@@ -270,6 +275,7 @@ def orbit_from_document(
             expected=expected, certificate=certificate,
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),
+            shift={str(name): float(by) for name, by in (document.get("shift") or {}).items()},
             proof=dict(document["proof"]) if isinstance(document.get("proof"), Mapping) else None,
         )  # fmt: skip
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
