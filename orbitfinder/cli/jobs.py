@@ -66,6 +66,8 @@ class Outcome:
     """the freed physical parameters' values"""
     failures: tuple[str, ...] = ()
     written: tuple[str, ...] = ()
+    reduction: str = ""
+    """what the orbit is relative in, with the momenta held; or that it is a relative equilibrium"""
 
     @property
     def passed(self) -> bool:
@@ -144,6 +146,8 @@ def progress(name: str, iteration: Iteration) -> Progress:
 
 def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
     """Write the result under the name it deserves; figures only of certified orbits."""
+    from orbitfinder.mechanics.catalogue import with_parameters
+    from orbitfinder.orbits.reduction import reduction
     from orbitfinder.records.orbit import save_orbit
 
     certificate, folder = orbit.certificate, job.out / job.name
@@ -164,6 +168,7 @@ def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
         orbit.period, orbit.energy, orbit.closure, orbit.stability, orbit.symmetry,
         dict(orbit.provenance.get("free", {})), failures,
         tuple(str(path) for path in written),
+        reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit),
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from orbitfinder.mechanics.model import Invariant, Model, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents, shift_along, turned
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
+from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document
 
@@ -103,7 +104,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         _forcing_check(orbit, model),
         *_premises(model, evidence, whole, orbit.shift),
         _minimal_period(orbit, covers, allowed.cover, evidence, turns),
-        _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, "extent of the motion"),
+        _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, _moving(model, orbit)),
         _at_most("trivial_multipliers", evidence.trivial, max(allowed.trivial, passing), "flow and gradients are kept")
         if model.invariants or not model.forced
         else None,
@@ -163,6 +164,12 @@ def _constraint_checks(
         _at_most("constraint", defect, allowed.constraint, "largest |phi|, |J v| of the state, relative"),
         _at_most("native_closure", returned, allowed.native_closure * scale, "IDAS on the native DAE"),
     ]
+
+
+def _moving(model: Model, orbit: Orbit) -> str:
+    """The note of what moves."""
+    more = "" if orbit.shift else reduction(model, orbit)
+    return "extent of the motion" + (f"; a {more}" if more else "")
 
 
 def _motion(evidence: Evidence, model: Model) -> float:
@@ -395,7 +402,8 @@ class _Nearby:
             by = np.random.default_rng(1).uniform(0.1, 1.0, (TRIED, 1)) * (abs(amount) + self.units[:n].max())
             moved = np.hstack([by * known[name].direction, np.zeros((TRIED, n))])
             there = self._accelerations(self.moments, self.rows + moved)
-            yield _at_most("cyclic", self._differ(there), EXACT, f"equations of motion further along {name}")
+            note = f"equations of motion further along {name}, which {known[name].momentum} is held for"
+            yield _at_most("cyclic", self._differ(there), EXACT, note)
 
     def invariants(self) -> Iterator[Check]:
         """Each declared invariant is constant along the motion."""

@@ -123,10 +123,12 @@ def shift_along(
     model: Model, names: Iterable[str], start: np.ndarray, end: np.ndarray, turns: np.ndarray
 ) -> dict[str, float]:
     """How far a motion from `start` to `end` (2n each) goes by name along shifts of a model, beside whole turns (n)."""
-    chosen, known = list(names), shifts_of(model)
-    directions = np.array([known[name].direction for name in chosen]).reshape(len(chosen), -1)
-    moved = (end - start)[: turns.size] - 2 * np.pi * turns
-    return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved)[0]), strict=True)) if chosen else {}
+    chosen = list(names)
+    if not chosen:
+        return {}
+    known, moved = shifts_of(model), (end - start)[: turns.size] - 2 * np.pi * turns
+    directions = np.array([known[name].direction for name in chosen])
+    return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved)[0]), strict=True))
 
 
 def gap(

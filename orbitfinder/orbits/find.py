@@ -36,6 +36,7 @@ from orbitfinder.orbits.closure import extents_of, gap
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen, guessed_nodes
+from orbitfinder.orbits.reduction import steady
 from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
@@ -219,6 +220,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     unfolding = acting(refined.flow, refined.layout.nodes(w), unfolding)
     orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), period, unfolding)
     _within(problem, orbit)
+    _periodic(problem, orbit)
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
@@ -286,6 +288,17 @@ def _within(problem: Problem, orbit: Orbit) -> None:
         raise ConvergenceError(
             f"no orbit found: the search went round an orbit of period {orbit.period:.6g} s several times, which is "
             f"outside bounds.period [{low:g}, {high:g}]; start nearer to an orbit of that period"
+        )
+
+
+def _periodic(problem: Problem, orbit: Orbit) -> None:
+    """`ConvergenceError` for a relative equilibrium, which comes back up to a shift after any time at all."""
+    rates = steady(problem.model, orbit.state) if problem.relative and not problem.free else {}
+    if rates:
+        moving = ", ".join(f"{name} = {rate:.9g}" for name, rate in rates.items())
+        raise ConvergenceError(
+            f"no orbit found: the search fell on a relative equilibrium, whose steady rates are {moving} a second, so "
+            "that it has no period of its own; start farther from it, or leave relative out and give its winding"
         )
 
 
