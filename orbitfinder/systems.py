@@ -12,7 +12,10 @@ from orbitfinder.mechanics.library import (
     planar_oscillator,
     restricted_three_body,
     rotating_hoop,
+    spherical_pendulum,
     spring_pendulum,
+    swinging_spring,
+    three_bodies,
     van_der_pol,
     vibrated_pendulum,
 )
@@ -29,7 +32,10 @@ __all__ = [
     "planar_oscillator",
     "restricted_three_body",
     "rotating_hoop",
+    "spherical_pendulum",
     "spring_pendulum",
+    "swinging_spring",
+    "three_bodies",
     "van_der_pol",
     "vibrated_pendulum",
 ]

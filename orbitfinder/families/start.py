@@ -38,6 +38,8 @@ from orbitfinder.records.reading import read_as
 
 FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
+LOOKS = (40, 160, 640)
+"""... in one segment, to see where a motion goes"""
 SAMPLES = 512
 
 
@@ -165,8 +167,7 @@ def curve_at(
     The constants are multiples of pi: a symmetric motion may be symmetric about an upright link.
     """
     model, symmetry = equations.model, equations.symmetry
-    steps = uniform(symmetry.fraction, len(place.nodes), 40)
-    states = equations.march.states(place.nodes, steps, place.tail)
+    states = _looked_at(equations, place)
     whole = None if symmetry.maps else turns
     constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], states[-1], whole)
     values = equations.quantities_at(place.nodes[0], place.free)[0]
@@ -174,6 +175,18 @@ def curve_at(
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
     fixed = tuple(pinned(equations, one, known[one]) for one in held if one in known)
     return make_curve(equations, constant, place, fixed, length(model.angles, states))
+
+
+def _looked_at(equations: Equations, place: Unknowns) -> np.ndarray:
+    """States along a place, by as few steps as reach its end: near a pole 40 are too few."""
+    for count in LOOKS:
+        try:
+            steps = uniform(equations.symmetry.fraction, len(place.nodes), count)
+            return equations.march.states(place.nodes, steps, place.tail)
+        except IntegrationError:
+            if count == LOOKS[-1]:
+                raise
+    raise AssertionError("unreachable")
 
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:

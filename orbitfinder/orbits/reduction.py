@@ -1,6 +1,6 @@
 """What an orbit is relative in and what is held for it, and motions that only follow a symmetry: relative equilibria.
 
-Source: J. E. Marsden, Lectures on Mechanics (1992), chapter 4: a relative equilibrium is a motion along one group orbit.
+Source: J. E. Marsden, Lectures on Mechanics (1992), chapter 4.
 """
 
 from __future__ import annotations
