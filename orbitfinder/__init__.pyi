@@ -7,9 +7,11 @@ from . import systems as systems
 from ._runtime import __version__ as __version__
 from ._runtime.limit import limited as limited
 from .atlas.choose import least_unstable as least_unstable
+from .atlas.merge import merge_atlases as merge_atlases
 from .atlas.search import search as search
 from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
+from .atlas.store import load_orbit as load_orbit
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
 from .families.folder import follow_family as follow_family
@@ -43,7 +45,6 @@ from .records.family import load_family as load_family
 from .records.orbit import Certificate as Certificate
 from .records.orbit import Orbit as Orbit
 from .records.orbit import save_orbit as save_orbit
-from .records.store import load_orbit as load_orbit
 from .show.animate import orbit_clip as orbit_clip
 from .show.animate import save_animation as save_animation
 from .show.animate import simulation_clip as simulation_clip

@@ -70,3 +70,9 @@ def closest(name: str, known: Iterable[str]) -> str:
     """ ", did you mean 'x'?" when a known name is near a misspelt one, else an empty string."""
     found = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
     return f", did you mean {found[0]!r}?" if found else ""
+
+
+def plural(count: int, noun: str) -> str:
+    """A count and what is counted, for messages: `1 orbit`, `2 orbits`, `3 families`."""
+    many = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}es" if noun.endswith("s") else f"{noun}s"
+    return f"{count} {noun if count == 1 else many}"

@@ -2,17 +2,23 @@
 
 import inspect
 import pickle
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import orbitfinder as of
+from orbitfinder._runtime import arguments
 from orbitfinder._runtime.arguments import fits
-from orbitfinder.errors import InputError
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError, plural
 from orbitfinder.mechanics.model import energy
+from orbitfinder.proof.refine import settings_for
 from orbitfinder.systems import van_der_pol
 
+RESULTS = Path(__file__).parents[1] / "results"
 CHAIN = of.chain(2)
 STATE = [0.3, 0.4, 0.0, 0.0]
 GUESS = of.Guess(STATE, 2.5)
@@ -191,6 +197,48 @@ def test_a_guess_and_its_turns_may_be_those_of_the_links():
     assert np.array_equal(problem.guess.state, state) and problem.winding == (0, 0, 1, 0, 0, 0, 0, 0, -1)
     again = of.Problem(BAR, of.Guess(state, 1.0), winding=problem.winding)
     assert np.array_equal(again.guess.state, state) and again.winding == problem.winding
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("int | Event", "a whole number or an Event"), ("Atlas", "an Atlas"), ("Unfolding", "an Unfolding"),
+        ("UniformMesh", "a UniformMesh"), ("Model", "a Model"),
+    ],
+)  # fmt: skip
+def test_articles_are_those_of_english(monkeypatch, kind, words):
+    monkeypatch.setitem(arguments.MADE_BY, kind.split()[-1], "make one")
+    with pytest.raises(InputError, match=f"^event: expected {words}, got 'first'; "):
+        arguments.check("event", kind, "first")
+
+
+@pytest.mark.parametrize(
+    ("count", "noun", "said"),
+    [(1, "orbit", "1 orbit"), (0, "event", "0 events"), (2, "family", "2 families"), (3, "atlas", "3 atlases")],
+)
+def test_counts_are_said_in_english(count, noun, said):
+    assert plural(count, noun) == said
+
+
+def test_commands_name_the_option_and_python_the_argument(tmp_path):
+    """One message, raised where it is found: about `digits` in Python, about --digits where that was given."""
+    orbit = str(RESULTS / "orbits" / "triple-1" / "orbit.json")
+    for words, said in (
+        (["refine", orbit, "--digits", "0"], "Error: --digits: must be"),
+        (["refine", orbit, "--bits", "10"], "Error: --bits: 50 digits need at least"),
+        (
+            ["atlas", "list", str(RESULTS / "atlas" / "triple.sqlite"), "--symmetry", "odd"],
+            "Error: --symmetry: unknown",
+        ),
+        (["page", orbit, "-o", str(RESULTS)], "Error: --out: "),
+    ):
+        assert CliRunner().invoke(cli, words).stderr.startswith(said)
+    with pytest.raises(InputError, match="^digits: must be from 1 to"):
+        settings_for(0)
+    options = ("--symmetry", "brake")
+    wrong = tmp_path / "orbit.json"
+    wrong.write_text(Path(orbit).read_text().replace('"brake"', "7"))
+    assert CliRunner().invoke(cli, ["prove", str(wrong), *options]).stderr.startswith(f"Error: {wrong}: symmetry: has")
 
 
 def test_annotations_are_read_as_they_are_written():

@@ -62,7 +62,7 @@ def test_by_the_front_door(loopback, tmp_path):
 
 def test_an_address_where_nothing_listens(monkeypatch, tmp_path):
     monkeypatch.setattr(workers, "CONNECTING", 0.5)
-    with pytest.raises(InputError, match=r"--scheduler: no Dask scheduler answers at 'tcp://127.0.0.1:9'"):
+    with pytest.raises(InputError, match=r"^scheduler: no Dask scheduler answers at 'tcp://127.0.0.1:9'"):
         search.search(chain(3), ENERGY, PERIODS, tmp_path / "a.sqlite", starts=1, scheduler="tcp://127.0.0.1:9")
 
 
@@ -92,5 +92,5 @@ def test_a_worker_that_cannot_build_the_system(loopback):
 
 def test_without_dask(monkeypatch, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(InputError, match=r"--scheduler: needs Dask; pip install 'orbitfinder\[cluster\]'"):
+    with pytest.raises(InputError, match=r"^scheduler: needs Dask; pip install 'orbitfinder\[cluster\]'"):
         search.search(chain(3), ENERGY, PERIODS, tmp_path / "a.sqlite", starts=1, scheduler="tcp://127.0.0.1:9")

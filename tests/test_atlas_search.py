@@ -17,7 +17,8 @@ import pytest
 from orbitfinder.atlas import attempt as refine
 from orbitfinder.atlas import search, solver, workers
 from orbitfinder.atlas.report import chao1, discovery, remarks, stratum, summarise, total
-from orbitfinder.atlas.search import Limits, Search, register
+from orbitfinder.atlas.search import Limits, Search, register, unmade
+from orbitfinder.atlas.shard import WHOLE, Shard
 from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.workers import DIED, Inline, Job, Local, Request, perform
@@ -134,7 +135,7 @@ def test_workers_that_cannot_begin_are_not_hired_for_ever(tmp_path, monkeypatch)
     (tmp_path / "deadly.py").write_text("import os\n\ndef system():\n    os._exit(3)\n")
     system = {"kind": "python", "module": "deadly", "function": "system", "arguments": {}}
     crew = Local(Request(system, Target(1.0, PERIODS), 0, str(tmp_path)), 1)
-    with pytest.raises(OrbitfinderError, match=r"workers? processes die before they begin; .*--workers 0"):
+    with pytest.raises(OrbitfinderError, match=r"processes die before they begin; .*workers = 0 searches without"):
         for _ in range(20):
             crew.results(5.0)
     crew.close()
@@ -381,9 +382,10 @@ def test_stalled_starts_are_in_the_report(undisturbed, tmp_path):
 
 def test_a_search_is_registered_once(triple, task, one, tmp_path):
     with Atlas(tmp_path / "a.sqlite", write=True, model=triple) as atlas:
-        assert register(atlas, task, one) == (1, 0) == register(atlas, task, one)
+        assert register(atlas, task, one) == 1 == register(atlas, task, one)
         other = Request(task.system, Target(ENERGY, PERIODS), 1)
-        assert register(atlas, other, one) == (2, 0)
+        assert register(atlas, other, one) == 2
+        assert next(unmade(atlas, 2, WHOLE)) == 0 and next(unmade(atlas, 2, Shard(3, 8))) == 2
 
 
 def command(path, starts):

@@ -1,5 +1,7 @@
 """When a search fails, the message says what happened, where, and what to try."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -25,8 +27,11 @@ def shooting():
 
 
 def changed(shooting, period=2.4, unfolding=0.0, free=1.0, nodes=None):
-    nodes = shooting.layout.nodes(shooting.start) if nodes is None else nodes
-    return shooting.layout.join(nodes, period, np.array([free]), np.array([unfolding]))
+    nodes = shooting.guess.nodes if nodes is None else nodes
+    unknowns = replace(
+        shooting.guess, nodes=nodes, period=period, free=np.array([free]), unfolding=np.array([unfolding])
+    )
+    return shooting.vector(unknowns)
 
 
 def said(shooting, w, status="Infeasible"):
@@ -73,7 +78,7 @@ def test_an_unfolding_that_does_not_vanish_is_explained():
 
     problem = Problem(chain(1), Guess([1.0, 0.0], 2.0), pin=pin(theta1=1.0))
     shooting = transcribe(problem, np.array([[1.0, 0.0], [-1.0, 0.0]]))
-    w = shooting.layout.join(np.array([[1.0, 0.0], [-1.0, 0.0]]), 2.0, np.zeros(0), np.array([0.01]))
+    w = shooting.vector(replace(shooting.guess, period=2.0, unfolding=np.array([0.01])))
     assert "closes only with the fictitious damping" in advice(shooting, w, np.full(2, 1e-9))
 
 

@@ -389,13 +389,13 @@ def test_modes_to_the_upright_saddle(links, mode, tmp_path):
 
 
 def test_family_figures(tmp_path):
-    """The three figures are written and not blank."""
-    from orbitfinder.show.plot import save_family_figures
+    """The four figures are written and not blank."""
+    from orbitfinder.show.plot import save_figures
 
     settings = FamilySettings(directions="forward")
     family = follow_family(mode_problem(chain(2), 2), points=15, out=tmp_path, settings=settings)
-    paths = save_family_figures(family, tmp_path)
-    assert len(paths) == 3 and all(path.stat().st_size > 10_000 for path in paths)
+    paths = save_figures(family, tmp_path)
+    assert len(paths) == 4 and all(path.stat().st_size > 10_000 for path in paths)
 
 
 def test_variations_that_overflow_are_a_shorter_step_and_no_traceback(monkeypatch):

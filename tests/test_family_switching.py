@@ -67,9 +67,9 @@ def test_triple_1_by_commands_alone(second_mode, tmp_path):
     [
         ((), "--switch: missing; give the event to leave triple-mode-2 at: 0: period_doubling"),
         (("--switch", 3), "no branch leaves at event 3; choose one of 0: period_doubling"),
-        (("--switch", 99), "no branch leaves at event 99"),
+        (("--switch", 99), "--switch: no branch leaves at event 99"),
         (("--switch", 2, "--branch", 5), "--branch: 5 asked for, 1 found at event 2; give 1 to 1"),
-        (("--switch", 2, "--name", "a/b"), "name: must consist of letters"),
+        (("--switch", 2, "--name", "a/b"), "--name: must consist of letters"),
     ],
 )
 def test_mistakes_in_switching_are_named(second_mode, tmp_path, arguments, message):
@@ -190,5 +190,7 @@ def test_a_family_in_memory_is_that_of_a_folder(tmp_path, monkeypatch):
     )
     away = of.follow_family(branch, settings=FamilySettings(directions="away", points=3))
     assert away.name == "triple-mode-2-2-1" and away.source["event"] == 2 and len(away.points) == 4
-    with pytest.raises(InputError, match="--branch: 5 asked for, 1 found at event 2"):
+    with pytest.raises(InputError, match="^branch: 5 asked for, 1 found at event 2"):
         of.switch_branch(family, 2, 5)
+    with pytest.raises(InputError, match="^event: no branch leaves at event 99"):
+        of.switch_branch(family, 99)

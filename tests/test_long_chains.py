@@ -15,15 +15,16 @@ from orbitfinder.guesses import balance as harmonic_balance
 from orbitfinder.guesses.balance import Series
 from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.integrate import chain as quarter
-from orbitfinder.integrate.chain import Quarter
+from orbitfinder.integrate.chain import ClosedChain
 from orbitfinder.integrate.cvodes import build_flow, transition
+from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.chain_lagrange import chain_lagrange, is_long
-from orbitfinder.mechanics.model import energies
+from orbitfinder.mechanics.model import energies, vector_field
 from orbitfinder.orbits import evidence
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.evidence import gather
@@ -118,9 +119,12 @@ def test_columns_agree_with_the_variational_equations_of_the_flow():
     model = chain(12)
     state = np.random.default_rng(4).normal(0, 0.2, 24)
     end, matrix = transition(build_flow(model), state, 0.5)
-    known = Quarter(model)
-    assert np.abs(known.columns(state, 0.5, 160, np.eye(24)) - matrix).max() <= 1e-9 * np.abs(matrix).max()
-    assert np.abs(known.refined(state, 0.5, 2, 4)[-1] - end).max() <= 1e-11 * np.abs(end).max()
+    known = ClosedChain(model, np.zeros(24, bool))
+    found = known.varied(state[None], uniform(0.25, 1, 160), np.array([2.0]))
+    assert np.abs(found.transitions[0] - matrix).max() <= 1e-9 * np.abs(matrix).max()
+    assert (
+        np.abs(known.refined(state, uniform(0.25, 1, 64), np.array([2.0]))[-1] - end).max() <= 1e-11 * np.abs(end).max()
+    )
 
 
 def test_harmonic_balance_converges_spectrally_to_the_pendulum():
@@ -157,7 +161,7 @@ def test_harmonic_balance_gives_up_on_nonsense():
 def test_a_closed_form_that_is_not_the_chains_is_noticed(twelve, monkeypatch):
     """Weights off by 1e-6 are an error where the multipliers would be wrong; the right ones agree to round-off."""
     chain = build_chain(mode_problem(12, 0.5))
-    assert chain.quarter.disagreement(twelve.samples[:129:32]) <= 1e-11
+    assert chain.march.disagreement(twelve.samples[:129:32]) <= 1e-11
     wrong = replace(chain.closed, weights=chain.closed.weights * (1 + 1e-6))
     monkeypatch.setattr(quarter, "chain_lagrange", lambda model: wrong)
     with pytest.raises(OrbitfinderError, match="closed form of this chain's equations .* please report"):
@@ -166,20 +170,34 @@ def test_a_closed_form_that_is_not_the_chains_is_noticed(twelve, monkeypatch):
 
 def test_halving_stops_where_it_no_longer_helps(monkeypatch):
     """With an agreement that round-off cannot reach, steps are halved until the change is round-off, not for ever."""
-    known = Quarter(chain(12))
-    counts, path = [], Quarter.path
+    known = ClosedChain(chain(12), np.zeros(24, bool))
+    counts, states = [], ClosedChain.states
 
-    def counted(self, state, duration, count, inner=1):
-        counts.append(inner)
-        return path(self, state, duration, count, inner)
+    def counted(self, nodes, mesh, tail):
+        counts.append(mesh.size - 1)
+        return states(self, nodes, mesh, tail)
 
-    monkeypatch.setattr(Quarter, "path", counted)
+    monkeypatch.setattr(ClosedChain, "states", counted)
     monkeypatch.setattr(quarter, "AGREEMENT", 0.0)
-    state = np.concatenate([np.linspace(0.1, 0.5, 12), np.zeros(12)])
-    fine = known.refined(state, 1.0, 1, 2)
-    assert counts[-1] < 2 * 2**MOST_DOUBLINGS
+    state, second = np.concatenate([np.linspace(0.1, 0.5, 12), np.zeros(12)]), (uniform(1.0, 1, 16), np.ones(1))
+    fine = known.refined(state, *second)
+    assert counts[-1] < 16 * 2**MOST_DOUBLINGS
     monkeypatch.undo()
-    assert np.abs(fine[-1] - known.refined(state, 1.0, 1, 2)[-1]).max() <= 1e-10
+    assert np.abs(fine[-1] - known.refined(state, *second)[-1]).max() <= 1e-10
+
+
+def test_the_march_of_a_chain_is_the_ordinary_one_up_to_what_is_held():
+    """Two segments from rest: states, ends and derivatives of one eighth-order march, columns by held rates left 0."""
+    model, held = chain(12), np.arange(24) >= 12
+    nodes = np.random.default_rng(5).normal(0, 0.2, (2, 24)) * ~held
+    place = nodes, uniform(0.25, 2, 32), np.array([1.5])
+    found, wanted = (march.varied(*place, states=True) for march in (
+        ClosedChain(model, held), March(vector_field(model))))  # fmt: skip
+    np.testing.assert_allclose(found.ends, wanted.ends, atol=1e-12)
+    np.testing.assert_allclose(found.states, wanted.states, atol=1e-12)
+    np.testing.assert_allclose(found.columns, wanted.columns, atol=1e-11)
+    np.testing.assert_allclose(found.transitions[:, :, ~held], wanted.transitions[:, :, ~held], atol=1e-9)
+    assert not found.transitions[:, :, held].any() and wanted.transitions[:, :, held].any()
 
 
 # --- against the ordinary search -------------------------------------------------------------------
@@ -316,12 +334,12 @@ def test_shooting_that_stalls_is_an_error():
 
 
 def test_states_that_overflow_are_an_integration_error():
-    known = Quarter(chain(12))
+    known = ClosedChain(chain(12), np.zeros(24, bool))
     wild = np.concatenate([np.zeros(12), np.full(12, 1e200) * np.arange(12)])
     with pytest.raises(IntegrationError, match="the state is not finite"):
-        known.path(wild, 1.0, 1)
+        known.states(wild[None], uniform(1.0, 1, 8), np.ones(1))
     with pytest.raises(IntegrationError, match="the variations are not finite"):
-        known.columns(wild, 1.0, 8, np.eye(24)[:, :2])
+        known.variations(wild, np.full(8, 0.125), np.eye(24)[:, :2])
 
 
 def test_a_falsified_long_orbit_fails_its_certificate(twelve):

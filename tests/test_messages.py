@@ -148,7 +148,7 @@ CSV = {
     "columns": ("0,0.1,0.2\n1,0.1,0.2\n", ["line 1", "3 columns", "5"]),
     "nan": ("0,0.1,0.2,0,0\n1,nan,0,0,0\n", ["finite"]),
     "order": ("0,0.1,0.2,0,0\n0,0.1,0.2,0,0\n", ["increase"]),
-    "short": ("0,0.1,0.2,0,0\n", ["1 rows", "at least 2"]),
+    "short": ("0,0.1,0.2,0,0\n", ["1 row of", "at least 2"]),
     "empty": ("", ["0 rows"]),
 }
 
@@ -289,7 +289,7 @@ def document(pendulum_orbit):
 
 
 EDITS = {
-    "state-short": ({"state": [1.0]}, "1 numbers in state"),
+    "state-short": ({"state": [1.0]}, "1 number in state"),
     "state-long": ({"state": [1.0, 0.0, 0.0, 0.0]}, "4 numbers in state"),
     "state-nested": ({"state": [[1.0, 0.0]]}, "state"),
     "state-text": ({"state": ["a", "b"]}, "malformed"),

@@ -133,7 +133,7 @@ def test_an_atlas_is_a_table_with_moving_orbits(triple, pendulum_orbit, tmp_path
     with Atlas(tmp_path / "one.sqlite", triple.system, write=True) as atlas:
         atlas.add(triple)
         tags = Tags(atlas._repr_html_())
-    assert "Atlas one.sqlite: 1 orbits" in tags.text and "1.655338988" in tags.text
+    assert "Atlas one.sqlite: 1 orbit" in tags.text and "1.655338988" in tags.text
     assert sum(tag == "animate" for tag, _ in tags.found) == 5
 
 

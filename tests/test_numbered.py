@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
-from orbitfinder.atlas.store import Atlas, orbit_of
+from orbitfinder.atlas.store import Atlas, load_orbit
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
@@ -18,9 +18,10 @@ from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import energy
 from orbitfinder.orbits.certify import certify
+from orbitfinder.records import store
 from orbitfinder.records.family import FamilyPoint, load_family, save_family, situated
 from orbitfinder.records.orbit import Orbit, save_orbit, system_at
-from orbitfinder.records.store import kind_of, load_orbit, member
+from orbitfinder.records.store import kind_of, member
 
 RESULTS = Path(__file__).parents[1] / "results"
 FAMILIES = sorted(RESULTS.glob("families/*/family.json"))
@@ -70,6 +71,21 @@ def test_an_atlas_is_asked_for_one_of_its_orbits():
 def test_a_family_is_followed_from_one_of_its_points():
     with pytest.raises(InputError, match=r"origin: a Family; give one of its points, or a branch"):
         of.follow_family(load_family(QUICK[0]))
+
+
+def test_a_family_is_drawn_as_continue_draws_it(tmp_path):
+    """The same figures, by the command and in Python; other verbs say that they want one orbit."""
+    said = run("plot", QUICK[1], ORBIT, "-o", tmp_path).split()
+    drawn = {Path(one).name for one in said if Path(one).parent.name == "triple-mode-1"}
+    assert drawn == {"frequency_energy.png", "multipliers_plane.png", "multipliers.png", "gallery.png"}
+    assert {path.name for path in of.save_figures(load_family(QUICK[1]), tmp_path)} == drawn
+    assert (tmp_path / "gallery.png").read_bytes() == (tmp_path / "triple-mode-1" / "gallery.png").read_bytes()
+    assert f"one orbit of the file: {QUICK[1]}#0" in run("animate", QUICK[1], code=2)
+
+
+def test_a_problem_file_is_no_origin():
+    with pytest.raises(InputError, match=r"origin: a.toml is a problem file; .* load_problem\('a.toml'\)"):
+        of.follow_family("a.toml")
 
 
 @pytest.fixture(scope="module")
@@ -205,11 +221,14 @@ def test_orbits_of_an_atlas_have_numbers(tmp_path):
     """By the id in the database, and by the place in the list of its JSON export."""
     with Atlas(ATLAS) as atlas:
         wanted, documents = atlas.orbit(5), [atlas.document(5), atlas.document(3)]
-    assert orbit_of(f"{ATLAS}#5").record == wanted.record
+    assert load_orbit(f"{ATLAS}#5").record == wanted.record
     (tmp_path / "atlas.json").write_text(json.dumps(documents))
     assert load_orbit(tmp_path / "atlas.json#0").record == wanted.record
-    with pytest.raises(InputError, match=r"open it: Atlas\('.*triple.sqlite'\).orbit\(5\)"):
-        load_orbit(f"{ATLAS}#5")
+    assert of.load_orbit(f"{ATLAS}#5").record == wanted.record
+    with pytest.raises(InputError, match=r"an atlas database; give its orbit: load_orbit\('.*triple.sqlite#5'\)"):
+        store.load_orbit(f"{ATLAS}#5")
+    with pytest.raises(InputError, match=r"give its orbit: load_orbit"):
+        of.follow_family(f"{ATLAS}#5")
 
 
 @pytest.mark.parametrize(
@@ -237,7 +256,7 @@ def test_every_verb_takes_one_orbit_of_a_file(path, tmp_path):
     assert json.loads(run("verify", path, "--json"))["results"][0]["file"] == path
     (table,) = run("export", path, "--to", "csv", "-o", tmp_path).split()
     rows = np.loadtxt(table, delimiter=",", skiprows=1)
-    assert rows[-1, 0] == pytest.approx(orbit_of(path).period) and np.abs(rows[0, 1:] - rows[-1, 1:]).max() < 1e-6
+    assert rows[-1, 0] == pytest.approx(load_orbit(path).period) and np.abs(rows[0, 1:] - rows[-1, 1:]).max() < 1e-6
     assert "time_histories.png" in run("plot", path, "-o", tmp_path / "figures")
     assert "1 orbit, 0 families" in run("page", path, "-o", tmp_path / "site")
     assert "refined" not in run("verify", path, "--proof", code=2) and not list(Path(path).parent.glob("*#*"))

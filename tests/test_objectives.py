@@ -256,7 +256,7 @@ def test_variables_by_name():
     assert set(seen) >= {"theta2", "energy"}
     with pytest.raises(InputError, match="variables: unknown quantity 'theta9', did you mean 'theta"):
         transcribe(of.Problem(DOUBLE, guess, objective=lambda v: v["theta9"]), guess.state[None, :])
-    assert shooting.layout.free == 1
+    assert shooting.guess.free.size == 1
 
 
 BAD = {

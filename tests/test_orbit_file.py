@@ -27,7 +27,7 @@ def awkward_orbit(seed: int = 0) -> Orbit:
         pair_defect=2e-13, stability="elliptic", unfolding=(1e-17, -3e-16), nodes=random.normal(size=(3, 4)),
         times=np.sort(random.normal(size=5)), samples=random.normal(size=(5, 4)), tolerance=1e-12,
         expected={"period": (1.7, 1e-9)}, provenance={"wall_time": 0.1},
-        certificate=Certificate((Check("closure", 1e-17, 1e-12, True, "a note"),), 1.5),
+        certificate=Certificate((Check("closure", 1e-17, 1e-12, True, "a note"),), 1.5, 3e-17),
         title="Ungewöhnlich", source="test",
     )  # fmt: skip
 
@@ -53,6 +53,17 @@ def test_every_number_survives_the_file(tmp_path):
         if field.name != "record":
             assert same(getattr(again, field.name), getattr(orbit, field.name)), field.name
     assert again.record == digest(orbit_to_document(orbit))
+
+
+def test_a_certificate_keeps_its_closure(written):
+    """As it was certified; of a file of 0.1, which wrote it beside the certificate only, from there."""
+    document = json.loads(written.read_text())
+    for entry in ({}, {"closure": 2e-15}, {"closure": None}):
+        about = {key: value for key, value in document["certificate"].items() if key != "closure"} | entry
+        written.write_text(json.dumps(document | {"certificate": about}))
+        found = load_orbit(written).certificate
+        wanted = {0: document["closure"], 2e-15: 2e-15, None: np.nan}[entry.get("closure", 0)]
+        assert np.array_equal(found.closure, wanted, equal_nan=True) and found.passed
 
 
 def test_a_second_round_trip_writes_the_same_bytes(written, tmp_path):

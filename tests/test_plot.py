@@ -1,6 +1,7 @@
 """Figures of an orbit: what they show, that they are whole, that odd input does not break them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
 from orbitfinder.show.style import line_style
 from orbitfinder.show.svg import COLOURS
 
+RESULTS = Path(__file__).parents[1] / "results"
 NAMES = {"time_histories.png", "phase_portraits.png", "swept_configuration.png", "energy_error.png"}
 
 
@@ -110,6 +113,22 @@ def test_orbit_without_samples_says_so(orbit):
     bare = replace(orbit, times=np.zeros(0), samples=np.zeros((0, 4)))
     with pytest.raises(InputError, match=r"orbit\.npz"):
         plot.time_histories(bare, build_model(orbit.system))
+
+
+def test_no_event_hides_another_at_its_place():
+    """Where a branch point changes the stability, the diamond is behind it and larger; nothing larger lies above."""
+    family = load_family(RESULTS / "families" / "triple-mode-2" / "family.json")
+    (axes,) = plot.frequency_energy([family]).axes
+    marks = [line for line in axes.lines if line.get_linestyle() == "None"]
+    places = np.array([np.concatenate(line.get_data()) for line in marks])
+    together = [
+        (marks[i], marks[j]) for i in range(len(marks)) for j in range(i)
+        if {marks[i].get_marker(), marks[j].get_marker()} == set("Do") and np.allclose(places[i], places[j], rtol=1e-9)
+    ]  # fmt: skip
+    assert len(together) == 3
+    for pair in together:
+        above, below = sorted(pair, key=lambda one: -one.get_zorder())
+        assert above.get_marker() == "o" and above.get_markersize() < 0.7 * below.get_markersize()
 
 
 def test_curves_can_be_told_apart():

@@ -47,7 +47,7 @@ def test_the_count_is_the_size_of_the_program(symmetry):
     shooting = transcribe(one, np.tile(one.guess.state, (3, 1)))
     count = one.count(3)
     assert shooting.constraints.numel() == sum(count.equations.values())
-    assert shooting.layout.total == sum(count.unknowns.values())
+    assert shooting.start.size == sum(count.unknowns.values())
 
 
 def test_without_gravity_the_angular_momentum_is_unfolded_too():

@@ -12,7 +12,6 @@ from orbitfinder.guesses.modes import normal_mode, normal_modes
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy
 from orbitfinder.problemfile.read import load_problem, load_problem_file
-from orbitfinder.problemfile.reference import schema_markdown
 from orbitfinder.problemfile.write import TEMPLATE
 
 ROOT = Path(__file__).parents[1]
@@ -172,18 +171,9 @@ def test_template_is_a_valid_problem(tmp_path):
 
 
 def test_reference_is_up_to_date():
-    """docs/problem-file.md is what the schema says, through the documented command."""
+    """docs/problem-file.md is what the schema says, through the documented command; no row lacks its meaning."""
     made = subprocess.run(
-        [sys.executable, "-m", "orbitfinder.problemfile.reference"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=ROOT,
+        [sys.executable, "docs/problem_file.py"], capture_output=True, text=True, check=True, cwd=ROOT
     )
-    assert made.stdout == schema_markdown()
     assert (ROOT / "docs" / "problem-file.md").read_text(encoding="utf-8") == made.stdout
-
-
-def test_every_key_is_described():
-    """No row of the reference lacks its meaning."""
-    assert "|  |" not in schema_markdown()
+    assert "|  |" not in made.stdout

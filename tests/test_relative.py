@@ -379,7 +379,9 @@ def test_a_turning_eight_in_cartesian_coordinates(eight):
     plain = of.FamilySettings(events=False)
     found = of.follow_family(eight, parameter="momentum_phi", until=0.1, points=30, settings=plain)
     turning = found.points[-1]
-    assert turning.value == 0.1 and turning.shift["phi"] == pytest.approx(-1.594135791448, rel=1e-9)
+    assert turning.value == pytest.approx(0.1, rel=1e-14) and turning.shift["phi"] == pytest.approx(
+        -1.594135791448, rel=1e-9
+    )
     assert of.certify(turning).passed
     places, rates = _places(turning.state)
     start = np.concatenate([places.ravel(), rates.ravel()])

@@ -181,7 +181,7 @@ def test_durations(text, value):
 
 def test_progress_in_words():
     """A line and a table say starts, hits, new, known, failures, rate and time left."""
-    tally = Statistics(done=10, hits=6, new=4, duplicates=2, orbits=9, begun_at=5)
+    tally = Statistics(done=10, hits=6, new=4, duplicates=2, orbits=9, begun_at=5, before=5)
     tally.failures["iteration limit"] = 4
     tally.began = time.monotonic() - 2.0
     limits = Limits(starts=35, budget=60.0)

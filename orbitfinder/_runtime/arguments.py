@@ -124,7 +124,7 @@ def _expected(part: str) -> str:
         return f"names with {_expected(found[1])} each, {{name: ...}}"
     if found := SEQUENCE.fullmatch(part):
         return f"a list, each {_expected(found[1])}"
-    return f"{'an' if part[0] in 'AIO' else 'a'} {part}"
+    return f"{'an' if re.match(r'[AEIO]|U(?!ni|se|til)', part) else 'a'} {part}"
 
 
 def shown(value: Any) -> str:

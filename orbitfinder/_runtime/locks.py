@@ -58,7 +58,9 @@ def alone_in(folder: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder / LOCK) as alone:
         if not alone:
-            raise InputError(f"{folder}: another process is writing there; wait for it to end, or give another --out")
+            raise InputError(
+                f"{folder}: another process is writing there; wait for it to end, or choose another folder"
+            )
         yield
 
 

@@ -53,7 +53,7 @@ def as_parquet(names: list[str], rows: list[dict[str, Any]]) -> bytes:
         import pyarrow  # noqa: PLC0415  an extra
         from pyarrow import parquet  # noqa: PLC0415  an extra
     except ImportError as error:
-        raise InputError("--to: parquet needs pyarrow; pip install 'orbitfinder[parquet]', or use csv") from error
+        raise InputError("kind: parquet needs pyarrow; pip install 'orbitfinder[parquet]', or use csv") from error
     columns = {name: [row[name] for row in rows] for name in names}
     sink = io.BytesIO()
     parquet.write_table(pyarrow.table(columns), sink)

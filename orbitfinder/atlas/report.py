@@ -19,6 +19,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.starts import STRATEGIES
 from orbitfinder.atlas.store import RESTORE, Atlas
+from orbitfinder.errors import plural
 from orbitfinder.records.reading import json_document, read_as
 
 
@@ -197,7 +198,8 @@ def remarks(strata: Sequence[Stratum], stalled: int) -> tuple[str, ...]:
     """The estimate and what it does not cover, a sentence each."""
     least, error = total(strata)
     doubt = f" +- {error:.0f}" if error >= 0.5 else ""
-    found = [f"at least about {least:.0f}{doubt} orbits in all (Chao1 by energy and symmetry, a lower bound)"]
+    told = plural(round(least), "orbit") if not doubt else f"{least:.0f}{doubt} orbits"
+    found = [f"at least about {told} in all (Chao1 by energy and symmetry, a lower bound)"]
     if stalled:
         found.append(f"starts that stalled near degenerate orbits: {stalled}; what lies there may be missing")
     if once := sum(one.once for one in strata):
@@ -209,7 +211,7 @@ def remarks(strata: Sequence[Stratum], stalled: int) -> tuple[str, ...]:
 def unseen(one: Stratum) -> str:
     """What may be missing in a stratum."""
     kind = "without symmetry" if one.symmetry == "none" else f"of symmetry {one.symmetry}"
-    sought = f"orbits {kind} at {one.energy:g} J were sought by {one.starts} starts"
+    sought = f"orbits {kind} at {one.energy:g} J were sought by {plural(one.starts, 'start')}"
     if one.starts < 6:
         return f"{sought}: too few to say how many there are"
     return f"{sought} only: what fewer than 1 in {one.starts // 3} of these would meet may be missing"

@@ -8,10 +8,12 @@ all starts, from which a search that was killed goes on.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import time
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -22,10 +24,11 @@ from orbitfinder._runtime import limit
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.attempt import CONTINUATION, Attempt
 from orbitfinder.atlas.report import Summary, summarise
+from orbitfinder.atlas.shard import WHOLE, Shard, shard_from
 from orbitfinder.atlas.starts import METHOD, Context, Target, context_of, strategy_of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.atlas.tables import explained, transaction
-from orbitfinder.atlas.workers import Cluster, Inline, Job, Local, Request, Workers
+from orbitfinder.atlas.workers import Cluster, Inline, Job, Local, Pool, Request, Workers
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
@@ -43,10 +46,14 @@ LARGEST_SEED = 2**63 - 1
 
 @dataclass(frozen=True)
 class Limits:
-    """When a search ends: at this many starts in all, after this many seconds of now, or at either."""
+    """When a search ends: at this many starts in all, after this many seconds of now, or at either.
+
+    Of the starts, `shard` are those that are made here.
+    """
 
     starts: int | None = None
     budget: float | None = None
+    shard: Shard | None = None
 
 
 @dataclass
@@ -62,6 +69,8 @@ class Statistics:
     began: float = field(default_factory=time.monotonic)
     begun_at: int = 0
     """number of the first start of this run"""
+    before: int = 0
+    """how many starts were in the atlas before it"""
     ended: float | None = None
 
     @property
@@ -73,14 +82,16 @@ class Statistics:
         """Seconds that are left, as far as one can tell."""
         found = [] if limits.budget is None else [max(0.0, limits.budget - self.elapsed)]
         if limits.starts is not None and self.done:
-            found.append(max(0, limits.starts - self.begun_at - self.done) * self.elapsed / self.done)
+            made = self.before + self.done
+            found.append(max(0, (limits.shard or WHOLE).count(limits.starts) - made) * self.elapsed / self.done)
         return min(found) if found else None
 
 
-def register(atlas: Atlas, request: Request, context: Context) -> tuple[int, int]:
-    """The id of this search in its atlas and the number of its next start.
+def register(atlas: Atlas, request: Request, context: Context, alone: bool = False) -> int:
+    """The id of this search in its atlas.
 
-    A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it.
+    A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it. One that is
+    `alone` continues from no orbits of other energies: what other shards know of those is unknown here.
     """
     names = context.model.state_names[: context.model.degrees_of_freedom]
     mirrored = {"mirrors": [mirror.moves(names) for mirror in context.mirrors]} if context.mirrors else {}
@@ -89,14 +100,26 @@ def register(atlas: Atlas, request: Request, context: Context) -> tuple[int, int
     with explained(atlas.path), transaction(atlas.connection):
         atlas.connection.execute(
             "INSERT OR IGNORE INTO searches (energy, shortest, longest, seed, method, sources) "
-            "SELECT ?, ?, ?, ?, ?, coalesce(max(id), 0) FROM orbits",
-            key,
+            "SELECT ?, ?, ?, ?, ?, coalesce(max(id), 0) * ? FROM orbits",
+            [*key, 0 if alone else 1],
         )
-        search = atlas.connection.execute(
+        found = atlas.connection.execute(
             "SELECT id FROM searches WHERE energy = ? AND shortest = ? AND longest = ? AND seed = ? AND method = ?", key
-        ).fetchone()[0]
-        after = atlas.connection.execute("SELECT max(number) FROM starts WHERE search = ?", [search]).fetchone()[0]
-    return int(search), 0 if after is None else int(after) + 1
+        )
+        return int(found.fetchone()[0])
+
+
+def unmade(atlas: Atlas, search: int, shard: Shard) -> Iterator[int]:
+    """The numbers of a shard's starts that are not in the atlas yet, without end; merged shards may leave gaps."""
+    mine = "FROM starts WHERE search = ? AND number % ? = ?"
+    values = [search, shard.parts, shard.first]
+    ((made, last),) = atlas.select([int, int], f"SELECT count(*), coalesce(max(number), -1) {mine}", values)
+    gaps = range(shard.first, last, shard.parts)
+    if made > len(gaps):
+        gaps = range(0)
+    known = {number for (number,) in atlas.select([int], f"SELECT number {mine}", values)} if gaps else set()
+    ahead = shard.first if last < 0 else last + shard.parts
+    return itertools.chain((number for number in gaps if number not in known), itertools.count(ahead, shard.parts))
 
 
 def sources(atlas: Atlas, search: int) -> list[int]:
@@ -119,12 +142,15 @@ class Search:
         progress: Callable[[Statistics], None] | None = None,
     ) -> None:  # fmt: skip
         self._atlas, self._context, self._limits, self._progress = atlas, context, limits, progress
-        self.id, self._head = register(atlas, request, context)
+        self.id = register(atlas, request, context, limits.shard is not None)
         self._sources = sources(atlas, self.id)
-        self._issued = self._head
+        self._numbers = unmade(atlas, self.id, limits.shard or WHOLE)
+        self._next = next(self._numbers)
+        self._unjudged: deque[int] = deque()
         self._under_way = 0
         self._answers: dict[int, Attempt] = {}
-        self.statistics = Statistics(orbits=len(atlas), begun_at=self._head)
+        made = atlas.select([int], "SELECT count(*) FROM starts WHERE search = ?", [self.id])[0][0]
+        self.statistics = Statistics(orbits=len(atlas), begun_at=self._next, before=made)
 
     def run(self, workers: Workers) -> Statistics:
         """Hand out, judge and write until a limit is reached; starts under way are waited for."""
@@ -135,23 +161,26 @@ class Search:
             for job, attempt in workers.results(PATIENCE):
                 self._under_way -= 1
                 self._answers[job.number] = attempt
-            while self._head in self._answers and self._judged(workers, self._answers.pop(self._head)):
-                self._head += 1
+            while self._unjudged and self._unjudged[0] in self._answers:
+                if not self._judged(workers, self._answers.pop(self._unjudged[0])):
+                    break
+                self._unjudged.popleft()
         self.statistics.ended = time.monotonic()
         return self.statistics
 
     def _wanted(self) -> bool:
         """True while more starts are to be handed out."""
         late = self._limits.budget is not None and self.statistics.elapsed >= self._limits.budget
-        return not late and (self._limits.starts is None or self._issued < self._limits.starts)
+        return not late and (self._limits.starts is None or self._next < self._limits.starts)
 
     def _hand_out(self, workers: Workers) -> bool:
         """Give starts to idle workers; True while more are wanted."""
         while self._wanted():
-            if not (workers.room > 0 and self._issued < self._head + AHEAD * (self._under_way + workers.room)):
+            if not (workers.room > 0 and len(self._unjudged) < AHEAD * (self._under_way + workers.room)):
                 return True
-            self._submit(workers, self._job(self._issued))
-            self._issued += 1
+            self._submit(workers, self._job(self._next))
+            self._unjudged.append(self._next)
+            self._next = next(self._numbers)
         return False
 
     def _submit(self, workers: Workers, job: Job) -> None:
@@ -240,6 +269,8 @@ def search(
     seed: int = 0,
     workers: int = 2,
     scheduler: str | None = None,
+    executor: Executor | None = None,
+    shard: str | tuple[int, int] | None = None,
     folder: str | Path | None = None,
     progress: Callable[[float, Statistics], None] | None = None,
 ) -> Found:
@@ -247,14 +278,18 @@ def search(
 
     `energies` in J, `periods` the range of minimal periods in s. Ends at `starts` starts for each energy
     or after `budget` seconds (60 when neither is given), shared among the energies. The result depends on the
-    seed, not on the workers: 0 is this process, n are n spawned ones, `scheduler` the address of a Dask cluster.
+    seed, not on the workers: 0 is this process, n are n spawned ones, `scheduler` the address of a Dask cluster,
+    `executor` any executor of concurrent.futures. `shard` (k, n), or "k/n", makes every n-th start only, from the k-th,
+    each shard in an atlas of its own for `merge_atlases`; "auto" takes k and n from the Slurm array that runs it.
     A search that was stopped, however, goes on when the same is asked again. `folder`: see `Request`.
     Raises `InputError`.
     """
+    part = shard_from(shard)
     shells = tuple(float(one) for one in (energies if isinstance(energies, Sequence) else [energies]))
     check_request(shells, starts, budget, seed, workers)
+    shells = shells if part is None else tuple(sorted(shells))  # as `merge_atlases` orders them
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
-    limits = Limits(starts, None if budget is None else budget / len(shells))
+    limits = Limits(starts, None if budget is None else budget / len(shells), part)
     tallies, ids = [], []
     with Atlas(atlas, write=True, model=model) as book:
         for energy in shells:
@@ -262,17 +297,23 @@ def search(
             request = Request(dict(model.system), target, int(seed), None if folder is None else str(folder))
             context = context_of(model, target)
             run = Search(book, request, context, limits, None if progress is None else partial(progress, energy))
-            with contextlib.closing(employed(context, request, workers, scheduler)) as crew:
+            with contextlib.closing(employed(context, request, workers, scheduler, executor)) as crew:
                 tallies.append((energy, run.run(crew)))
             ids.append(run.id)
         return Found(Path(atlas), tuple(tallies), summarise(book, ids))
 
 
-def employed(context: Context, request: Request, workers: int, scheduler: str | None) -> Workers:
+def employed(
+    context: Context, request: Request, workers: int, scheduler: str | None, executor: Executor | None = None
+) -> Workers:
     """Whoever is to do the starts."""
-    if scheduler is None and workers == 0:
+    if scheduler is not None and executor is not None:
+        raise InputError("executor: goes without scheduler; give one of the two")
+    if scheduler is None and executor is None and workers == 0:
         return Inline(context, request)
     rebuildable(context.model, request)
+    if executor is not None:
+        return Pool(request, executor, workers)
     return Local(request, workers) if scheduler is None else Cluster(request, scheduler)
 
 

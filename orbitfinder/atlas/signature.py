@@ -64,9 +64,9 @@ def quantised(value: float) -> int:
     return int(np.floor(np.arcsinh(value) / BIN))
 
 
-def neighbours(one: Signature) -> tuple[list[int], list[int]]:
-    """The bins of period and of action in which an orbit that agrees with this one can be."""
-    period, action = one.bins
+def neighbours(bins: tuple[int, int]) -> tuple[list[int], list[int]]:
+    """The bins of period and of action in which an orbit that agrees with one of these bins can be."""
+    period, action = bins
     return [period - 1, period, period + 1], [action - 1, action, action + 1]
 
 

@@ -21,9 +21,10 @@ from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
+from orbitfinder.records import store
 from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document
 from orbitfinder.records.reading import LARGEST_INTEGER, inflated, json_document, read_as
-from orbitfinder.records.store import kind_of, load_orbit, member
+from orbitfinder.records.store import kind_of, member
 
 RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 4096
@@ -232,12 +233,16 @@ class Atlas:
 
     def look_up(self, signature: Signature) -> int | None:
         """The id of the orbit that a signature belongs to, None when it is new."""
-        periods, actions = neighbours(signature)
+        return next((one for one in self.near(signature.bins) if same_orbit(self.signature(one), signature)), None)
+
+    def near(self, bins: tuple[int, int]) -> list[int]:
+        """The ids of the orbits in and next to bins of period and action."""
+        periods, actions = neighbours(bins)
         found = self.select(
             [int], "SELECT id FROM orbits WHERE period_bin IN (?, ?, ?) AND action_bin IN (?, ?, ?) ORDER BY id",
             [*periods, *actions],
         )  # fmt: skip
-        return next((one for (one,) in found if same_orbit(self.signature(one), signature)), None)
+        return [one for (one,) in found]
 
     def signature(self, number: int) -> Signature:
         """The signature of a stored orbit, its loop integrated again unless it is still in memory."""
@@ -278,11 +283,14 @@ class Atlas:
         return number, known is None
 
 
-def orbit_of(path: str | Path) -> Orbit:
-    """The orbit of an orbit.json, or of FILE#K: point K of a family.json, orbit K of an atlas, by its id."""
+def load_orbit(path: str | Path) -> Orbit:
+    """Read an orbit.json (and orbit.npz if it is there), or FILE#K: point K of a family.json or orbit K of an atlas
+    export, counted from 0 as in the file's list, or orbit K of an atlas, by its id. A point of a family is an Orbit
+    too. Raises `InputError`.
+    """
     file, number = member(path)
     if number is None or kind_of(file) != "atlas":
-        return load_orbit(path)
+        return store.load_orbit(path)
     with Atlas(file) as atlas:
         return atlas.orbit(number)
 

@@ -1,4 +1,5 @@
-"""Who does the starts: this process, spawned ones that talk over pipes and may die one at a time, or a Dask cluster.
+"""Who does the starts: this process, spawned ones that talk over pipes and may die one at a time, any executor of
+concurrent.futures, or a Dask cluster.
 
 Dask's scheduler gives the starts of a lost worker to another one; the number of starts under way is
 bounded by the number of threads, so neither side's memory grows with the search.
@@ -15,6 +16,7 @@ import threading
 import time
 import uuid
 from collections.abc import Mapping
+from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from multiprocessing.connection import Connection, wait
@@ -232,7 +234,7 @@ class Local(Workers):
         if self._false_starts > MOST_FALSE_STARTS:
             raise OrbitfinderError(
                 "search: worker processes die before they begin; a script must call search below "
-                "if __name__ == '__main__', and --workers 0 searches without other processes"
+                "if __name__ == '__main__', and workers = 0 searches without other processes"
             )
         self._workers[k] = self._started()
         job = worker.job
@@ -260,25 +262,100 @@ def serve(pipe: Connection, text: str, seed: int) -> None:
 
 
 def remote(text: str, seed: int, job: Job, known: np.ndarray) -> Attempt:
-    """What a Dask worker runs. CasADi is not safe in threads, so a process does one start at a time."""
+    """What a worker elsewhere runs. CasADi is not safe in threads, so a process does one start at a time."""
     with _one_at_a_time:
         return perform(prepared(text), seed, job, known)
 
 
-class Cluster(Workers):
+class Futures(Workers):
+    """Starts by what answers in futures: those under way, and what has ended in the order of that."""
+
+    name: str
+    remedy: str
+    """what to do about workers that cannot work"""
+    lost: tuple[type[BaseException], ...] = ()
+    """what a future raises whose start has killed its worker"""
+
+    def __init__(self, request: Request) -> None:
+        super().__init__(request)
+        self._under_way: dict[Any, Job] = {}
+        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    @abc.abstractmethod
+    def begun(self, *arguments: Any) -> Any:
+        """The future of `remote` with these arguments."""
+
+    def submit(self, job: Job) -> None:
+        """Give a start away."""
+        known = np.reshape(self._known, (-1, 3))
+        future = self.begun(self._request.text(), self._request.seed, job, known)
+        self._under_way[future] = job
+        future.add_done_callback(self._ended.put)
+
+    def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
+        """Attempts that have come in."""
+        try:
+            future = self._ended.get(timeout=timeout)
+        except queue.Empty:
+            self.room  # noqa: B018  notices when no worker is left
+            return []
+        job = self._under_way.pop(future)
+        try:
+            return [(job, future.result(timeout=CONNECTING))]
+        except self.lost:
+            return [(job, Attempt(job.number, "", reason=DIED))]
+        except Exception as error:  # whatever a worker can raise: it lacks the package, or has another one
+            raise OrbitfinderError(
+                f"search: a worker of the {self.name} failed with {type(error).__name__}: {error}; {self.remedy}, "
+                "and give the same command again"
+            ) from error
+
+
+class Pool(Futures):
+    """The workers of an executor of concurrent.futures, or of what behaves like one (loky, MPI, ipyparallel)."""
+
+    name, remedy = "executor", "make it anew, with the same orbitfinder and system there"
+
+    def __init__(self, request: Request, executor: Executor, workers: int) -> None:
+        super().__init__(request)
+        if not callable(getattr(executor, "submit", None)):
+            raise InputError(f"executor: {type(executor).__name__} has no submit(); give one of concurrent.futures")
+        self._executor = executor
+        self._places = EACH * max(1, int(getattr(executor, "_max_workers", 0) or workers))
+
+    @property
+    def room(self) -> int:
+        """Starts that may wait at the executor."""
+        return self._places - len(self._under_way)
+
+    def begun(self, *arguments: Any) -> Any:
+        """Raises `OrbitfinderError` when the executor takes nothing any more."""
+        try:
+            return self._executor.submit(remote, *arguments)
+        except (BrokenExecutor, RuntimeError) as error:
+            raise OrbitfinderError(f"search: the executor takes no more starts ({error}); {self.remedy}") from error
+
+    def close(self) -> None:
+        """Take back what has not been begun; the executor is its owner's."""
+        for future in self._under_way:
+            future.cancel()
+
+
+class Cluster(Futures):
     """The workers behind a Dask scheduler."""
+
+    name, remedy = "cluster", "install the same orbitfinder there"
 
     def __init__(self, request: Request, address: str, waiting: float = WAITING) -> None:
         super().__init__(request)
         self._distributed, self._waiting = _distributed(), waiting
-        self._under_way: dict[Any, Job] = {}
-        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.lost = (self._distributed.KilledWorker,)
         self._names = (f"orbitfinder-{uuid.uuid4()}-{k}" for k in itertools.count())
         try:
             self._client = self._distributed.Client(address, timeout=CONNECTING, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(
-                f"--scheduler: no Dask scheduler answers at {address!r} ({error}); give its address, such as "
+                f"scheduler: no Dask scheduler answers at {address!r} ({error}); give its address, such as "
                 "tcp://host:8786"
             ) from error
         self._threads, self._looked, self._alone_since = 0, 0.0, time.monotonic()
@@ -298,32 +375,9 @@ class Cluster(Workers):
                 )
         return EACH * self._threads - len(self._under_way)
 
-    def submit(self, job: Job) -> None:
-        """Give a start to the scheduler."""
-        future = self._client.submit(
-            remote, self._request.text(), self._request.seed, job, np.reshape(self._known, (-1, 3)),
-            key=next(self._names), pure=False,
-        )  # fmt: skip
-        self._under_way[future] = job
-        future.add_done_callback(self._ended.put)
-
-    def results(self, timeout: float) -> list[tuple[Job, Attempt]]:
-        """Attempts that have come in."""
-        try:
-            future = self._ended.get(timeout=timeout)
-        except queue.Empty:
-            self.room  # noqa: B018  notices when no worker is left
-            return []
-        job = self._under_way.pop(future)
-        try:
-            return [(job, future.result(timeout=CONNECTING))]
-        except self._distributed.KilledWorker:
-            return [(job, Attempt(job.number, "", reason=DIED))]
-        except Exception as error:  # whatever a worker can raise: it lacks the package, or has another one
-            raise OrbitfinderError(
-                f"search: a worker of the cluster failed with {type(error).__name__}: {error}; install the same "
-                "orbitfinder there, and give the same command again"
-            ) from error
+    def begun(self, *arguments: Any) -> Any:
+        """A start at the scheduler's."""
+        return self._client.submit(remote, *arguments, key=next(self._names), pure=False)
 
     def close(self) -> None:
         """Take back what has not been done; the cluster stays up for others."""
@@ -336,6 +390,6 @@ def _distributed() -> Any:
         import distributed  # noqa: PLC0415  an extra
     except ImportError as error:
         raise InputError(
-            "--scheduler: needs Dask; pip install 'orbitfinder[cluster]', or use --workers for this machine"
+            "scheduler: needs Dask; pip install 'orbitfinder[cluster]', or use workers on this machine"
         ) from error
     return distributed

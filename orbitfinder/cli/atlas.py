@@ -11,7 +11,7 @@ import click
 
 from orbitfinder.cli.options import FILES, finish, json_option, out_option, print_json, text, trust_option, wants_json
 from orbitfinder.cli.search import print_summary
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.store import Filter
@@ -57,7 +57,7 @@ def chosen(options: dict[str, Any]) -> Filter:
 
 @click.group(name="atlas")
 def atlas() -> None:
-    """Look into an atlas of orbits: list, show, report, export, plot.
+    """Look into an atlas of orbits: list, show, report, export, plot; merge several.
 
     \b
     Example:
@@ -91,7 +91,7 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
             f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f} {row.action:>13.6f}  {row.symmetry:<18}"
             f"{row.stability:<11}{row.instability:>12.4g} {row.closure:>9.1e}"
         )
-    text(f"{len(rows)} orbits")
+    text(plural(len(rows), "orbit"))
     finish("atlas-list", {"orbits": [vars(row) for row in rows]})
 
 
@@ -142,7 +142,7 @@ def report(book: Path) -> None:
 
     with Atlas(book) as opened:
         summary = summarise(opened)
-    text(f"{book}: {summary.orbits} distinct certified orbits of {summary.starts} starts")
+    text(f"{book}: {plural(summary.orbits, 'distinct certified orbit')} of {plural(summary.starts, 'start')}")
     print_summary(summary)
     finish("atlas-report", summary.document())
 
@@ -204,3 +204,29 @@ def plot(book: Path, out: Path, **options: Any) -> None:
         written = save_atlas_figures(opened, out, chosen(options))
     for path in written:
         click.echo(str(path))
+
+
+@atlas.command()
+@click.argument("books", type=FILES, nargs=-1, required=True, metavar="FILE.sqlite...")
+@click.option("--atlas", "out", required=True, type=FILES, metavar="OUT.sqlite", help="Where all of them go.")
+@click.option("--union", is_flag=True, help="Also of searches that have nothing in common but the system.")
+@trust_option(TRUST)
+@json_option
+def merge(books: tuple[Path, ...], out: Path, union: bool, trust: bool) -> None:
+    """Put several atlases of one system, such as the shards of a search, into one.
+
+    OUT keeps what it held before. The order of the atlases does not matter, nor how often one is merged; what
+    comes out is what one search would have made.
+
+    \b
+    Example:
+      orbitfinder atlas merge triple-*.sqlite --atlas triple.sqlite
+    """
+    from orbitfinder.atlas.merge import merge_atlases
+
+    merged = merge_atlases(list(books), out, union=union, trusted=books[0].parent if trust else None)
+    text(f"{out}: {merged.orbits} distinct certified orbits of {merged.starts} starts")
+    for one in merged.searches:
+        lost = f", {one.missing} between them are missing (the same search makes them)" if one.missing else ""
+        text(f"  {one.energy:g} J, seed {one.seed}: {one.starts} starts{lost}")
+    finish("atlas-merge", merged.document())

@@ -21,7 +21,7 @@ from orbitfinder.cli.options import (
     text,
     trust_option,
 )
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.families.branches import Branch
@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 @click.command(name="continue")
 @click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
-@click.option("--parameter", default="energy", show_default=True, help="energy, period or a physical parameter.")
+@click.option(
+    "--parameter", default=None, help="energy, period or a physical parameter.  [default: energy, or a branch's own]"
+)
 @click.option("--until", type=FINITE, default=None, help="Stop when the parameter reaches this value.")
 @click.option("--at", default="", metavar="V,V,...", help="Compute points exactly at these values of the parameter.")
 @click.option("--points", default=300, show_default=True, type=click.IntRange(1, 1_000_000), help="Points each way.")
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
     "--direction", type=click.Choice(("both", "forward", "backward", "away")), default=None,
     help="Both ways, the parameter growing or falling, or away from a branch's birth.  [default: both, or away]",
 )  # fmt: skip
-@click.option("--switch", type=click.IntRange(0), metavar="EVENT", help="Switch at the event with this index.")
+@click.option("--switch", "event", type=click.IntRange(0), metavar="EVENT", help="Switch at the event with this index.")
 @click.option("--branch", type=click.IntRange(1), default=1, show_default=True, help="Which of the branches there.")
 @click.option(
     "--resolve", type=click.FloatRange(1e-6, 0.15), default=None, metavar="ARCLENGTH",
@@ -55,7 +57,7 @@ if TYPE_CHECKING:
 @compile_option
 @trust_option("Execute Python problem files and modules; only what you have read.")
 @json_option
-def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **chosen: Any) -> None:
+def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
@@ -70,16 +72,17 @@ def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **cho
     """
     from orbitfinder.cli.console import display
     from orbitfinder.cli.jobs import check_writable
-    from orbitfinder.families.folder import follow_family
+    from orbitfinder.families.folder import follow_family, parameter_of
     from orbitfinder.families.point import FamilySettings
     from orbitfinder.problemfile.read import checked_name
-    from orbitfinder.show.plot import save_family_figures
+    from orbitfinder.show.plot import save_figures
 
     values = numbers(at)
-    directions = chosen["direction"] or ("both" if chosen["switch"] is None else "away")
+    directions = chosen["direction"] or ("both" if chosen["event"] is None else "away")
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     settings = FamilySettings(directions=directions, points=points, **narrowest)
-    origin, model = origin_of(file, chosen["trust"], chosen["switch"], chosen["branch"])
+    origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
+    parameter = parameter or parameter_of(origin)
     name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
     check_writable(out / name)
     with display() as shown:
@@ -88,12 +91,12 @@ def continue_(file: Path, parameter: str, at: str, points: int, out: Path, **cho
             progress=_reporter(shown.say, parameter),
         )  # fmt: skip
     folder, figures = out / family.name, chosen["figures"]
-    written = save_family_figures(family, folder, model_in(origin, model, family)) if figures else []
+    written = save_figures(family, folder, model_in(origin, model, family)) if figures else []
     text(f"{folder / 'family.json'}: {family.counts}")
     for end in family.ends:
         text(f"  ended: {end.kind} ({end.reason})")
     if written:
-        text(f"  and {len(written)} figures")
+        text(f"  and {plural(len(written), 'figure')}")
     finish("continue", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
 
 
@@ -125,16 +128,15 @@ def numbers(text: str) -> tuple[float, ...]:
 
 def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
     """The Orbit of an orbit.json or FILE#K, the Branch of a family.json, or the Problem of a file, with its model."""
-    from orbitfinder.cli.jobs import named_orbits
+    from orbitfinder.cli.jobs import named_orbits, whole_family
     from orbitfinder.problemfile.read import load_problem
-    from orbitfinder.records.store import kind_of, member
+    from orbitfinder.records.store import member
 
-    single = member(file)[1] is not None
-    if file.suffix != ".json" and not single:
+    if file.suffix != ".json" and member(file)[1] is None:
         if switch is not None:
             raise InputError("--switch: goes with a family.json; continue the problem first, then switch there")
         return load_problem(file, trust), None
-    if not single and kind_of(file) == "family":
+    if whole_family(file):
         return _branch_of(file, trust, switch, branch), None
     if switch is not None:
         raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
@@ -177,8 +179,8 @@ def _reporter(say: Callable[[str], None], parameter: str) -> Callable[[Batch], N
         if batch.points and seen[0] % 10 < len(batch.points):
             point = batch.points[-1]
             say(
-                f"{seen[0]} points, {parameter} {point.value:.6g}, period {point.period:.6g} s, step {point.step:.2g}, "
-                f"{point.stability}, {time.monotonic() - began:.1f} s elapsed"
+                f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, period {point.period:.6g} s, "
+                f"step {point.step:.2g}, {point.stability}, {time.monotonic() - began:.1f} s elapsed"
             )
         if batch.end:
             say(f"end: {batch.end.reason}")

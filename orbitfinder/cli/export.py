@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from orbitfinder.cli.options import FILES, SYSTEM_TRUST, orbit_files, out_option, trust_option
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 
 
 @click.command()
@@ -44,27 +44,29 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 
 
 @click.command()
-@orbit_files
+@click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FAMILY.json|FILE#K...")
 @out_option("Folder for the figures; default: beside each file.")
 @trust_option(SYSTEM_TRUST)
 def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
-    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
+    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas. Of a whole FAMILY.json the figures
+    are those that `continue` draws: frequency and energy, multipliers, a gallery of its orbits.
 
     \b
-    Example:
+    Examples:
       orbitfinder plot orbits/triple-1/orbit.json -o figures
+      orbitfinder plot families/triple-mode-2/family.json
     """
     from orbitfinder.cli.jobs import check_writable, named_orbits
     from orbitfinder.show.plot import save_figures
 
-    orbits = named_orbits(files, trust)
-    for file, orbit, model in orbits:
-        beside = file.parent if file.exists() else file.parent / orbit.name
-        folder = beside if out is None else (out if len(orbits) == 1 else out / orbit.name)
+    drawn = named_orbits(files, trust, families=True)
+    for file, one, model in drawn:
+        beside = file.parent if file.exists() else file.parent / one.name
+        folder = beside if out is None else (out if len(drawn) == 1 else out / one.name)
         check_writable(folder)
-        for written in save_figures(orbit, folder, model):
+        for written in save_figures(one, folder, model):
             click.echo(str(written))
 
 
@@ -89,7 +91,7 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     if single is not None:
         check_suffix(single)
         if len(files) > 1:
-            raise InputError(f"--out: {out} is one file for {len(files)} orbits; name a folder")
+            raise InputError(f"--out: {out} is one file for {plural(len(files), 'orbit')}; name a folder")
     for file, orbit, model in named_orbits(files, trust):
         target = single or (out or file.parent) / f"{orbit.name}.gif"
         check_writable(target.parent)
@@ -123,7 +125,7 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
     from orbitfinder.cli.console import note
     from orbitfinder.site.build import Settings, build_site
     from orbitfinder.site.gather import gather
-    from orbitfinder.site.text import plural, size
+    from orbitfinder.site.text import size
     from orbitfinder.site.writing import check_target, write_site
 
     check_target(out)

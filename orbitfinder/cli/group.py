@@ -18,7 +18,15 @@ from orbitfinder.cli.continue_ import continue_
 from orbitfinder.cli.doctor import completion, doctor
 from orbitfinder.cli.export import animate, export, page, plot
 from orbitfinder.cli.guess import guess, init
-from orbitfinder.cli.options import BAD_INPUT, INTERRUPTED, JSON_KEY, NOT_CERTIFIED, limit_option, print_json
+from orbitfinder.cli.options import (
+    BAD_INPUT,
+    INTERRUPTED,
+    JSON_KEY,
+    NOT_CERTIFIED,
+    limit_option,
+    options_named,
+    print_json,
+)
 from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
 from orbitfinder.cli.verify import prove, refine, verify
@@ -33,7 +41,9 @@ class Commands(click.Group):
     """A group whose commands take --limit and end with a sentence and an exit code, never with a traceback."""
 
     def add_command(self, cmd: click.Command, name: str | None = None) -> None:
-        """A command with the option --limit; what it starts with is how long it may take, see `LIMITS`."""
+        """A command whose errors name its options, with the option --limit, which starts with what `LIMITS` says."""
+        for one in cmd.commands.values() if isinstance(cmd, click.Group) else [cmd]:
+            options_named(one)
         if not isinstance(cmd, click.Group):
             cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), "each search" if cmd.name == "run" else ""))
         super().add_command(cmd, name)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orbitfinder.cli.options import FILES, finish, json_option, out_option, text, trust_option
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.problemfile.proposals import Proposal, Proposals
@@ -67,7 +67,7 @@ def guess(
 
 
 def _print(proposals: Proposals) -> None:
-    text(f"{proposals.name}: {len(proposals.found)} starting points")
+    text(f"{proposals.name}: {plural(len(proposals.found), 'starting point')}")
     for one in proposals.found:
         text(_line(one))
         text(f"    {_shape(one)}")
@@ -83,7 +83,7 @@ def _line(one: Proposal) -> str:
         f"  {one.name:<10} period {one.period:.9g} s{level}{miss}"
         + (f"  {frequency:.6g} Hz" if frequency else "")
         + (f"  from t = {one.details['time']:.4g} s" if "time" in one.details else "")
-        + (f"  {one.details['samples']} samples" if "samples" in one.details else "")
+        + (f"  {plural(one.details['samples'], 'sample')}" if "samples" in one.details else "")
     )
 
 

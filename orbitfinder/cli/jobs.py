@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import Progress
-from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.errors import InputError, OrbitfinderError, plural
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -177,7 +177,7 @@ def _among(orbit: Orbit) -> str:
     made = orbit.provenance.get("choice")
     if not made:
         return ""
-    return f", the least unstable of {made['orbits']} orbits found from {made['starts']} starts"
+    return f", the least unstable of {plural(made['orbits'], 'orbit')} found from {plural(made['starts'], 'start')}"
 
 
 def explained(certificate: Certificate | None) -> str:
@@ -210,10 +210,10 @@ def orbit_and_model(file: Path, trust: bool = False, pictured: bool = False) -> 
 
     `pictured`: with samples, also where one orbit of a file has none of its own.
     """
-    from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.atlas.store import load_orbit
     from orbitfinder.mechanics.catalogue import build_model
 
-    orbit = orbit_of(file)
+    orbit = load_orbit(file)
     model = build_model(orbit.system, file.parent if trust else None)
     check_consistent(orbit, model)
     if pictured and not file.exists():
@@ -223,14 +223,33 @@ def orbit_and_model(file: Path, trust: bool = False, pictured: bool = False) -> 
     return orbit, model
 
 
-def named_orbits(files: Sequence[Path], trust: bool, pictured: bool = True) -> list[tuple[Path, Orbit, Model]]:
-    """What `plot`, `animate` and `export` work on: all read, and named as files may be, before anything is written."""
-    from orbitfinder.problemfile.read import checked_name
+def whole_family(file: Path) -> bool:
+    """Whether a file is a family.json, and not FILE#K."""
+    from orbitfinder.records.store import kind_of, member
 
-    orbits = [(file, *orbit_and_model(file, trust, pictured)) for file in files]
-    for file, orbit, _ in orbits:
-        checked_name(orbit.name, f"{file}: name")
-    return orbits
+    return file.suffix == ".json" and member(file)[1] is None and kind_of(file) == "family"
+
+
+def named_orbits(
+    files: Sequence[Path], trust: bool, pictured: bool = True, families: bool = False
+) -> list[tuple[Path, Any, Model]]:
+    """What `plot`, `animate` and `export` work on: all read, and named as files may be, before anything is written.
+
+    With `families` a family.json stands for its Family.
+    """
+    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.problemfile.read import checked_name
+    from orbitfinder.records.family import load_family
+
+    found: list[tuple[Path, Any, Model]] = []
+    for file in files:
+        if families and whole_family(file):
+            family = load_family(file)
+            found.append((file, family, build_model(family.system, file.parent if trust else None)))
+        else:
+            found.append((file, *orbit_and_model(file, trust, pictured)))
+        checked_name(found[-1][1].name, f"{file}: name")
+    return found
 
 
 def check_consistent(orbit: Orbit, model: Model) -> None:
@@ -240,8 +259,8 @@ def check_consistent(orbit: Orbit, model: Model) -> None:
     n = model.degrees_of_freedom
     again = "the file was edited or damaged, run the problem again"
     if orbit.state.shape != (2 * n,) or len(orbit.winding) != n:
-        found = f"{orbit.state.size} numbers in state and {len(orbit.winding)} in winding"
-        raise InputError(f"state: {found} for a system of {n} coordinates; {again}")
+        found = f"{plural(orbit.state.size, 'number')} in state and {len(orbit.winding)} in winding"
+        raise InputError(f"state: {found} for a system of {plural(n, 'coordinate')}; {again}")
     if np.abs(orbit.state).max() > LARGEST_STATE:
         raise InputError(f"state: {orbit.state.tolist()} is beyond {LARGEST_STATE:g}; {again}")
 

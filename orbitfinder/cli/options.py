@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -10,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from orbitfinder._runtime.limit import limited
+from orbitfinder.errors import InputError
 from orbitfinder.records.reading import finite
 
 FILES = click.Path(path_type=Path)
@@ -39,6 +42,25 @@ SYSTEM_TRUST = "Import the Python module that a system was made with; only if yo
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 orbit_files: Decorator = click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FILE#K...")
+
+
+def options_named(command: click.Command) -> None:
+    """Let a command's errors name the option that was given, where they name the argument that it became."""
+    run = command.callback
+    assert run is not None
+
+    @functools.wraps(run)
+    def answered(*arguments: Any, **named: Any) -> Any:
+        try:
+            return run(*arguments, **named)
+        except InputError as error:
+            source, field = click.get_current_context().get_parameter_source(error.field), error.field
+            if source is not ParameterSource.COMMANDLINE:
+                raise
+            option = next(max(one.opts, key=len) for one in command.params if one.name == field)
+            raise type(error)(option + str(error).removeprefix(field)) from error
+
+    command.callback = answered
 
 
 def _remember_json(context: click.Context, _: click.Parameter, value: bool) -> None:

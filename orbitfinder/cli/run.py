@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import math
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from orbitfinder.cli.options import FILES, compile_option, finish, json_option, out_option, text, trust_option
+from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.cli.jobs import Outcome
-import math
-import time
-
-from orbitfinder.errors import InputError
 
 
 @click.command()
@@ -64,7 +63,9 @@ def _print_outcome(outcome: Outcome) -> None:
         text(f"  {outcome.reduction}")
     if outcome.failures:
         text(f"  failed checks: {', '.join(outcome.failures)}")
-    text(f"  {outcome.written[0]}" + (f" and {len(outcome.written) - 1} figures" * (len(outcome.written) > 1)))
+    text(
+        f"  {outcome.written[0]}" + (f" and {plural(len(outcome.written) - 1, 'figure')}" * (len(outcome.written) > 1))
+    )
 
 
 @click.command()
@@ -139,6 +140,6 @@ def reproduce(out: Path, fresh: bool) -> None:
         )
     orbits = numbers["orbits"]
     certified = sum(one["certified"] for one in orbits.values())
-    text(f"{out / 'README.md'}: {certified} of {len(orbits)} orbits certified")
+    text(f"{out / 'README.md'}: {certified} of {plural(len(orbits), 'orbit')} certified")
     passed = certified == len(orbits)
     finish("reproduce", {"passed": passed, "page": str(out / "README.md"), "orbits": orbits}, passed)

@@ -12,7 +12,7 @@ import click
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import Progress, display
 from orbitfinder.cli.options import FILES, compile_option, finish, json_option, text, trust_option
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.report import Summary
@@ -51,6 +51,9 @@ def _budget(_: click.Context, __: click.Parameter, text: str | None) -> float | 
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0, 2**63 - 1), help="Chooses the starts.")
 @click.option("--workers", default=2, show_default=True, type=click.IntRange(0, 256), help="Processes; 0: no other.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://head:8786, instead of processes.")
+@click.option(
+    "--shard", metavar="K/N", help="Make every N-th start only, from the K-th; auto: by the Slurm array that runs it."
+)
 @trust_option("Import the Python function of the system; only for files you have read.")
 @compile_option
 @json_option
@@ -59,14 +62,17 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
 
     Every orbit found is certified and, when it is new, written to the atlas. The starts depend on the
     seed alone, not on the number of workers. The same command goes on where it was stopped, or killed.
+    Shards know nothing of each other: give each an atlas of its own, and join them by `atlas merge`.
 
     \b
     Examples:
       orbitfinder search problems/search/triple.toml --budget 60s --atlas triple.sqlite
       orbitfinder search problems/search/triple.toml --starts 2000 --workers 4 --atlas triple.sqlite
+      orbitfinder search problems/search/triple.toml --starts 2000 --shard 3/8 --atlas triple-3.sqlite
     """
     from orbitfinder.atlas.search import DEFAULT_BUDGET, Limits
     from orbitfinder.atlas.search import search as run
+    from orbitfinder.atlas.shard import shard_from
     from orbitfinder.problemfile.read import load_problem_file, read_toml
 
     if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
@@ -74,7 +80,7 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     loaded = load_problem_file(file, trust)
     energies, periods = wanted(loaded)
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
-    limits = Limits(starts, None if budget is None else budget / len(energies))
+    limits = Limits(starts, None if budget is None else budget / len(energies), shard_from(how["shard"]))
     folder = file.parent.resolve() if trust else None
     with display(SPEAK_EVERY, REFRESH_EVERY) as shown:
 
@@ -86,10 +92,10 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
                     progress=report, **how)  # fmt: skip
     for energy, tally in found.tallies:
         text(
-            f"{energy:g} J: {tally.done} starts in {tally.elapsed:.1f} s, {tally.new} new orbits, "
-            f"{tally.duplicates} times a known one, {sum(tally.failures.values())} failed"
+            f"{energy:g} J: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, {plural(tally.new, 'new orbit')}, "
+            f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
         )
-    text(f"{found.atlas}: {found.summary.orbits} distinct certified orbits")
+    text(f"{found.atlas}: {plural(found.summary.orbits, 'distinct certified orbit')}")
     print_summary(found.summary)
     runs = [
         {
@@ -115,12 +121,12 @@ def wanted(loaded: ProblemFile) -> tuple[list[float], tuple[float, float]]:
 
 def progress(energy: float, tally: Statistics, limits: Limits) -> Progress:
     """How far a search has come."""
-    made, failed, left = tally.begun_at + tally.done, sum(tally.failures.values()), tally.left(limits)
+    made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left(limits)
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
-        f"{energy:g} J: {made} starts, {tally.hits} hits, {tally.new} new, {tally.duplicates} known, {failed} failed, "
-        f"{tally.orbits} orbits in the atlas, {rate} starts/s" + (remaining and f", {remaining} left")
-    )
+        f"{energy:g} J: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
+        f"{tally.duplicates} known, {failed} failed, {plural(tally.orbits, 'orbit')} in the atlas, {rate} starts/s"
+    ) + (remaining and f", {remaining} left")
     rows = [
         ("energy", f"{energy:g} J"), ("starts", f"{made}"), ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
         ("known orbits", f"{tally.duplicates}"), ("orbits in the atlas", f"{tally.orbits}"),
@@ -143,8 +149,8 @@ def print_summary(summary: Summary) -> None:
         text(f"  failed {rest:>6}: other reasons")
     for met in summary.strata:
         text(
-            f"  {met.orbits} orbits of symmetry {met.symmetry} at {met.energy:g} J, {met.once} met once; "
-            f"at least about {met.least:.0f}, sought by {met.starts} starts"
+            f"  {plural(met.orbits, 'orbit')} of symmetry {met.symmetry} at {met.energy:g} J, {met.once} met once; "
+            f"at least about {met.least:.0f}, sought by {plural(met.starts, 'start')}"
         )
     for sentence in summary.remarks:
         text(f"  {sentence}")

@@ -19,6 +19,7 @@ from orbitfinder.cli.options import (
     text,
     trust_option,
 )  # fmt: skip
+from orbitfinder.errors import plural
 
 if TYPE_CHECKING:
     from orbitfinder.proof.refine import Refined
@@ -109,7 +110,7 @@ def prove(files: tuple[Path, ...], record: bool, trust: bool, **given: Any) -> N
       orbitfinder prove orbits/triple-1/orbit.json
       orbitfinder prove orbits/*/orbit.json --no-record --json
     """
-    from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.atlas.store import load_orbit
     from orbitfinder.cli.console import note
     from orbitfinder.cli.jobs import check_writable
     from orbitfinder.proof.record import checked, entry, write_entry
@@ -118,7 +119,7 @@ def prove(files: tuple[Path, ...], record: bool, trust: bool, **given: Any) -> N
 
     options, results = checked(Options(**{k: v for k, v in given.items() if v is not None})), []
     for file in files:
-        orbit = orbit_of(file)
+        orbit = load_orbit(file)
         if record:
             check_writable(file.parent, "--record")
         model = provable_model(orbit, file.parent if trust else None)
@@ -145,7 +146,7 @@ def _print_proof(heading: str, proof: Proof) -> None:
         ("box", f"exactly one {one} of this energy within {proof.radius:.2g} of the nodes"),
         ("period", f"{proof.period.str(20)} s, minimal"),
         ("distance", f"record within {proof.distance:.1g} of the orbit, period within {proof.period_distance:.1g} s"),
-        ("contraction", f"{proof.contraction:.2g} ({proof.segments} segments, {proof.steps} steps, "
+        ("contraction", f"{proof.contraction:.2g} ({plural(proof.segments, 'segment')}, {plural(proof.steps, 'step')}, "
                         f"order {proof.settings.order}, {proof.settings.bits} bits)"),
         ("stability", f"{proof.stability.verdict}: {proof.stability.reason}"),
     )  # fmt: skip
@@ -157,11 +158,11 @@ def _print_proof(heading: str, proof: Proof) -> None:
 
 def verify_proof(file: Path, trust: bool = False) -> dict[str, Any]:
     """Replay the proof recorded in a file: `passed`, and `message`, one sentence."""
-    from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.atlas.store import load_orbit
     from orbitfinder.proof.record import read_entry, replay
     from orbitfinder.proof.theorem import provable_model
 
-    orbit = orbit_of(file)
+    orbit = load_orbit(file)
     proof, wrong = replay(orbit, read_entry(orbit, file), provable_model(orbit, file.parent if trust else None))
     if wrong:
         return {"passed": False, "message": f"proof REJECTED: {'; '.join(wrong)}"}
@@ -192,18 +193,18 @@ def refine(
       orbitfinder refine orbits/triple-1/orbit.json --digits 50
       orbitfinder refine orbits/triple-1/orbit.json --digits 50 --order 80 --bits 300
     """
-    from orbitfinder.atlas.store import orbit_of
+    from orbitfinder.atlas.store import load_orbit
     from orbitfinder.cli.console import note
     from orbitfinder.proof.refine import refine as refined
     from orbitfinder.proof.refine import settings_for
     from orbitfinder.proof.theorem import provable_model
 
-    settings, orbit = settings_for(digits, order, bits), orbit_of(file)
+    settings, orbit = settings_for(digits, order, bits), load_orbit(file)
     model = provable_model(orbit, file.parent if trust else None)
     found = refined(orbit, settings, digits, model, symmetry, enclose, note)
     document = refined_document(found)
     proved = "enclosed" if found.enclosed else f"not enclosed ({found.reason})"
-    text(f"{file}: {found.digits} digits, {proved}, {found.wall_time:.1f} s")
+    text(f"{file}: {plural(found.digits, 'digit')}, {proved}, {found.wall_time:.1f} s")
     text(f"  {'period':<10}{document['period']['value']} s")
     for k, one in enumerate(document["state"]):
         text(f"  {f'x{k + 1}':<10}{one['value']}")

@@ -18,6 +18,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.exports.source import FORTRAN, Source, dense_states, fortran_number, straight_line
+from orbitfinder.loops.symmetry import turned
 
 UNFOLDING, ENERGY, PERIOD, FIRST = 1, 2, 11, 15
 """Places in PAR: the first unfolding, the energy (for output), the period (AUTO's rule), physical parameters."""
@@ -107,9 +108,9 @@ dat = '{word}'
 def auto_files(source: Source) -> dict[str, str]:
     """The three files of an AUTO run, by name. Raises `InputError` for what AUTO's IPS = 2 cannot state."""
     if len(source.model.invariants) > MOST:
-        raise InputError(f"--to auto: more than {MOST} first integrals have no place in PAR; use --to julia or --to c")
+        raise InputError(f"to: more than {MOST} first integrals have no place in AUTO's PAR; use julia or c")
     if source.model.forced and source.model.invariants:
-        raise InputError("--to auto: a forced system that keeps a momentum is not covered; use --to julia or --to c")
+        raise InputError("to: a forced system that keeps a momentum is not covered for AUTO; use julia or c")
     word = source.identifier
     return {f"{word}.f90": equations(source), f"c.{word}": constants(source), f"{word}.dat": starting_data(source)}
 
@@ -141,7 +142,8 @@ def _boundary(source: Source) -> str:
         body, extent = straight_line(along, FORTRAN, ["x", "p"], ["along"])
         work = max(work, extent)
         lines += [*body, f"FI({k}) = dot_product(along, U - UOLD)"]
-    turns = [2 * np.pi * k for k in source.orbit.winding] + [0.0] * n
+    turned_by = turned(source.model, np.array(source.orbit.winding), source.orbit.shift)
+    turns = [2 * np.pi * float(k) for k in turned_by] + [0.0] * n
     loop = [f"FB({i}) = U1({i}) - U0({i}) - ({fortran_number(turn)})" for i, turn in enumerate(turns, start=1)]
     return BOUNDARY.format(loop=_parameters_in_par(loop), work=work, size=2 * n, phases=_parameters_in_par(lines))
 

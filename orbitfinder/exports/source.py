@@ -200,7 +200,7 @@ def _structural_zeros(scalar: ca.Function, language: Language, outputs: Sequence
 def operation(name: str, language: Language) -> str:
     """The template of one operation; `InputError` where the language has no word for it."""
     if name not in language.calls:
-        raise InputError(f"export: the equations use {name.lower()}, which has no counterpart there; try --to c or csv")
+        raise InputError(f"export: the equations use {name.lower()}, which has no counterpart there; try c or csv")
     return language.calls[name]
 
 
@@ -213,5 +213,5 @@ def expanded(function: ca.Function) -> ca.Function:
     except RuntimeError as error:
         raise InputError(
             "export: these equations contain a numerical factorisation (more than 16 coordinates in dense form); "
-            'use formulation = "recursive", or --to csv'
+            'use formulation = "recursive", or csv'
         ) from error

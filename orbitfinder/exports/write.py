@@ -80,7 +80,7 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     `model` is needed only for systems that no file describes. Raises `InputError`.
     """
     if to not in FORMATS:
-        raise InputError(f"--to: unknown format {to!r}; use one of {', '.join(FORMATS)}")
+        raise InputError(f"to: unknown format {to!r}; use one of {', '.join(FORMATS)}")
     files = FORMATS[to](source_of(orbit, model))
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)

@@ -34,10 +34,9 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, momenta_of, named
+from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, momenta_of, named, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.closure import turned
 from orbitfinder.records.family import Event, Family, load_family
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
@@ -294,7 +293,7 @@ def switch_branch(
         event = next((k for k, one in enumerate(family.events) if one is event), -1)
     found = branches(family, event, settings, model)
     if not 1 <= branch <= len(found):
-        raise InputError(f"--branch: {branch} asked for, {len(found)} found at event {event}; give 1 to {len(found)}")
+        raise InputError(f"branch: {branch} asked for, {len(found)} found at event {event}; give 1 to {len(found)}")
     return found[branch - 1]
 
 
@@ -328,7 +327,7 @@ def _event(family: Family, number: int, where: str) -> Event:
     if number in known:
         return family.events[number]
     listed = "; ".join(described(family, k) for k in known) or "this family has none"
-    raise InputError(f"--switch: no branch leaves at event {number}; choose one of {listed}")
+    raise InputError(f"event: no branch leaves at event {number}; choose one of {listed}")
 
 
 def described(family: Family, number: int) -> str:

@@ -52,14 +52,14 @@ HOMOCLINIC_STEP = 1e-2
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
     curve, found = run.curve, after.found
-    share, state = slowness(curve, found)
     if collapsed(curve, before.found, found) and curve.equations.symmetry.relative:
         return _steady(curve, before)
     if collapsed(curve, before.found, found):
         where = np.array2string(centre(curve, before.found), precision=6)
         period = before.point.period
         return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s")
-    if share <= SLOW_SHARE:
+    share, state = slowness(curve, found)
+    if share <= SLOW_SHARE or curve.equations.model.forced:
         return None
     grown, more = found.place.period / after.shortest_period, None
     if grown > run.settings.longest_period:
@@ -75,7 +75,8 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     curve, found = run.curve, step.found
     share, state = slowness(curve, found)
     grown = found.place.period / step.shortest_period
-    if grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and near_saddle(curve, found, state):
+    slow = grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and not curve.equations.model.forced
+    if slow and near_saddle(curve, found, state):
         return _homoclinic(curve, found, state, grown, f"; then {failure}")
     dead = dead_point(curve.equations.model.system, found.march.states, freed(curve, found.place))
     if dead:
@@ -86,7 +87,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
 def shortest_step(run: Run, step: Step) -> float:
     """How short a step may become: near a homoclinic orbit, where round-off rules, not very."""
     curve, found, usual = run.curve, step.found, run.settings.shortest_step
-    if not found.place.period > UNDERFLOW_GROWTH * step.shortest_period:
+    if curve.equations.model.forced or not found.place.period > UNDERFLOW_GROWTH * step.shortest_period:
         return usual
     share, state = slowness(curve, found)
     return HOMOCLINIC_STEP if share > SLOW_SHARE and near_saddle(curve, found, state) else usual
@@ -130,7 +131,8 @@ def _linearised(curve: Curve, place: Unknowns, x: np.ndarray, units: np.ndarray)
 def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
     states, mesh, n = found.march.states, found.place.mesh, curve.equations.size // 2
-    speed = np.linalg.norm(curve.equations.march.rates(states, found.place.tail)[:, n:], axis=1)
+    slopes = curve.equations.march.rates(states, found.place.tail, mesh * found.place.period)
+    speed = np.linalg.norm(slopes[:, n:], axis=1)
     usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
     if not speed.max() > ABRUPT * usual:
         return None
@@ -159,7 +161,7 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
     """
     p, place = curve.equations, found.place
     states, n = found.march.states, p.size // 2
-    slopes, clock = p.march.rates(states, place.tail), np.sqrt(curve.weights[n])
+    slopes, clock = p.march.rates(states, place.tail, place.mesh * place.period), np.sqrt(curve.weights[n])
     speed = np.sqrt((slopes[:, :n] ** 2).sum(axis=1) + ((clock * slopes[:, n:]) ** 2).sum(axis=1))
     weights = np.diff(place.mesh)
     slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
@@ -232,15 +234,18 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
 
 
 def mirrored(interval: Interval, at: float) -> bool:
-    """Whether a family is its own mirror image about a fold in energy `at` so far into a step.
+    """Whether a family is its own mirror image about a fold in energy, or a parameter, `at` so far into a step.
 
-    Then orbits of one energy on its two sides have one period, which at a plain fold differ to first order, and at one
-    close to a branch point that the family passes to third. Raises `ConvergenceError` at the edge of the step.
+    Then orbits of one energy on its two sides have one period, and of one parameter one action, which at a plain fold
+    differ to first order, and at one close to a branch point that the family passes to third. Raises
+    `ConvergenceError` at the edge of the step.
     """
+    name = next(iter(interval.curve.equations.free), "")
 
     def read(distance: float) -> np.ndarray:
-        place = interval.sample(distance).found.place
-        return np.array([parameter_value(interval.curve, place, "energy"), place.period])
+        found = interval.sample(distance).found
+        value = parameter_value(interval.curve, found.place, name or "energy")
+        return np.array([value, found.march.integral if name else found.place.period])
 
     turn, ends = read(at), {distance: read(distance) for distance in (0.0, interval.length)}
     near, far = sorted(ends, key=lambda distance: abs(ends[distance][0] - turn[0]))
@@ -252,9 +257,10 @@ def mirrored(interval: Interval, at: float) -> bool:
 
 
 def merged(interval: Interval, at: float) -> End | None:
-    """At a fold in energy so far into a step: whether the family joins one of more symmetry or of a shorter period.
+    """At a fold in energy or a parameter so far into a step: whether the family joins one of more symmetry or of a
+    shorter period.
 
-    A branch is its own mirror image about the orbit that it was born from, so that its energy turns there.
+    A branch is its own mirror image about the orbit that it was born from, so that what it is followed in turns there.
     """
     curve, found = interval.curve, interval.sample(at).found
     model, symmetry = curve.equations.model, curve.equations.symmetry
@@ -271,5 +277,7 @@ def merged(interval: Interval, at: float) -> End | None:
         what = "that is its own mirror image" if gaps.max() < JOINED * extent else ""
     if not what or not mirrored(interval, at):
         return None
-    energy, period = parameter_value(curve, found.place, "energy"), found.place.period
-    return End("merged", f"joins a family {what} at energy {energy:.9g} J, period {period:.9g} s")
+    told = {"energy": (parameter_value(curve, found.place, "energy"), " J")}
+    told = {one: (parameter_value(curve, found.place, one), "") for one in curve.equations.free} or told
+    where = ", ".join(f"{one} {value:.9g}{unit}" for one, (value, unit) in told.items())
+    return End("merged", f"joins a family {what} at {where}, period {found.place.period:.9g} s")

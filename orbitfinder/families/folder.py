@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import limit, locks
-from orbitfinder.errors import InputError, LimitError
+from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings, winding
 from orbitfinder.families.run import Run, first_point
-from orbitfinder.families.start import Start, begin, curve_of, entry_of
+from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown_parameters
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
+from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.orbits.closure import turned
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import (
     CLOSURE,
@@ -56,7 +56,7 @@ Origin = str | Path | Orbit | Problem | Start | Branch
 
 def follow_family(
     origin: Origin,
-    parameter: str = "energy",
+    parameter: str | None = None,
     *,
     until: float | None = None,
     at: Sequence[float] = (),
@@ -67,18 +67,20 @@ def follow_family(
     model: Model | None = None,
     progress: Progress | None = None,
 ) -> Family:
-    """Follow the family of an orbit (path of an orbit.json, Orbit, Problem, branch Start or Branch).
+    """Follow the family of an orbit (path of an orbit.json, Orbit, Problem, branch Start or Branch) in a parameter, by
+    default the energy, or the physical parameter of the family that a branch leaves.
 
     `at` are values of the parameter at which points are computed exactly, `until` the value to stop at, `points` the
     most in each direction (those of the settings if None). With `out` everything goes to DIR/<name>/family.json and
     family.npz, and DIR/<name>/family.jsonl is resumed when the same was asked before. A branch `Start` needs its
     `name` there, and a system that no file describes its `model`. Raises `InputError`, `ConvergenceError`.
     """
-    settings = replace(settings or FamilySettings(), parameter=parameter)
+    settings = replace(settings or FamilySettings(), parameter=parameter or parameter_of(origin))
     settings = settings if points is None else replace(settings, points=points)
     if isinstance(origin, Family):
         raise InputError("origin: a Family; give one of its points, or a branch: switch_branch(family, event)")
-    origin = load_orbit(origin) if isinstance(origin, (str, Path)) else origin
+    if isinstance(origin, (str, Path)):
+        origin = _read(origin)
     label = name or str(getattr(origin, "name", ""))
     if out is not None and not label:
         raise InputError("name: missing; a family that starts from a branch needs a name")
@@ -98,6 +100,19 @@ def follow_family(
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
         return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
+
+
+def _read(path: str | Path) -> Orbit:
+    """The orbit of a file; `InputError` says what makes an origin of other files."""
+    if Path(path).suffix in (".toml", ".py"):
+        raise InputError(f"origin: {path} is a problem file; give its Problem: load_problem({str(path)!r})")
+    return load_orbit(path)
+
+
+def parameter_of(origin: Any) -> str:
+    """What a family is followed in when nothing is said: the physical parameter that its start has freed, or energy."""
+    start = origin.start if isinstance(origin, Branch) else origin
+    return next(iter(start.curve.equations.free), "energy") if isinstance(start, Start) else "energy"
 
 
 def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
@@ -123,15 +138,22 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
 
 
 def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, model: Model | None) -> Start:
-    if isinstance(origin, Branch):
-        return origin.start
-    return origin if isinstance(origin, Start) else begin(origin, settings, model=model)
+    if not isinstance(origin, (Branch, Start)):
+        return begin(origin, settings, model=model)
+    start = origin.start if isinstance(origin, Branch) else origin
+    free, _ = unknown_parameters(start.curve.equations.model, settings)
+    if free != start.curve.equations.free:
+        raise InputError(
+            f"parameter: {settings.parameter!r} on a branch of a family in {parameter_of(start)}; leave it out, or "
+            "continue one of the branch's orbits (FAMILY.json#K) in it"
+        )
+    return start
 
 
 def _model_of(origin: Orbit | Problem | Start | Branch, journal: Journal, model: Model | None) -> Model:
     """The model that the journal's curve is made of: a linkage's is the minimal one that was chosen then."""
     if isinstance(origin, (Start, Branch)):
-        return _started(origin, FamilySettings(), None).curve.equations.model
+        return (origin.start if isinstance(origin, Branch) else origin).curve.equations.model
     model = model or (origin.model if isinstance(origin, Problem) else None)
     system = journal.header["system"]
     if model is None or "independent" in system or dict(model.system) != system:
@@ -177,7 +199,7 @@ def _header(
         "curve": {
             "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
             "constant": curve.constant, "winding": winding(curve), "weights": curve.weights,
-            **entry_of(curve.conditions), **({"relative": list(origin.shift)} if origin.shift else {}),
+            **entry_of(curve),
         },
     })  # fmt: skip
     return header
@@ -227,7 +249,8 @@ def _finish(
                 batch = batch_certified(curve, batch) if settings.certify else batch
                 if folder is not None:
                     append(folder, batch)
-                    limit.note(f"{len(batches) + 1} steps are kept in {folder}; the same command goes on from there")
+                    kept = f"{plural(len(batches) + 1, 'step')} kept in {folder}"
+                    limit.note(f"{kept}; the same command goes on from there")
                 batches.append(batch)
                 if progress:
                     progress(batch)

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.ends import end_at, end_of_failure, merged, returned, shortest_step
 from orbitfinder.families.events import find_events
 from orbitfinder.families.passages import avoided
@@ -47,7 +47,8 @@ def follow(run: Run, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
     step = step_at(run, [run.origin, *done])
     while True:
         if step.point.index >= run.settings.points:
-            yield Batch(run.direction, end=End("point limit", f"{run.settings.points} points were asked for"))
+            asked = f"{plural(most := run.settings.points, 'point')} {'was' if most == 1 else 'were'} asked for"
+            yield Batch(run.direction, end=End("point limit", asked))
             return
         try:
             step, batch = next_step(run, step)
@@ -156,7 +157,8 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     if ended is not None and ended.kind in ("equilibrium", "relative equilibrium"):
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
-        joined = merged(interval, one.arclength) if (one.kind, one.detail) == ("fold", "energy") else None
+        turned = one.kind == "fold" and one.detail != "period"
+        joined = merged(interval, one.arclength) if turned else None
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes

@@ -24,6 +24,8 @@ from orbitfinder.records.orbit import Orbit
 
 SAMPLES, MOTION = 960, 240
 """Intervals of a period by which an orbit is known, and that a picture shows"""
+STEADY = 1e6
+"""What errors grow by on an orbit that is drawn from its state alone; beyond, it would be seen to leave itself."""
 Member = TypeVar("Member", FamilyPoint, Event)
 
 
@@ -42,16 +44,20 @@ def whole(orbit: Orbit, model: Model) -> Orbit:
     """
     if len(orbit.samples) > 1:
         return orbit
-    if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
-        times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
-    else:
-        curve = curve_of(orbit.curve, model, FamilySettings(parameter=next(iter(orbit.free), "energy")))
-        times, samples = full_samples(curve, at_place(curve, unknowns_of(curve, orbit)), SAMPLES)
+    times, samples = _period(orbit, model, SAMPLES)
     kept = {one.name: getattr(orbit, one.name) for one in fields(Orbit)} | {"times": times, "samples": samples}
     if not isinstance(orbit, FamilyPoint):
         return Orbit(**kept)
     symmetry = recognise(times, samples, model)
     return with_certificate(Orbit(**kept | {"symmetry": symmetry, "closure": 0.0}), model)
+
+
+def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states over one period: of a point of a family by its shooting nodes, `count` of them."""
+    if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
+        return dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
+    curve = curve_of(orbit.curve, model, FamilySettings(parameter=next(iter(orbit.free), "energy")))
+    return full_samples(curve, at_place(curve, unknowns_of(curve, orbit)), count)
 
 
 def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
@@ -83,17 +89,16 @@ def batch_certified(curve: Curve, batch: Batch) -> Batch:
 
 
 def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
-    """`count` orbits at equal arclengths from one end of a family to the other. Raises `InputError`."""
-    points = [point for point in family.points if point.mesh.size]
-    if not family.curve or not points:
-        raise InputError(f"{family.name}: no nodes beside the family; continue it again")
-    curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+    """`count` orbits at equal arclengths along a family, without family.npz of its less unstable orbits."""
+    points = [point for point in family.points if point.mesh.size or point.scale < STEADY]
+    if not points:
+        raise InputError(f"{family.name}: no nodes beside the family, and no orbit steady without; continue it again")
     places = np.array([point.arclength for point in points])
     wanted = np.linspace(places[0], places[-1], count)
     chosen = sorted({int(np.argmin(np.abs(places - place))) for place in wanted})
     found = []
     for k in chosen:
-        states = full_samples(curve, at_place(curve, unknowns_of(curve, points[k])), MOTION)[1]
         there = with_parameters(model, points[k].free)
+        states = _period(points[k], there, MOTION)[1]
         found.append(Motion(points[k], states, positions(there, states) if model.points is not None else None))
     return found

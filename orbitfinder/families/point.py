@@ -12,8 +12,8 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.symmetry import shifting
-from orbitfinder.orbits.closure import carried, turned
+from orbitfinder.loops.symmetry import shifting, turned
+from orbitfinder.orbits.closure import carried
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at

@@ -44,7 +44,7 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     root_map, root = _root_map(curve, found)
     basis = complement(*_frame(curve, found))
     reduced = np.asarray(basis.T @ root_map @ basis)
-    conservative = p.model.conservative
+    conservative = p.symplectic
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
     indices = analyse(reduced, conservative).indices
@@ -100,12 +100,15 @@ def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
 
 
 def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients of the invariants and symmetry directions, the flow first, at x(0). Raises `ConvergenceError`."""
+    """Gradients of the invariants and symmetry directions, the flow (unless forced) first, at x(0).
+
+    Raises `ConvergenceError`.
+    """
     p, place, x = curve.equations, found.place, found.place.nodes[0]
-    rate = p.march.rates(x[None], place.tail)
-    if not np.any(rate):
+    flow = p.march.rates(x[None], place.tail)[: not p.model.forced]
+    if not np.any(np.ptp(found.march.states, axis=0) if p.model.forced else flow):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
-    return p.quantities_at(x, place.free)[1][: p.energy], np.vstack([rate, generated(p.model, x)])
+    return p.quantities_at(x, place.free)[1][: p.energy], np.vstack([flow, generated(p.model, x)])
 
 
 def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:

@@ -18,15 +18,17 @@ from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import remeshed, settled
-from orbitfinder.loops.problem import Guess, Problem, pinned
+from orbitfinder.loops.problem import Guess, Problem, clock, pinned
 from orbitfinder.loops.symmetry import (
     NONE,
     Symmetry,
     momenta_of,
+    moved,
     named,
     off_centre,
     recognise,
     related,
+    shifting,
     shifts_of,
     symmetries_of,
 )
@@ -69,7 +71,7 @@ def begin(
         return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held, settings.parameter)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
-    chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest"
+    chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
     if symmetry == "auto" and not problem.relative:
         wanted = symmetry_of(start.curve, start.found)
@@ -119,14 +121,14 @@ def unknown_parameters(
         if not model.conservative:
             raise InputError(
                 f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
+                f" ({', '.join(model.parameter_names[:20]) or 'it has none'})"
             )
         if name not in momenta:
             return (), momenta
         return (), ("energy", *(one for one in momenta if one != name))
-    if model.forced:
-        raise InputError("system: a forced system's families are not followed yet; its orbits stand alone")
     if name not in model.parameter_names:
-        known = ["energy", "period", *turning, *model.state_names, *model.parameter_names]
+        conserved = ["energy", "period", *turning, *model.state_names] if model.conservative else []
+        known = [*conserved, *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
     if not model.conservative:
         return (name,), momenta
@@ -173,7 +175,8 @@ def curve_at(
     values = equations.quantities_at(place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
-    fixed = tuple(pinned(equations, one, known[one]) for one in held if one in known)
+    cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
+    fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in held if one in known)
     return make_curve(equations, constant, place, fixed, length(model.angles, states))
 
 
@@ -206,16 +209,19 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
     if not all(0 <= k < len(model.invariants) for k, _ in known.held):
         raise InputError(f"curve.held: {list(known.held)} of {len(model.invariants)} invariants; continue again")
-    conditions = tuple(Condition(value, quantity=k) for k, value in known.held)
+    conditions = clock(equations, known.cycles) + tuple(Condition(value, quantity=k) for k, value in known.held)
     if known.period is not None:
         conditions += (pinned(equations, "period", known.period),)
     return Curve(equations, known.constant, conditions, weights=known.weights)
 
 
-def entry_of(conditions: tuple[Condition, ...]) -> dict[str, Any]:
-    """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, or the period."""
-    held = [[one.quantity, one.value] for one in conditions if one.normal is None]
-    return {"held": held, "period": next((one.value for one in conditions if one.normal is not None), None)}
+def entry_of(curve: Curve) -> dict[str, Any]:
+    """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, the period, or the clock."""
+    held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
+    period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
+    relative = list(shifting(curve.equations.symmetry, curve.equations.model))
+    more = {"cycles": curve.cycles, "relative": relative}
+    return {"held": held, "period": period} | {name: value for name, value in more.items() if value}
 
 
 @dataclass(frozen=True)
@@ -228,7 +234,10 @@ class CurveEntry:
     held: tuple[tuple[int, float], ...]
     weights: np.ndarray
     period: float | None
+    cycles: int = 0
+    """periods of the forcing in one period, 0 without a forcing"""
     relative: tuple[str, ...] = ()
+    """cyclic coordinates along which the orbits come back shifted"""
 
 
 def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:
@@ -266,7 +275,9 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
         candidates = [Symmetry((seen.forward,))] if seen.forward else []
-    return next((one.name for one in candidates if one.held_by(model, states[0])), NONE.name)
+    models = (model, moved(model, curve.equations.free))
+    kept = (one.name for one in candidates if all(one.held_by(each, states[0], curve.cycles) for each in models))
+    return next(kept, NONE.name)
 
 
 def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: Symmetry) -> np.ndarray:
@@ -292,7 +303,8 @@ def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[n
     mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
     mesh, states = p.symmetry.whole(mesh, p.march.states(place.nodes, mesh, place.tail), curve.constant)
     times = np.linspace(0.0, place.period, count + 1)
-    return times, CubicHermiteSpline(mesh * place.period, states, p.march.rates(states, place.tail))(times)
+    moments = mesh * place.period
+    return times, CubicHermiteSpline(moments, states, p.march.rates(states, place.tail, moments))(times)
 
 
 def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:

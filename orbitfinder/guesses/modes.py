@@ -20,7 +20,7 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize, root
 
 from orbitfinder._runtime import limit
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.integrate.equations import at_rest, under_constraints
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER
@@ -207,7 +207,9 @@ def normal_mode(
     """
     n = model.degrees_of_freedom
     if isinstance(mode, bool) or not 1 <= mode <= n:
-        raise InputError(f"guess.mode: must be between 1 and {n}, got {mode}; this system has {n} normal modes")
+        raise InputError(
+            f"guess.mode: must be between 1 and {n}, got {mode}; this system has {plural(n, 'normal mode')}"
+        )
     if not (np.isfinite(amplitude) and amplitude > 0):
         raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
     squared, shapes = normal_modes(model, equilibrium)
@@ -243,7 +245,7 @@ def mode_problem(
     if isinstance(mode, bool) or not 1 <= mode <= found.size:
         raise InputError(
             f"mode: must be between 1 and {found.size}, got {mode}; this equilibrium has "
-            f"{found.size} oscillating modes out of {model.degrees_of_freedom}"
+            f"{plural(found.size, 'oscillating mode')} out of {model.degrees_of_freedom}"
         )
     guess = normal_mode(model, int(found[mode - 1]) + 1, amplitude, equilibrium)
     return Problem(model, guess, symmetry=QUARTER.name, name=name or f"mode-{mode}")
@@ -268,7 +270,8 @@ def linkage_mode(
     squared, shapes = linkage_modes(model, theta)
     if isinstance(mode, bool) or not 1 <= mode <= squared.size:
         raise InputError(
-            f"guess.mode: must be between 1 and {squared.size}, got {mode}; this linkage has {squared.size} modes"
+            f"guess.mode: must be between 1 and {squared.size}, got {mode}; this linkage has "
+            f"{plural(squared.size, 'mode')}"
         )
     if not (np.isfinite(amplitude) and amplitude != 0):
         raise InputError(f"guess.amplitude: must be finite and not 0, got {amplitude}; give an angle in rad")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.guesses.modes import normal_mode, normal_modes
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.idas import simulate_dae
@@ -81,7 +81,7 @@ def recurrences(
         raise InputError(f"guess.duration: must be positive and finite, got {duration}; give a time in s")
     start = np.asarray(state, float)
     if start.shape != (len(model.state_names),):
-        raise InputError(f"guess.state: {start.size} numbers; give {len(model.state_names)}")
+        raise InputError(f"guess.state: {plural(start.size, 'number')}; give {len(model.state_names)}")
     states = sample(build_flow(model), start, float(duration), MOST_SAMPLES)
     times = np.linspace(0.0, duration, len(states))
     found = close_returns(times, states, model.angles, count, longest)
@@ -122,7 +122,9 @@ def normal_mode_sum(
     their starts, sum a_j^2 (1 - cos(w_j T)) at its least.
     """
     if len(modes) != len(amplitudes) or not modes:
-        raise InputError(f"guess.amplitude: {len(amplitudes)} numbers for {len(modes)} modes; give one per mode")
+        raise InputError(
+            f"guess.amplitude: {plural(len(amplitudes), 'number')} for {plural(len(modes), 'mode')}; give one per mode"
+        )
     parts = [normal_mode(model, mode, abs(a), equilibrium) for mode, a in zip(modes, amplitudes, strict=True)]
     n = model.degrees_of_freedom
     place = np.zeros(2 * n)
@@ -139,7 +141,9 @@ def normal_mode_sum(
 def _regular(times: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The trajectory at no more than `MOST_SAMPLES` equal times."""
     if times.size < 20 or states.shape[0] != times.size:
-        raise InputError(f"trajectory: {times.size} times for {states.shape[0]} states; give at least 20 of both")
+        raise InputError(
+            f"trajectory: {plural(times.size, 'time')} for {plural(states.shape[0], 'state')}; give at least 20 of both"
+        )
     count = min(max(times.size, 400), MOST_SAMPLES)
     grid = np.linspace(times[0], times[-1], count)
     return grid, np.stack([np.interp(grid, times, column) for column in states.T], axis=1)

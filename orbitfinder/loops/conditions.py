@@ -1,7 +1,4 @@
-"""The conditions that single out one orbit: closure with its symmetry, phase, pins.
-
-`transcribe` in `shooting.py` asks this module for rows; nothing here integrates anything.
-"""
+"""What a user asks of an orbit besides closing: pins, ranges, constraints of the unknowns by name."""
 
 from __future__ import annotations
 
@@ -42,14 +39,6 @@ def pin(**quantities: float) -> tuple[Pin, ...]:
     return pins
 
 
-def boundary_rows(symmetry: Symmetry, start: Any, end: Any, constant: Any) -> Any:
-    """The rows that join the end of the horizon to its start, as expressions (see `Symmetry.rows` and `asked`)."""
-    n = start.numel() // 2
-    first, last = (ca.sparsify(ca.DM(matrix)) for matrix in symmetry.rows(n))
-    rows, asked = first @ start + last @ end - constant, symmetry.asked(n)
-    return rows if asked is None else ca.sparsify(ca.DM(asked)) @ rows
-
-
 def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, basis: np.ndarray) -> Any:
     """The rows (2n) of a brake orbit under m constraints: v(0), phi(q(0)), B^T v(T/2).
 
@@ -58,11 +47,6 @@ def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, 
     """
     n = start.numel() // 2
     return ca.vertcat(start[n:], constraint_of(model).phi(start[:n], parameters), basis.T @ end[n:])
-
-
-def pin_row(model: Model, one: Pin, state: Any, period: Any, parameters: Any) -> Any:
-    """The residual of one pin at the start of the orbit."""
-    return quantity(model, one.name, state, period, parameters) - one.value
 
 
 def pinned_at_rest(model: Model, name: str) -> ca.Function:

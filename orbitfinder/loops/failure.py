@@ -19,30 +19,29 @@ NO_UNFOLDING = 1e-6
 
 def explain(shooting: Shooting, w: np.ndarray, status: str, text: str) -> Exception:
     """The error to raise for a decision vector at which IPOPT gave up with `status`, `text` its output."""
-    layout, problem = shooting.layout, shooting.problem
+    problem, count = shooting.problem, len(shooting.guess.nodes)
     if not np.all(np.isfinite(w)):
-        return integration_error(text, layout.nodes(shooting.start)[0], 0.0, problem.guess.period)
+        return integration_error(text, shooting.at(shooting.start).nodes[0], 0.0, problem.guess.period)
     try:
         defects = worst_defects(shooting, w)
     except IntegrationError as error:
         return error
-    period, unfolding, _ = layout.tail(w)
-    worst = int(np.argmax(defects))
-    segment = period * problem.boundary.fraction / layout.segments
+    found, worst = shooting.at(w), int(np.argmax(defects))
+    segment = found.period * problem.boundary.fraction / count
     place = f"of segment {worst} (t = {(worst + 1) * segment:.4g} s)"
-    if worst == layout.segments - 1:
+    if worst == count - 1:
         place += ", where the loop should close"
     return ConvergenceError(
         f"no orbit found ({status}): largest defect {defects[worst]:.3g} at the end {place}, "
-        f"period {period:.6g} s (guess {problem.guess.period:.6g} s), "
-        f"unfolding {np.max(np.abs(unfolding), initial=0.0):.2g}; {advice(shooting, w, defects)}"
+        f"period {found.period:.6g} s (guess {problem.guess.period:.6g} s), "
+        f"unfolding {np.max(np.abs(found.unfolding), initial=0.0):.2g}; {advice(shooting, w, defects)}"
     )
 
 
 def refuse_equilibrium(shooting: Shooting, w: np.ndarray) -> None:
     """`ConvergenceError` when what was found closes only because nothing moves."""
     if at_rest(shooting, w):
-        state = np.array2string(shooting.layout.nodes(w)[0], precision=4, separator=", ")
+        state = np.array2string(shooting.at(w).nodes[0], precision=4, separator=", ")
         raise ConvergenceError(
             f"no orbit found: the search fell on an equilibrium, {state}; {_away_from_rest(shooting)}"
         )
@@ -50,8 +49,7 @@ def refuse_equilibrium(shooting: Shooting, w: np.ndarray) -> None:
 
 def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
     """What happened and what to try, the most telling sign first."""
-    layout, problem = shooting.layout, shooting.problem
-    period, unfolding, free = layout.tail(w)
+    problem, found = shooting.problem, shooting.at(w)
     if at_rest(shooting, w):
         return f"the search fell on an equilibrium; {_away_from_rest(shooting)}"
     if turning := _turning(shooting, w):
@@ -59,30 +57,30 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
             f"the motion only turns along the symmetry of {turning} (a relative equilibrium), where energy and "
             "momentum say the same and a pin is one condition too many; leave the pin out"
         )
-    (shortest, _, low), (longest, _, high) = layout.tail(shooting.lower), layout.tail(shooting.upper)
-    if period < 1.05 * shortest:
+    low, high = shooting.at(shooting.lower), shooting.at(shooting.upper)
+    if found.period < 1.05 * low.period:
         return "the period collapsed towards 0, where every state closes; raise guess.period or pin the period"
-    if period > 0.95 * longest:
+    if found.period > 0.95 * high.period:
         return "the period ran away upwards, as near a separatrix; lower guess.period or pin another energy"
-    bounds = zip(problem.free, free, low, high, strict=True)
+    bounds = zip(problem.free, found.free, low.free, high.free, strict=True)
     for name, value, lowest, highest in bounds:
         if min(value - lowest, highest - value) < 1e-3 * (highest - lowest):
             return f"{name} ran to the end of its range ({value:.4g}); give a guess nearer to an orbit or free another"
     if _energy_gap(shooting):
         return _energy_gap(shooting)
-    if defects.max() < 1e-6 and period * np.max(np.abs(unfolding), initial=0.0) > NO_UNFOLDING:
+    if defects.max() < 1e-6 and found.period * np.max(np.abs(found.unfolding), initial=0.0) > NO_UNFOLDING:
         return (
             "it closes only with the fictitious damping of the unfolding, so no such orbit exists at this pin near "
             "the guess; pin another value"
         )
-    if layout.segments == 1:
+    if len(found.nodes) == 1:
         return "one segment amplifies every error; use more segments, or a guess nearer to an orbit"
     return "try a guess nearer to an orbit, more segments, or another pin"
 
 
 def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
     """True when no node moves, compared with the guess."""
-    nodes, given = shooting.layout.nodes(w), shooting.layout.nodes(shooting.start)
+    nodes, given = shooting.at(w).nodes, shooting.at(shooting.start).nodes
     if shooting.problem.model.forced:  # at rest although pushed: every node is the same
         return len(nodes) > 1 and bool(np.ptp(nodes, axis=0).max() < REST * max(np.ptp(given, axis=0).max(), REST))
     return _speed(shooting, w) < REST * max(_speed(shooting, shooting.start), REST)
@@ -90,15 +88,15 @@ def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
 
 def _turning(shooting: Shooting, w: np.ndarray) -> str:
     """Invariants along whose symmetries all motion goes, x' = sum_k c_k generator_k(x) at every node, or nothing."""
-    layout, model, n = shooting.layout, shooting.problem.model, shooting.layout.size // 2
-    _, unfolding, free = layout.tail(w)
+    model, found = shooting.problem.model, shooting.at(w)
+    n = model.degrees_of_freedom
     turns = [one for one in model.invariants if one.generator is not None]
     p = model.parameter_values.copy()
-    p[[model.parameter_index(name) for name in shooting.problem.free]] = free
+    p[[model.parameter_index(name) for name in shooting.problem.free]] = found.free
     left = 1.0 if not turns else 0.0
-    for node in layout.nodes(w) if turns else ():
+    for node in found.nodes if turns else ():
         along = np.column_stack([one.generator(node[:n], node[n:], p).full() for one in turns])  # type: ignore[misc]
-        rate = shooting.flow.field(0.0, node, 0 * unfolding, free).full().ravel()
+        rate = shooting.flow.field(0.0, node, 0 * found.unfolding, found.free).full().ravel()
         missed = rate - along @ np.linalg.lstsq(along, rate, rcond=None)[0]
         left = max(left, float(np.abs(missed).max() / max(np.abs(rate).max(), 1e-300)))
     return " and ".join(one.name for one in turns) if left < STEADY else ""
@@ -106,13 +104,11 @@ def _turning(shooting: Shooting, w: np.ndarray) -> str:
 
 def _speed(shooting: Shooting, w: np.ndarray) -> float:
     """Largest rate or acceleration over the nodes, in units of the period."""
-    _, unfolding, free = shooting.layout.tail(w)
+    found = shooting.at(w)
     clock = shooting.problem.guess.period / (2 * np.pi)
-    n = shooting.layout.size // 2
+    n = found.nodes.shape[1] // 2
     scale = np.concatenate([np.full(n, clock), np.full(n, clock**2)])
-    rates = [
-        shooting.flow.field(0.0, node, unfolding, free).full().ravel() * scale for node in shooting.layout.nodes(w)
-    ]
+    rates = [shooting.flow.field(0.0, node, found.unfolding, found.free).full().ravel() * scale for node in found.nodes]
     return float(np.abs(rates).max())
 
 
@@ -143,15 +139,14 @@ def _energy_gap(shooting: Shooting) -> str:
 
 def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     """Largest gap at the end of each segment (N) of a decision vector; `IntegrationError` names its segment."""
-    layout, problem = shooting.layout, shooting.problem
-    nodes, (period, unfolding, free) = layout.nodes(w), layout.tail(w)
-    duration = period * problem.boundary.fraction / layout.segments
+    found = shooting.at(w)
+    (count, size), duration = found.nodes.shape, found.period * shooting.problem.boundary.fraction / len(found.nodes)
     ends = []
-    for k, node in enumerate(nodes):
+    for k, node in enumerate(found.nodes):
         with sundials(node, k * duration, duration, k):
-            ends.append(shooting.flow.end(k * duration, node, duration, unfolding, free).full().ravel())
+            ends.append(shooting.flow.end(k * duration, node, duration, found.unfolding, found.free).full().ravel())
     reached = np.asarray(ends)
-    gaps = np.abs(reached[:-1] - nodes[1:]).max(axis=1)
+    gaps = np.abs(reached[:-1] - found.nodes[1:]).max(axis=1)
     rows = shooting.rows(w, reached.T).full().ravel()
-    boundary = rows[layout.size * (layout.segments - 1) : layout.size * layout.segments]
+    boundary = rows[size * (count - 1) : size * count]
     return np.append(gaps, float(np.abs(boundary).max()))

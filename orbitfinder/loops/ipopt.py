@@ -90,7 +90,7 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         return "stop"
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        sizes = {"x": self.shooting.layout.total, "lam_x": self.shooting.layout.total, "f": 1}
+        sizes = {"x": self.shooting.start.size, "lam_x": self.shooting.start.size, "f": 1}
         count = self.shooting.constraints.numel() + self.shooting.inequalities.numel()
         rows = {"g": count, "lam_g": count}
         return ca.Sparsity.dense(sizes.get(ca.nlpsol_out(i), rows.get(ca.nlpsol_out(i), 0)), 1)
@@ -99,7 +99,7 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         equations = self.shooting.constraints.numel()
         self.defects.append(float(ca.norm_inf(arguments[ca.nlpsol_out().index("g")][:equations])))
         if self.report:
-            period = self.shooting.layout.tail(arguments[0].full().ravel())[0]
+            period = self.shooting.at(arguments[0].full().ravel()).period
             self.report(Progress("shooting", len(self.defects) - 1, self.defects[-1], period, 0.0))
         return [int(self._hopeless() or limit.left() < 0)]
 
@@ -161,7 +161,7 @@ def hessian(shooting: Shooting) -> ca.Function:
     w, parameters = shooting.variables, ca.MX.sym("p", 0)
     count = shooting.constraints.numel() + shooting.inequalities.numel()
     factor, rows = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count)
-    size = shooting.layout.total
+    size = shooting.start.size
     if shooting.square:
         matrix = ca.MX(ca.diag(ca.DM.ones(size) * 1e-8))
     elif shooting.residuals.numel():

@@ -18,60 +18,17 @@ Nothing here integrates (see `integrate.march`) or solves (see `loops.newton`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
 
 from orbitfinder.integrate.march import March, Varied
 from orbitfinder.loops.condensed import Linearised
-from orbitfinder.loops.symmetry import Symmetry
+from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
 from orbitfinder.mechanics.model import Model, vector_field
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where everything sits in the decision vector w."""
-
-    size: int
-    segments: int
-    unfolding: int
-    free: int
-    units: tuple[float, ...] = ()
-    """what w is measured in; () is 1 everywhere"""
-
-    @property
-    def clock(self) -> float:
-        """What the period is measured in."""
-        return self.units[self.size * self.segments] if self.units else 1.0
-
-    @property
-    def total(self) -> int:
-        """Length of w."""
-        return self.size * self.segments + 1 + self.unfolding + self.free
-
-    def physical(self, w: np.ndarray) -> np.ndarray:
-        """w in the model's own units."""
-        return np.asarray(w) * self.units if self.units else np.asarray(w)
-
-    def nodes(self, w: np.ndarray) -> np.ndarray:
-        """Node states (segments x 2n) of a numeric w."""
-        return self.physical(w)[: self.size * self.segments].reshape(self.segments, self.size)
-
-    def tail(self, w: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Period, unfolding parameters and freed parameters of a numeric w."""
-        rest = self.physical(w)[self.size * self.segments :]
-        return float(rest[0]), rest[1 : 1 + self.unfolding], rest[1 + self.unfolding :]
-
-    def join(
-        self, nodes: np.ndarray, period: float, free: np.ndarray, unfolding: np.ndarray | None = None
-    ) -> np.ndarray:
-        """w from its parts; the unfolding is 0 where none is given."""
-        s = np.zeros(self.unfolding) if unfolding is None else unfolding
-        w = np.concatenate([np.ravel(nodes), [period], s, free])
-        return w / self.units if self.units else w
 
 
 @dataclass(frozen=True)
@@ -104,17 +61,32 @@ class Unknowns:
         """Where the segments begin and end (N + 1), in periods."""
         return self.mesh[:: self.steps]
 
-    def moved(self, step: np.ndarray) -> Unknowns:
-        """w + step."""
+    @property
+    def vector(self) -> np.ndarray:
+        """w as one vector."""
+        return np.concatenate([self.nodes.ravel(), self.tail])
+
+    def at(self, vector: np.ndarray) -> Unknowns:
+        """The unknowns that a vector over w stands for."""
         count, size = self.nodes.shape
-        cut, last = count * size, step.size - self.free.size
+        cut, last = count * size, vector.size - self.free.size
         return replace(
             self,
-            nodes=self.nodes + step[:cut].reshape(count, size),
-            period=self.period + float(step[cut]),
-            unfolding=self.unfolding + step[cut + 1 : last],
-            free=self.free + step[last:],
+            nodes=vector[:cut].reshape(count, size),
+            period=float(vector[cut]),
+            unfolding=vector[cut + 1 : last],
+            free=vector[last:],
         )
+
+    def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
+        """Symbols of CasADi for the nodes and for T, s and free, which stacked stand for the vector."""
+        nodes = [ca.MX.sym("node", self.nodes.shape[1]) for _ in self.nodes]
+        tail = zip(("period", "unfolding", "free"), (1, self.unfolding.size, self.free.size), strict=True)
+        return nodes, [ca.MX.sym(name, size) for name, size in tail]
+
+    def moved(self, step: np.ndarray) -> Unknowns:
+        """w + step."""
+        return self.at(self.vector + step)
 
     def joined(self, node: np.ndarray, period: float, unfolding: float, free: np.ndarray) -> np.ndarray:
         """A vector over w: `node` (d) for each node, one number for all of the unfolding."""
@@ -139,8 +111,7 @@ class Unknowns:
         """`other` minus this over w, or None where their segments differ."""
         if self.nodes.shape != other.nodes.shape or not np.array_equal(self.edges, other.edges):
             return None
-        parts = [(other.nodes - self.nodes).ravel(), [other.period - self.period]]
-        return np.concatenate([*parts, other.unfolding - self.unfolding, other.free - self.free])
+        return np.asarray(other.vector - self.vector)
 
     def blended(self, other: Unknowns, share: float) -> Unknowns:
         """The unknowns a share of the way to others, or the nearer of them where their segments differ."""
@@ -164,12 +135,16 @@ class Equations:
     free: tuple[str, ...] = ()
     action: bool = False
     alone: bool = False
+    given: InitVar[March | None] = None
+    """what integrates the motion, where it is there already"""
     march: March = field(init=False)
 
-    def __post_init__(self) -> None:
-        flow = vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
-        rate = _action_rate(self.model, flow, self.free) if self.action else None
-        object.__setattr__(self, "march", March(flow, self.model.forced, rate, self.alone))
+    def __post_init__(self, given: March | None) -> None:
+        if given is None:
+            flow = vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
+            rate = _action_rate(self.model, flow, self.free) if self.action else None
+            given = March(flow, self.model.forced, rate, self.alone)
+        object.__setattr__(self, "march", given)
 
     @property
     def size(self) -> int:
@@ -205,6 +180,11 @@ class Equations:
     def momenta(self) -> ca.Function:
         """The Jacobian of (q, momentum) in (q, v) as a function of (x, free)."""
         return _momenta(self.model, self.free)
+
+    @cached_property
+    def symplectic(self) -> bool:
+        """Whether multipliers come in reciprocal pairs, whatever the freed parameters are."""
+        return symplectic(moved(self.model, self.free))
 
     @cached_property
     def _generators(self) -> tuple[ca.Function, ...]:
@@ -268,6 +248,12 @@ class Loop:
     normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     reference: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def cycles(self) -> int:
+        """Periods of the forcing in one of the orbit, as its clock says; 0 without one."""
+        clocks = (one for one in self.conditions if one.normal is not None and one.quantity is not None)
+        return next((round(-one.weight) for one in clocks), 0)
+
     def through(self, w: Unknowns) -> Self:
         """The same loop with its phases fixed by hyperplanes through w."""
         return replace(self, normals=self.equations.phases(w), reference=w.nodes[0])
@@ -278,6 +264,24 @@ class Loop:
         closing = first @ w.nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant)
         rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self.normals @ (w.nodes[0] - self.reference)]
         return np.concatenate([*rows, self.values(w, self.conditions)])
+
+    def stated(self, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, ends: Sequence[ca.MX]) -> ca.MX:
+        """The same rows as an expression of CasADi."""
+        first, last = (ca.sparsify(ca.DM(one)) for one in self.equations.boundary)
+        rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
+        rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
+        rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
+        head = ca.vertcat(nodes[0], period, free)
+        model = self.equations.model
+        named = _values(model, nodes[0], model.parameters(self.equations.free, free))
+        for one in self.conditions:
+            row = ca.MX(-one.value)
+            if one.normal is not None:
+                row += ca.sparsify(ca.DM(one.normal)).T @ head
+            if one.quantity is not None:
+                row += one.weight * named[one.quantity]
+            rows.append(row)
+        return ca.vertcat(*rows)
 
     def linearised(self, w: Unknowns, path: Varied) -> Linearised:
         """The derivatives of the rows."""
@@ -337,19 +341,20 @@ def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.F
     return ca.Function("action_rate", inputs, [action])
 
 
-def _quantities(model: Model, free: tuple[str, ...]) -> ca.Function:
-    n = model.degrees_of_freedom
-    q, v, chosen = ca.MX.sym("q", n), ca.MX.sym("v", n), ca.MX.sym("free", len(free))
-    parameters = model.parameters(free, chosen)
+def _values(model: Model, x: Any, parameters: Any) -> Any:
+    """What conditions may name (see `Equations`)."""
+    q, v = x[: model.degrees_of_freedom], x[model.degrees_of_freedom :]
     values = [one.value(q, v, parameters) for one in model.invariants]
     values.append(model.kinetic(q, v, parameters) + model.potential(q, parameters))
     if model.forcing_period is not None:
         values.append(model.forcing_period(parameters))
-    stacked, parts = ca.vertcat(*values), [q, v, chosen]
-    slopes = ca.Function("slopes", parts, [stacked, ca.horzcat(ca.jacobian(stacked, q), ca.jacobian(stacked, v)),
-                                           ca.jacobian(stacked, chosen)])  # fmt: skip
-    x = ca.MX.sym("x", 2 * n)
-    return ca.Function("quantities", [x, chosen], slopes.call([x[:n], x[n:], chosen]))
+    return ca.vertcat(*values)
+
+
+def _quantities(model: Model, free: tuple[str, ...]) -> ca.Function:
+    x, chosen = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("free", len(free))
+    values = _values(model, x, model.parameters(free, chosen))
+    return ca.Function("quantities", [x, chosen], [values, ca.jacobian(values, x), ca.jacobian(values, chosen)])
 
 
 def _momenta(model: Model, free: tuple[str, ...]) -> ca.Function:

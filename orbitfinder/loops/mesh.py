@@ -97,7 +97,7 @@ def remeshed(curve: Curve, found: Solution) -> Unknowns:
     each = _rounded(density.sum() / count)
     work = np.concatenate([[0.0], np.cumsum(density)])
     mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
-    slopes = curve.equations.march.rates(states, place.tail) * place.period
+    slopes = curve.equations.march.rates(states, place.tail, place.mesh * place.period) * place.period
     nodes = CubicHermiteSpline(place.mesh, states, slopes)(mesh[:-1:each])
     return replace(place, nodes=np.vstack([place.nodes[:1], nodes[1:]]), mesh=mesh)
 

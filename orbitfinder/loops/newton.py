@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,11 +41,14 @@ class NewtonSettings:
 
 
 class Newton:
-    """One run of the iteration on a loop; counts its marches of states and of states and derivatives."""
+    """One run of the iteration on a loop; counts its marches of states and of states and derivatives.
+
+    `best` is the smallest norm of the rows on the way to the last digits.
+    """
 
     def __init__(self, loop: Loop, settings: NewtonSettings) -> None:
         self.loop, self.settings = loop, settings
-        self.marches, self.jacobians, self.growth = 0, 0, 1.0
+        self.marches, self.jacobians, self.growth, self.best = 0, 0, 1.0, np.inf
 
     def solve(self, w: Unknowns, path: Varied) -> tuple[Unknowns, float]:
         """w on the mesh that confirms it, and its largest row; `path` is w's first integration.
@@ -57,14 +61,14 @@ class Newton:
 
     def _approach(self, w: Unknowns, path: Varied | None) -> tuple[Unknowns, Solver]:
         """Damped steps on the coarse march until the residual is small."""
-        chosen, before, step, factor, best = self.settings, w, np.zeros(0), 1.0, np.inf
+        chosen, before, step, factor = self.settings, w, np.zeros(0), 1.0
         for _ in range(chosen.most_evaluations):
             path = path or self._varied(w)
             rows = self.loop.rows(w, path.ends) if path else np.full(1, np.inf)
             size = float(np.linalg.norm(rows))
-            if path is not None and size < best:
+            if path is not None and size < self.best:
                 solver = self._solver(w, path)
-                before, best, step = w, size, solver(rows)
+                before, self.best, step = w, size, solver(rows)
                 factor = 1.0 / max(1.0, abs(step[w.nodes.size]) / (chosen.largest_change * w.period))
                 if size < chosen.handover and factor == 1.0:
                     return w.moved(step), solver
@@ -72,7 +76,7 @@ class Newton:
                 factor /= 2
             w, path = before.moved(factor * step), None
         raise ConvergenceError(
-            f"warm refinement does not converge from this guess (residual {best:.2g}); find_orbit reaches farther"
+            f"warm refinement does not converge from this guess (residual {self.best:.2g}); find_orbit reaches farther"
         )
 
     def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, np.ndarray]:
@@ -92,22 +96,11 @@ class Newton:
     def _chord(
         self, w: Unknowns, rows: np.ndarray, solver: Solver, target: float
     ) -> tuple[Unknowns, np.ndarray, Solver]:
-        """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off."""
-        size = _largest(rows)
-        for _ in range(self.settings.most_evaluations):
-            if size <= target:
-                break
-            trial = w.moved(solver(rows))
-            found = self._rows(trial)
-            slow = _largest(found) > self.settings.contraction * size
-            if _largest(found) < size:
-                w, rows, size = trial, found, _largest(found)
-            if slow and size < 1e3 * self.settings.agreement:
-                break  # round-off
-            if slow:
-                self.jacobians += 1
-                solver = self._solver(w, self.loop.equations.varied(w))
-        return w, rows, solver
+        def renewed(w: Unknowns) -> Solver:
+            self.jacobians += 1
+            return self._solver(w, self.loop.equations.varied(w))
+
+        return chord(w, rows, solver, (self._rows, renewed), target, self.settings)
 
     def _rows(self, w: Unknowns) -> np.ndarray:
         self.marches += 1
@@ -124,6 +117,35 @@ class Newton:
     def _solver(self, w: Unknowns, path: Varied) -> Solver:
         self.growth = max(1.0, float(np.abs(path.transitions).max()))
         return eliminated(self.loop.linearised(w, path))
+
+
+def chord(
+    w: Unknowns,
+    rows: np.ndarray,
+    solver: Solver,
+    functions: tuple[Callable[[Unknowns], np.ndarray], Callable[[Unknowns], Solver]],
+    target: float,
+    settings: NewtonSettings,
+) -> tuple[Unknowns, np.ndarray, Solver]:
+    """Steps with a fixed Jacobian, renewed where it no longer contracts, down to `target` or round-off.
+
+    `functions` give the rows and the solver of any unknowns.
+    """
+    rows_of, solver_of = functions
+    size = _largest(rows)
+    for _ in range(settings.most_evaluations):
+        if size <= target:
+            break
+        trial = w.moved(solver(rows))
+        found = rows_of(trial)
+        slow = _largest(found) > settings.contraction * size
+        if _largest(found) < size:
+            w, rows, size = trial, found, _largest(found)
+        if slow and size < 1e3 * settings.agreement:
+            break  # round-off
+        if slow:
+            solver = solver_of(w)
+    return w, rows, solver
 
 
 def _largest(rows: np.ndarray) -> float:

@@ -6,15 +6,22 @@ than good enough for a Newton step on a residual that is right to round-off.
 
 from __future__ import annotations
 
+from functools import partial
+from itertools import pairwise
+
 import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, sundials
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS, agree, march, refined_march
+from orbitfinder.loops.condensed import Solver
+from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.newton import NewtonSettings, chord
 from orbitfinder.loops.shooting import Shooting
 
-MOST_STEPS = 6
+ROUND_OFF, STALLED = 1e-15, 1e-8
+"""The residual that no step makes smaller, and that of a polish that has failed"""
 STEPS_PER_PERIOD = 400
 """Runge-Kutta steps in a period at least, doubled in segments that need more"""
 PIECE = 8
@@ -81,45 +88,37 @@ def _agreed(
     return fine if agree(coarse, fine, units) else None
 
 
-def residual(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """All rows of g(w) with the segments integrated to round-off."""
-    layout, problem = shooting.layout, shooting.problem
-    period, unfolding, free = layout.tail(w)
-    duration = period * problem.boundary.fraction / layout.segments
-    tail = tail_of(shooting.flow, unfolding, free)
-    least = least_steps(round(layout.segments / problem.boundary.fraction))
-    spans = [(k * duration, (k + 1) * duration) for k in range(layout.segments)]
-    ends = [end_of(shooting.flow, node, span, tail, least) for node, span in zip(layout.nodes(w), spans, strict=True)]
-    return np.asarray(shooting.rows(w, np.asarray(ends).T).full().ravel())
+def residual(shooting: Shooting, found: Unknowns) -> np.ndarray:
+    """All rows of g with the segments integrated to round-off."""
+    tail = tail_of(shooting.flow, found.unfolding, found.free)
+    least = least_steps(round(len(found.nodes) / shooting.problem.boundary.fraction))
+    spans = pairwise(found.period * found.edges)
+    ends = [end_of(shooting.flow, node, span, tail, least) for node, span in zip(found.nodes, spans, strict=True)]
+    return np.asarray(shooting.rows(shooting.vector(found), np.asarray(ends).T).full().ravel())
 
 
-def jacobian_at(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """dg/dw by the variational equations; CVODES' failure becomes an `IntegrationError`."""
-    nodes, period = shooting.layout.nodes(w), shooting.layout.tail(w)[0]
-    with sundials(nodes[0], 0.0, period / len(nodes)):
-        return np.asarray(shooting.jacobian(w).full())
+def solver_at(shooting: Shooting, found: Unknowns) -> Solver:
+    """The step by the variational equations, which CVODES integrates; its failure becomes an `IntegrationError`.
+
+    The system is square except for brake orbits of conservative systems at rest, so it is the least-squares one.
+    """
+    with sundials(found.nodes[0], 0.0, found.period / len(found.nodes)):
+        jacobian = shooting.jacobian(shooting.vector(found)).full()
+    return lambda rows: -shooting.units * np.linalg.lstsq(jacobian, rows, rcond=None)[0]
 
 
 def polish(shooting: Shooting, start: np.ndarray) -> np.ndarray:
     """w after Newton steps with the accurate residual, until it stops shrinking.
 
-    The system is square except for brake orbits of conservative systems at rest, so the step is the
-    least-squares one. Raises `ConvergenceError` when the residual grows instead.
+    Raises `ConvergenceError` when the residual grows instead.
     """
-    w, best = start, residual(shooting, start)
-    jacobian = jacobian_at(shooting, w)
-    for _ in range(MOST_STEPS):
-        step = np.linalg.lstsq(jacobian, -best, rcond=None)[0]
-        trial = w + step
-        rows = residual(shooting, trial)
-        if not np.abs(rows).max() < np.abs(best).max():
-            break
-        w, best = trial, rows
-        if np.abs(best).max() < 1e-15:
-            break
-    if not np.abs(best).max() < 1e-8:
+    functions = partial(residual, shooting), partial(solver_at, shooting)
+    found = shooting.at(start)
+    rows, solver = functions[0](found), functions[1](found)
+    found, rows, _ = chord(found, rows, solver, functions, ROUND_OFF, NewtonSettings())
+    if not np.abs(rows).max() < STALLED:
         raise ConvergenceError(
-            f"the polish stalled at a residual of {np.abs(best).max():.2g}; the orbit is too unstable for "
+            f"the polish stalled at a residual of {np.abs(rows).max():.2g}; the orbit is too unstable for "
             "this many segments, use more"
         )
-    return w
+    return shooting.vector(found)

@@ -329,7 +329,8 @@ def _check_relative(problem: Problem) -> None:
             f"relative: a {problem.symmetry} orbit comes back, so nothing shifts; leave relative out, or use "
             "symmetry = 'none'"
         )
-    if problem.winding is not None and any(np.asarray(problem.winding)[moved]):
+    first = [int(np.flatnonzero(known[name].direction)[0]) for name in problem.relative]
+    if problem.winding is not None and any(problem.winding[k] for k in first):
         raise InputError(
             f"winding: {list(problem.winding)} turns a coordinate of relative = {list(problem.relative)}, whose shift "
             "is found; set it to 0"
@@ -351,12 +352,15 @@ WINDING_MARGIN = 0.25
 
 def loop_of(problem: Problem, equations: Equations, w: Unknowns, end: np.ndarray | None, pins: Sequence[Pin]) -> Loop:
     """The loop of a Problem at these pins, its phases and displacement as w has them, whose motion ends at `end`."""
-    model, period = problem.model, np.eye(equations.size + 1 + w.free.size)[equations.size]
-    conditions = [pinned(equations, one.name, one.value) for one in pins]
-    if model.forcing_period is not None:
-        clock = Condition(0.0, period, len(model.invariants) + 1, -float(problem.forcing_cycles))
-        conditions.insert(0, clock)
-    return Loop(equations, displacement(problem, w, end), tuple(conditions)).through(w)
+    given = (pinned(equations, one.name, one.value) for one in pins)
+    conditions = (*clock(equations, problem.forcing_cycles), *given)
+    return Loop(equations, displacement(problem, w, end), conditions).through(w)
+
+
+def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
+    """The condition that a motion lasts so many periods of the forcing; none where nothing is forced."""
+    model, unit = equations.model, np.eye(equations.size + 1 + len(equations.free))
+    return (Condition(0.0, unit[equations.size], len(model.invariants) + 1, -float(cycles)),) if model.forced else ()
 
 
 def pinned(equations: Equations, name: str, value: float) -> Condition:

@@ -8,9 +8,10 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition_function
-from orbitfinder.loops.conditions import Variables, boundary_rows, constrained_brake_rows, pin_row
-from orbitfinder.loops.loop import Layout
-from orbitfinder.loops.problem import Problem, boundary_constants
+from orbitfinder.integrate.march import March, uniform
+from orbitfinder.loops.conditions import Variables, constrained_brake_rows
+from orbitfinder.loops.loop import Equations, Loop, Unknowns
+from orbitfinder.loops.problem import Problem, loop_of
 from orbitfinder.mechanics.constrained import allowed_velocities
 
 PERIOD_RANGE = 5.0
@@ -29,15 +30,18 @@ FAR = 30.0
 class Shooting:
     """The nonlinear program: min f(w) subject to g(w) = 0, low <= h(w) <= high and bounds.
 
-    `ends(w)` are the segments' end states (2n x N), `rows(w, ends)` is g, `constraints(w)` is
-    rows(w, ends(w)) and `jacobian(w)` its derivative by the variational equations; `inequalities` is h.
+    w is the vector of the loop's unknowns in their `units`; `start` is where it starts. `rows(w, ends)` is g when the
+    segments end at `ends` (2n x N): those of the `loop`, then the user's; `constraints(w)` is g by CVODES and
+    `jacobian(w)` its derivative by the variational equations; `inequalities` is h.
     `objective` is 1/2 sum weight (w - guess)^2, whose Hessian is diagonal, or the problem's own;
     `residuals` is r where that is |r|^2 / 2, else empty.
     """
 
     problem: Problem
     flow: Flow
-    layout: Layout
+    loop: Loop
+    guess: Unknowns
+    units: np.ndarray
     start: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
@@ -55,46 +59,50 @@ class Shooting:
     @property
     def square(self) -> bool:
         """True when the equations leave nothing to choose."""
-        return self.problem.count(self.layout.segments).freedom == 0
+        return self.problem.count(len(self.guess.nodes)).freedom == 0
+
+    def at(self, w: np.ndarray) -> Unknowns:
+        """The unknowns in the model's own units."""
+        return self.guess.at(np.asarray(w) * self.units)
+
+    def vector(self, unknowns: Unknowns) -> np.ndarray:
+        """w of unknowns."""
+        return np.asarray(unknowns.vector / self.units)
 
 
 def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) -> Shooting:
     """The multiple-shooting program of a Problem started from node states (N x 2n).
 
-    2n N rows of continuity and boundary, one phase condition per continuous symmetry and one row
-    per pin or equation, in {2n N node states, T, s per invariant, freed parameters}: square and regular
-    at an orbit (Muñoz-Almaraz et al., Physica D 181 (2003) 1-38).
+    The rows of its loop (see `loops.loop`) and of its constraints, in {2n N node states, T, s per invariant, freed
+    parameters}: square and regular at an orbit (Muñoz-Almaraz et al., Physica D 181 (2003) 1-38).
     """
     problem.check_count()
     unfolded = problem.boundary.unfolded(problem.model)
     flow = flow or build_flow(problem.model, problem.free, unfolded, units=units_of(problem))
-    size = len(problem.model.state_names)
-    layout = Layout(size, len(nodes), len(unfolded), len(problem.free), _unit_of_each(problem, flow, len(nodes)))
-    free = np.array([problem.model.parameter_values[problem.model.parameter_index(f)] for f in problem.free])
-    start = layout.join(nodes, problem.guess.period, free)
-    scaled = [*(ca.MX.sym("node", size) for _ in range(layout.segments)), ca.MX.sym("period"),
-              ca.MX.sym("unfolding", layout.unfolding), ca.MX.sym("free", layout.free)]  # fmt: skip
-    w = ca.vertcat(*scaled)
-    physical = _times(scaled, layout.units)
-    parts, tail = physical[: layout.segments], physical[layout.segments :]
-    given = ca.MX.sym("ends", size, layout.segments)
+    equations = Equations(problem.model, problem.boundary, problem.free, given=March(flow.field, problem.model.forced))
+    guess = equations.unknowns(nodes, problem.guess.period, uniform(problem.boundary.fraction, len(nodes), 1))
     far = far_end(problem, nodes, flow)
-    constant = boundary_constants(problem, nodes, far)
+    loop = loop_of(problem, equations, guess, far, problem.pin)
+    scaled = guess.symbols()
+    w, given = ca.vertcat(*scaled[0], *scaled[1]), ca.MX.sym("ends", equations.size, len(nodes))
+    units = _units(flow, guess)
+    start = guess.vector / units
+    parts, tail = scaled if not flow.units else _times(scaled, units)
     known = _variables(problem, flow, parts, tail, given)
-    equations = _rows(problem, (nodes[0], constant, far), known)
-    rows = ca.Function("rows", [w, given], [_measured(equations, (w, given), start, layout)])
+    equalities = _rows(loop, problem, known, tail, far)
+    rows = ca.Function("rows", [w, given], [_measured(equalities, (w, given), start, guess, flow)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
     ends = _ends(problem, flow, parts, tail)
     constraints = rows(w, ends)
-    lower, upper = _bounds(problem, layout, start)
-    weights = _weights(problem, layout, start)
+    lower, upper = (one.vector / units for one in _bounds(problem, flow, guess))
+    weights = _weights(problem, flow, guess.at(start))
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
         value = 0.5 * ca.dot(ca.DM(weights), (w - start) ** 2)
     return Shooting(
-        problem, flow, layout, np.clip(start, lower, upper), lower, upper, weights, w, value, rows, constraints,
-        ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]), inequalities, low, high, residuals,
+        problem, flow, loop, guess, units, np.clip(start, lower, upper), lower, upper, weights, w, value, rows,
+        constraints, ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]), inequalities, low, high, residuals,
     )  # fmt: skip
 
 
@@ -123,34 +131,36 @@ def _rounded(value: float) -> float:
     return float(256.0 ** np.round(np.log(value) / np.log(256.0))) if value > 0 else 1.0
 
 
-def _unit_of_each(problem: Problem, flow: Flow, segments: int) -> tuple[float, ...]:
+def _clock(flow: Flow) -> float:
+    """What times are measured in."""
+    return flow.units[0] / flow.units[len(flow.units) // 2] if flow.units else 1.0
+
+
+def _units(flow: Flow, guess: Unknowns) -> np.ndarray:
     """Units of every entry of w: the flow's for nodes and period, 1 / period, the freed parameters' own sizes."""
     if not flow.units:
-        return ()
-    n, model = len(flow.units) // 2, problem.model
-    clock = flow.units[0] / flow.units[n]
-    free = [abs(float(model.parameter_values[model.parameter_index(name)])) or 1.0 for name in problem.free]
-    return (*flow.units * segments, clock, *[1.0 / clock] * len(flow.unfolded), *free)
+        return np.ones(guess.vector.size)
+    sizes = np.abs(guess.free)
+    return guess.joined(np.asarray(flow.units), _clock(flow), 1.0 / _clock(flow), np.where(sizes > 0, sizes, 1.0))
 
 
-def _times(parts: list[ca.MX], units: tuple[float, ...]) -> list[ca.MX]:
+def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[list[ca.MX], list[ca.MX]]:
     """The parts of w in the model's units."""
-    if not units:
-        return parts
-    ends = np.cumsum([0, *(part.numel() for part in parts)])
-    return [part * ca.DM(units[ends[k] : ends[k + 1]]) for k, part in enumerate(parts)]
+    nodes, tail = parts
+    ends = np.cumsum([0, *(part.numel() for part in [*nodes, *tail])])
+    found = [part * ca.DM(units[ends[k] : ends[k + 1]]) for k, part in enumerate([*nodes, *tail])]
+    return found[: len(nodes)], found[len(nodes) :]
 
 
-def _measured(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, layout: Layout) -> ca.MX:
+def _measured(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow) -> ca.MX:
     """Rows in units of what a unit of the unknowns changes in them at the start; as they are where units are 1."""
-    if not layout.units:
+    if not flow.units:
         return rows
     w, ends = inputs
-    sizes = ca.DM(np.tile(np.asarray(layout.units[: layout.size]), layout.segments))
+    sizes = ca.DM(np.tile(np.asarray(flow.units), len(guess.nodes)))
     both = ca.horzcat(ca.jacobian(rows, w), ca.jacobian(rows, ends) @ ca.diag(sizes))
     slopes = ca.Function("slopes", [w, ends], [both])
-    nodes = layout.nodes(start)
-    size = np.abs(slopes(start, np.roll(nodes, -1, axis=0).T).full()).max(axis=1)
+    size = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
     return rows / ca.DM(np.where(np.isfinite(size) & (size > 0), size, 1.0))
 
 
@@ -201,26 +211,19 @@ def _ends(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX]) -
     return ca.horzcat(*[flow.end(k * duration, node, duration, s, free) for k, node in enumerate(parts)])
 
 
-def _rows(problem: Problem, guess: tuple[np.ndarray, np.ndarray, np.ndarray | None], known: Variables) -> ca.MX:
-    """All rows of g: continuity, boundary, phase conditions, pins, equations; `guess`: state, constants, far end."""
-    state, constant, far = guess
-    model, parts, ends = problem.model, known.nodes, known.ends
-    rows = [end - node for end, node in zip(ends, parts[1:], strict=False)]
+def _rows(loop: Loop, problem: Problem, known: Variables, tail: list[ca.MX], far: np.ndarray | None) -> ca.MX:
+    """All rows of g: the loop's, the user's phase condition in place of time's, equations."""
+    model, start, end = problem.model, known.nodes[0], known.ends[-1]
+    if problem.phase_condition is not None:  # the first normal belongs to time
+        loop = replace(loop, normals=loop.normals[1:])
+    rows = loop.stated(known.nodes, known.period, tail[-1], known.ends)
+    closed = start.numel() * len(known.nodes)
+    closing = rows[closed - start.numel() : closed]
     if model.constraint is not None and far is not None:
-        basis = allowed_velocities(model, far)
-        rows.append(constrained_brake_rows(model, parts[0], ends[-1], known.parameters, basis))
-    else:
-        rows.append(boundary_rows(problem.boundary, parts[0], ends[-1], constant))
-    directions = phase_directions(problem, state)
-    if problem.phase_condition is not None:
-        rows.append(ca.MX(problem.phase_condition(known)))
-        directions = directions[1:]  # the first one belongs to time
-    rows += [ca.dot(ca.DM(direction), parts[0] - ca.DM(state)) for direction in directions]
-    if model.forcing_period is not None:
-        rows.append(known.period - problem.forcing_cycles * model.forcing_period(known.parameters))
-    rows += [pin_row(model, one, parts[0], known.period, known.parameters) for one in problem.pin]
-    rows += [one.value(known) - one.lower for one in problem.constraints if one.equation]
-    return ca.vertcat(*rows)
+        closing = constrained_brake_rows(model, start, end, known.parameters, allowed_velocities(model, far))
+    own = [] if problem.phase_condition is None else [ca.MX(problem.phase_condition(known))]
+    equations = [one.value(known) - one.lower for one in problem.constraints if one.equation]
+    return ca.vertcat(rows[: closed - start.numel()], closing, *own, rows[closed:], *equations)
 
 
 def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | None:
@@ -232,49 +235,33 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 
 
-def phase_directions(problem: Problem, state: np.ndarray) -> list[np.ndarray]:
-    """Unit normals (2n) of the hyperplanes through the guess that fix time and other symmetries."""
-    model, symmetry = problem.model, problem.boundary
-    n = model.degrees_of_freedom
-    q, v, p = state[:n], state[n:], model.parameter_values
-    found = []
-    if not symmetry.reverses and not model.forced:
-        acceleration = model.acceleration(0.0, q, v, p).full().ravel()
-        found.append(np.concatenate([v, acceleration]))
-    found += [one(q, v, p).full().ravel() for one in symmetry.generators(model)]
-    return [direction / max(float(np.linalg.norm(direction)), 1e-300) for direction in found]
-
-
-def _scales(problem: Problem, start: np.ndarray, layout: Layout) -> tuple[np.ndarray, float]:
-    nodes = layout.nodes(start)
-    n = layout.size // 2
-    least = FAR * np.asarray(layout.units[:n]) if layout.units else 1.0
-    coordinates = np.maximum(least, np.abs(nodes[:, :n]).max(axis=0))
-    rate = max(float(np.abs(nodes[:, n:]).max()), 2 * np.pi / problem.guess.period * float(np.max(least)))
+def _scales(problem: Problem, flow: Flow, guess: Unknowns) -> tuple[np.ndarray, float]:
+    n = guess.nodes.shape[1] // 2
+    least = FAR * np.asarray(flow.units[:n]) if flow.units else 1.0
+    coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
+    rate = max(float(np.abs(guess.nodes[:, n:]).max()), 2 * np.pi / problem.guess.period * float(np.max(least)))
     return coordinates, rate
 
 
-def _bounds(problem: Problem, layout: Layout, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest w."""
-    coordinates, rate = _scales(problem, start, layout)
-    centre, (_, _, free) = layout.nodes(start), layout.tail(start)
-    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(layout.size // 2, RATE_RANGE * rate)])
-    unfolding = np.full(layout.unfolding, UNFOLDING_RANGE / layout.clock)
-    spread = 0.95 * np.abs(free) + (free == 0)
-    period = problem.guess.period
-    times = problem.bounds.get("period", (period / PERIOD_RANGE, period * PERIOD_RANGE))
-    ends = zip(problem.free, free - spread, free + 10 * spread, strict=True)
+def _bounds(problem: Problem, flow: Flow, guess: Unknowns) -> tuple[Unknowns, Unknowns]:
+    """Lowest and highest unknowns."""
+    coordinates, rate = _scales(problem, flow, guess)
+    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(coordinates.size, RATE_RANGE * rate)])
+    unfolding = np.full(guess.unfolding.size, UNFOLDING_RANGE / _clock(flow))
+    spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
+    times = problem.bounds.get("period", (guess.period / PERIOD_RANGE, guess.period * PERIOD_RANGE))
+    ends = zip(problem.free, guess.free - spread, guess.free + 10 * spread, strict=True)
     ranges = np.array([problem.bounds.get(name, (low, high)) for name, low, high in ends]).reshape(-1, 2).T
     return (
-        layout.join(centre - reach, times[0], ranges[0], -unfolding),
-        layout.join(centre + reach, times[1], ranges[1], unfolding),
+        replace(guess, nodes=guess.nodes - reach, period=times[0], unfolding=-unfolding, free=ranges[0]),
+        replace(guess, nodes=guess.nodes + reach, period=times[1], unfolding=unfolding, free=ranges[1]),
     )
 
 
-def _weights(problem: Problem, layout: Layout, start: np.ndarray) -> np.ndarray:
+def _weights(problem: Problem, flow: Flow, start: Unknowns) -> np.ndarray:
     """Weights of the distance to the guess: 1 for angles in rad, or for each unit; rates and periods comparable."""
-    n, plain = layout.size // 2, replace(layout, units=())
-    clock = problem.guess.period / (2 * np.pi) / layout.clock
-    node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / layout.segments
-    relative = 1.0 / np.maximum(np.abs(plain.tail(start)[2]), 1e-6) ** 2
-    return plain.join(np.tile(node, layout.segments), (layout.clock / problem.guess.period) ** 2, relative)
+    n, unit = start.nodes.shape[1] // 2, _clock(flow)
+    clock = problem.guess.period / (2 * np.pi) / unit
+    node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / len(start.nodes)
+    relative = 1.0 / np.maximum(np.abs(start.free), 1e-6) ** 2
+    return start.joined(node, (unit / problem.guess.period) ** 2, 0.0, relative)

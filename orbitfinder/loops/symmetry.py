@@ -481,6 +481,22 @@ def shifting(symmetry: Symmetry, model: Model) -> Mapping[str, Shift]:
     return {name: one for name, one in known.items() if one.direction in symmetry.relative}
 
 
+def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.ndarray:
+    """How far coordinates (n) go in a period, in 2 pi: whole turns, and what an orbit shifts by name.
+
+    Raises `InputError` where the system has no such shift.
+    """
+    known, found = shifts_of(model) if shift else {}, turns
+    for name, amount in shift.items():
+        if name not in known or not np.isfinite(amount):
+            raise InputError(
+                f"shift: {name} = {amount} is none of this system, which has {', '.join(known) or 'no'} shifts; the "
+                "record contradicts its system, run the problem again"
+            )
+        found = found + amount / (2 * np.pi) * np.asarray(known[name].direction)
+    return found
+
+
 def momenta_of(symmetry: Symmetry, model: Model) -> tuple[str, ...]:
     """The momenta that are kept with what orbits of a symmetry are relative in."""
     return tuple(one.momentum for one in shifting(symmetry, model).values())
@@ -617,3 +633,27 @@ def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np
 def time_dependent(model: Model) -> bool:
     """True when the accelerations contain time explicitly."""
     return bool(model.acceleration.jac_sparsity(0, 0).nnz())
+
+
+def moved(model: Model, free: Sequence[str]) -> Model:
+    """The Model with freed parameters at other values: what holds there too holds along a family."""
+    numbers = model.parameter_values.copy()
+    places = [model.parameter_index(name) for name in free]
+    numbers[places] = np.where(numbers[places], 1.1 * numbers[places], 0.1)
+    return replace(model, parameter_values=numbers) if free else model
+
+
+def symplectic(model: Model) -> bool:
+    """Whether the flow is Hamilton's, driven or not, so that multipliers come in reciprocal pairs.
+
+    The forces of a driven system are then the gradient of a potential, tried at a few states.
+    """
+    if model.conservative or model.forces is None or not model.forced:
+        return model.conservative
+    random, slopes = np.random.default_rng(0), model.forces.jacobian()
+    for _ in range(4):
+        t, (q, v) = float(random.uniform()), random.normal(0, 1.0, (2, model.degrees_of_freedom))
+        by_q, by_v = (one.full() for one in slopes(t, q, v, model.parameter_values, 0)[1:3])
+        if max(np.abs(by_v).max(), np.abs(by_q - by_q.T).max()) > MIRRORED * max(1.0, np.abs(by_q).max()):
+            return False
+    return True

@@ -115,7 +115,7 @@ def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]
     if trusted is None:
         raise InputError(
             f"system.module: {module!r} is a program that is not part of orbitfinder, so it was not run; read it, "
-            f"then add --trust, or use module = {BUILT_IN!r}"
+            f"then add --trust (in Python give the Model), or use module = {BUILT_IN!r}"
         )
     if not all(part.isidentifier() for part in module.split(".")):
         raise InputError(f"system.module: {module!r} is no module name; give one such as 'my_system' (my_system.py)")

@@ -11,10 +11,10 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.loops.symmetry import recognise, shifts_of, symmetries_of
+from orbitfinder.loops.symmetry import recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
-from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents, shift_along, turned
+from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents, shift_along
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
 from orbitfinder.orbits.reduction import reduction
@@ -277,9 +277,10 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
         _same_symmetry(orbit, evidence, model),
     ]
     # mu and 1/mu of a matrix of norm about mu, known to the integration's relative error: mu^2 of that
-    pairs = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if model.conservative else 0.0
+    paired = symplectic(model)
+    pairs = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if paired else 0.0
     defect = max(evidence.floquet.pair_defect, abs(orbit.pair_defect))
-    if model.conservative or defect:
+    if paired or defect:
         checks.append(_at_most("pair_defect", defect, pairs, "reciprocal pairs, as recorded and as found"))
     if orbit.shift:
         ends, turns = (evidence.states[0], evidence.states[-1]), np.asarray(orbit.winding)

@@ -14,13 +14,12 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import InputError
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
 
@@ -101,22 +100,6 @@ def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
     """Extents (2n) of a motion of a Model (k x 2n) over its period."""
     moved, rushed = np.split(np.ptp(states, axis=0), 2)
     return np.concatenate(extents(moved, rushed, masses_of(model.kinetic, states[0], model), period))
-
-
-def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.ndarray:
-    """How far coordinates (n) go in a period, in 2 pi: whole turns, and what an orbit shifts by name.
-
-    Raises `InputError` where the system has no such shift.
-    """
-    known, found = shifts_of(model) if shift else {}, turns
-    for name, amount in shift.items():
-        if name not in known or not np.isfinite(amount):
-            raise InputError(
-                f"shift: {name} = {amount} is none of this system, which has {', '.join(known) or 'no'} shifts; the "
-                "record contradicts its system, run the problem again"
-            )
-        found = found + amount / (2 * np.pi) * np.asarray(known[name].direction)
-    return found
 
 
 def shift_along(

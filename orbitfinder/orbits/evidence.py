@@ -34,6 +34,7 @@ from orbitfinder.integrate.dop853 import (
 )
 from orbitfinder.integrate.equations import accelerations, hamilton
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
+from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
@@ -313,7 +314,7 @@ def _measured(
         growth=growth,
         trivial=max(_off(directions @ inner.T, directions), _off(gradients @ inner, gradients)) / scale,
         symplectic=float(np.abs(inner.T @ form @ inner - form).max()) / (scale**2 * float(np.abs(form).max())),
-        floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=model.conservative),
+        floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=symplectic(model)),
         reached=motion.states[np.searchsorted(motion.times, moments)],
         formulation=motion.formulation,
     )
@@ -390,14 +391,17 @@ class ClosureCheck:
 
     def ends(self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
         """Where each piece of an orbit ends (N x 2n) that begins at a node (N x 2n) and lasts so long (s)."""
-        pieces = zip(nodes, durations, strict=True)
-        return np.stack([self._end(node, duration, 1 / PIECE_STEPS, free) for node, duration in pieces])
+        edges = np.append(0.0, np.cumsum(durations)) * self._model.forced
+        pieces = zip(nodes, durations, edges[:-1], strict=True)
+        return np.stack([self._end(node, duration, 1 / PIECE_STEPS, free, now) for node, duration, now in pieces])
 
-    def _end(self, state: np.ndarray, duration: float, longest: float, free: Mapping[str, float] | None) -> np.ndarray:
-        """(q, v) after a time, by steps no longer than a share of it."""
+    def _end(
+        self, state: np.ndarray, duration: float, longest: float, free: Mapping[str, float] | None, now: float = 0.0
+    ) -> np.ndarray:
+        """(q, v) after a time from `now`, by steps no longer than a share of it."""
         if self._at != dict(free or {}):
             self._at = dict(free or {})
             self._equations = Hamiltonian(with_parameters(self._model, self._at))
-        start, span = self._equations.start(state), np.array([0.0, duration])
+        start, span = self._equations.start(state), np.array([now, now + duration])
         path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
         return np.asarray(self._equations.states(path[-1:])[0])

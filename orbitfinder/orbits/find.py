@@ -216,9 +216,9 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     except (ConvergenceError, IntegrationError) as error:
         refined, w = _shot_again(problem, flow, settings, _reporter(progress, began), error)
         said = {"start": "harmonic balance along the family of the guess's linear mode"}
-    period, unfolding = refined.layout.tail(w)[:2]
-    unfolding = acting(refined.flow, refined.layout.nodes(w), unfolding)
-    orbit = measure(refined.problem, refined.flow, refined.layout.nodes(w), period, unfolding)
+    found = refined.at(w)
+    unfolding = acting(refined.flow, found.nodes, found.unfolding)
+    orbit = measure(refined.problem, refined.flow, found.nodes, found.period, unfolding)
     _within(problem, orbit)
     _periodic(problem, orbit)
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
@@ -347,15 +347,14 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
 
     A problem with an objective is first made square by holding its place in the family.
     """
-    problem, layout = shooting.problem, shooting.layout
-    square = shooting.square
+    problem, square = shooting.problem, shooting.square
     if square:
         w = polish(shooting, w)
     if square and not problem.free and not problem.constraints:
         return shooting, w
-    period, unfolding, free = layout.tail(w)
-    nodes = layout.nodes(w)
-    values = {name: _snapped(problem, name, float(value)) for name, value in zip(problem.free, free, strict=True)}
+    found = shooting.at(w)
+    nodes, period = found.nodes, found.period
+    values = {name: _snapped(problem, name, float(value)) for name, value in zip(problem.free, found.free, strict=True)}
     model = with_parameters(problem.model, values)
     settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
@@ -363,7 +362,7 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
         pins = problem.pin[: len(natural)]
         settled = replace(settled, pin=pins if len(pins) == len(natural) else _held(problem, natural, period))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
-    return held, polish(held, held.layout.join(nodes, period, np.zeros(0), unfolding))
+    return held, polish(held, held.vector(replace(held.guess, unfolding=found.unfolding)))
 
 
 def _snapped(problem: Problem, name: str, value: float) -> float:
@@ -403,15 +402,14 @@ def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
 
 def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
     """The same orbit over its minimal period, when the solver went round it several times."""
-    problem, layout = shooting.problem, shooting.layout
+    problem, found = shooting.problem, shooting.at(w)
     if problem.boundary.maps:
         return shooting, w
     cover = cover_of(shooting, w)
     if cover == 1:
         return shooting, w
-    period = layout.tail(w)[0] / cover
-    count = max(1, layout.segments // cover)
-    state = layout.nodes(w)[0]
+    period, state = found.period / cover, found.nodes[0]
+    count = max(1, len(found.nodes) // cover)
     turns = tuple(int(k) for k in problem.turns // cover)
     pins = natural_pin(problem, state)
     shorter = replace(problem, guess=Guess(state, period), pin=pins, segments=count, winding=turns)
@@ -421,9 +419,8 @@ def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tupl
 
 def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float = 1e-5) -> int:
     """The largest k <= `most` for which x(T/k) = x(0), the winding divided by k."""
-    layout, problem = shooting.layout, shooting.problem
-    period, nodes = layout.tail(w)[0], layout.nodes(w)
-    times, states = dense(shooting.flow, nodes, period)
+    problem, period = shooting.problem, shooting.at(w).period
+    times, states = dense(shooting.flow, shooting.at(w).nodes, period)
     n = problem.model.degrees_of_freedom
     spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     units = extents_of(problem.model, states, period)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from scipy.linalg import lu_factor, lu_solve
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, OrbitfinderError
 from orbitfinder.guesses.balance import (
@@ -29,10 +28,14 @@ from orbitfinder.guesses.balance import (
     pins,
     resolved,
 )
-from orbitfinder.integrate.chain import CHUNK, Quarter
+from orbitfinder.integrate.chain import CHUNK, ClosedChain
+from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
-from orbitfinder.loops.problem import Problem
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.newton import Newton, NewtonSettings
+from orbitfinder.loops.problem import Problem, loop_of
+from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, is_long
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.floquet import Floquet, analyse, reduce_monodromy, symplectic_unit
@@ -51,7 +54,9 @@ AGREEMENT = 1e-8
 """Closed form and recursion agree to this, relative: both lose cond(M) of the mass matrix, 5e4 at 100 links."""
 UNUSED = ("relative_tolerance", "absolute_tolerance", "ipopt_tolerance")
 """Entries of the provenance about CVODES and IPOPT, neither of which is used here"""
-MOST_STEPS, MOST_MATRICES, SHRINKING, WORST = 20, 4, 0.3, 1e-9
+FRACTION, WORST = QUARTER.fraction, 1e-9
+SHOOTING = NewtonSettings(handover=1e-2, most_evaluations=12)
+"""A matrix costs as much as dozens of marches, so that it is kept from early on"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,28 +64,19 @@ class Chain:
     """A long chain with what is derived from it once: its equations and its pin."""
 
     problem: Problem
-    quarter: Quarter
+    march: ClosedChain
     pin: Callable[[Pin], PinRow]
 
     @property
     def closed(self) -> ChainLagrange:
         """Its equations in closed form."""
-        return self.quarter.closed
+        return self.march.closed
 
-    @property
-    def fastest(self) -> float:
-        """The highest linear frequency in rad/s."""
-        return float(np.sqrt(self.closed.squared[-1]))
-
-    def chunks(self, period: float, phase: float, samples: int = 1) -> int:
-        """Chunks of steps between `samples` equal times over a quarter period, the fastest mode turning by at most
-        `phase` (rad) in a step."""
-        return int(np.ceil(self.fastest * period / 4 / phase / (CHUNK * samples)))
-
-    def end(self, start: np.ndarray, period: float) -> np.ndarray:
-        """State (2n) a quarter of the period after rest at `start` (n), to round-off."""
-        state = np.concatenate([start, np.zeros(start.size)])
-        return np.asarray(self.quarter.refined(state, period / 4, 1, self.chunks(period, 2 * PATH_PHASE))[-1])
+    def mesh(self, fraction: float, period: float, phase: float, samples: int = 1) -> np.ndarray:
+        """As many equal steps between `samples` times over a fraction of the period as turn the fastest linear mode by
+        at most `phase` (rad) each."""
+        turned = float(np.sqrt(self.closed.squared[-1])) * period * fraction
+        return uniform(fraction, samples, CHUNK * int(np.ceil(turned / phase / (CHUNK * samples))))
 
 
 def suits(problem: Problem) -> bool:
@@ -122,7 +118,7 @@ def build_chain(problem: Problem) -> Chain:
     n = model.degrees_of_freedom
     if name in model.state_names[n:]:
         raise InputError(f"pin: {name} is 0 where a brake orbit starts; pin an angle, the energy or the period")
-    return Chain(problem, Quarter(model), pins(model))
+    return Chain(problem, ClosedChain(model, problem.boundary.held(n)), pins(model))
 
 
 def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> Series:
@@ -147,11 +143,11 @@ def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> 
 
 def _from_guess(chain: Chain) -> Series | None:
     """The guess corrected, where its motion passes near q = 0 after a quarter of its period."""
-    guess, n = chain.problem.guess, chain.quarter.links
+    guess, n = chain.problem.guess, chain.march.size // 2
     start = np.asarray(guess.state, float)[:n]
-    state, count = np.concatenate([start, np.zeros(n)]), SAMPLES // 4
+    mesh = chain.mesh(FRACTION, guess.period, PATH_PHASE, SAMPLES // 4)
     try:
-        states = chain.quarter.path(state, guess.period / 4, count, chain.chunks(guess.period, PATH_PHASE, count))
+        states = chain.march.states(_at_rest(start), mesh, np.array([guess.period]))[:: mesh.size // (SAMPLES // 4)]
     except IntegrationError:
         return None
     if not np.abs(states[-1, :n]).max() < DIRECT * np.abs(start).max():
@@ -169,60 +165,46 @@ def _from_guess(chain: Chain) -> Series | None:
 def shot(
     chain: Chain, start: np.ndarray, period: float, report: Callable[[str, int, float, float], None]
 ) -> tuple[np.ndarray, float]:
-    """(q0, T) with q(T/4) = 0 and the pin to round-off: Newton steps with a matrix kept while it serves.
+    """(q0, T) with q(T/4) = 0 and the pin to round-off, by the Newton of all loops on this one's march.
 
-    The residual is integrated to round-off; the matrix needs n columns of the variations over a
-    quarter period at a few digits. Raises `ConvergenceError` when the residual does not shrink.
+    The matrix, kept while it serves, is of a few digits. Raises `ConvergenceError` when the residual does not shrink.
     """
-    pin = chain.pin(chain.problem.pin[0])
-    place, rows = (start, period), np.zeros(0)
-    best, matrices, factors = np.inf, 0, None
-    for count in range(MOST_STEPS):
-        end = chain.end(*place)
-        row, by_place, by_period = pin(*place)
-        rows = np.append(end[: start.size], row)
-        size = float(np.abs(rows).max())
-        report("quarter-period shooting", count, size, place[1])
-        if not size < best:
-            break
-        kept, slow, best = place, size > SHRINKING * best, size
-        if factors is None or (slow and size > WORST and matrices < MOST_MATRICES):
-            factors, matrices = lu_factor(_newton_matrix(chain, place, end, by_place, by_period)), matrices + 1
-        step = lu_solve(factors, -rows)
-        place = (place[0] + step[:-1], place[1] + float(step[-1]))
-    if not best < WORST:
+    problem = chain.problem
+    equations = Equations(problem.model, problem.boundary, given=chain.march)
+    w = equations.unknowns(_at_rest(start), period, chain.mesh(FRACTION, period, NEWTON_PHASE))
+    newton = Newton(loop_of(problem, equations, w, None, problem.pin), SHOOTING)
+    try:
+        w, residual = newton.solve(w, equations.varied(w))
+    except ConvergenceError:
+        residual = newton.best
+    report("quarter-period shooting", newton.marches, residual, w.period)
+    if not residual < WORST:
         raise ConvergenceError(
-            f"no orbit found: shooting over a quarter period stalled with q(T/4) = {best:.3g}; the harmonic balance "
-            "was not near an orbit, give a smaller pin or a guess nearer to an orbit"
+            f"no orbit found: shooting over a quarter period stalled with q(T/4) = {residual:.3g}; the harmonic "
+            "balance was not near an orbit, give a smaller pin or a guess nearer to an orbit"
         )
-    return kept
+    return w.nodes[0, : start.size], w.period
 
 
-def _newton_matrix(
-    chain: Chain, place: tuple[np.ndarray, float], end: np.ndarray, by_place: np.ndarray, by_period: float
-) -> np.ndarray:
-    """d(q(T/4), pin)/d(q0, T), n + 1 square."""
-    n = chain.quarter.links
-    state = np.concatenate([place[0], np.zeros(n)])
-    steps = CHUNK * chain.chunks(place[1], NEWTON_PHASE)
-    columns = chain.quarter.columns(state, place[1] / 4, steps, np.eye(2 * n)[:, :n])
-    return np.block([[columns[:n], end[n:, None] / 4], [by_place[None, :], np.array([[by_period]])]])
+def _at_rest(start: np.ndarray) -> np.ndarray:
+    """The node (1 x 2n) at rest at `start` (n)."""
+    return np.concatenate([start, np.zeros(start.size)])[None]
 
 
-def multipliers(chain: Chain, start: np.ndarray, period: float) -> Floquet:
-    """Reduced Floquet multipliers of the whole period from the variations of a quarter of it.
+def multipliers(chain: Chain, first: np.ndarray, last: np.ndarray, period: float) -> Floquet:
+    """Reduced Floquet multipliers of the whole period from the variations of a quarter of it, `first` to `last` (2n).
 
     In canonical coordinates let A be the matrix of the quarter and P = diag(-1, 1), which reverses
     time and the positions. The map x(0) -> -x(T/2) has W = -P A^-1 P A and W^2 is the monodromy;
     A^-1 = -J A^T J by symplecticity, so that the pair defect of W^2 is a true error bar.
     """
-    n, closed = chain.quarter.links, chain.closed
-    first, modes = np.concatenate([start, np.zeros(n)]), np.kron(np.eye(2), closed.modes)
-    columns = chain.quarter.columns(first, period / 4, CHUNK * chain.chunks(period, MULTIPLIER_PHASE), modes)
-    matrix = closed.carried(first, chain.end(start, period), columns)
+    n, closed = first.size // 2, chain.closed
+    steps = period * np.diff(chain.mesh(FRACTION, period, MULTIPLIER_PHASE))
+    columns = chain.march.variations(first, steps, np.kron(np.eye(2), closed.modes))
+    matrix = closed.carried(first, last, columns)
     unit = symplectic_unit(n)
     half, _ = chain.problem.boundary.root(matrix, lambda other: -unit @ matrix.T @ unit @ other, 2 * n)
-    flow = closed.momentum_frame(first) @ chain.quarter.field(0.0, first, [], []).full().ravel()
+    flow = closed.momentum_frame(first) @ chain.march.field(0.0, first, [], []).full().ravel()
     gradient = np.concatenate([-flow[n:], flow[:n]])
     reduced = reduce_monodromy(half, gradient[None, :], flow[None, :])
     return analyse(reduced @ reduced)
@@ -231,10 +213,10 @@ def multipliers(chain: Chain, start: np.ndarray, period: float) -> Floquet:
 def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
     """The Orbit (without certificate) that starts at rest at `start` (n)."""
     problem = chain.problem
-    state = np.concatenate([start, np.zeros(start.size)])
-    states = chain.quarter.refined(state, period, SAMPLES, chain.chunks(4 * period, PATH_PHASE, SAMPLES))
+    mesh = chain.mesh(1.0, period, PATH_PHASE, SAMPLES)
+    states = chain.march.refined(_at_rest(start)[0], mesh, np.array([period]))[:: mesh.size // SAMPLES]
     times = np.linspace(0.0, period, SAMPLES + 1)
-    apart = chain.quarter.disagreement(states[: SAMPLES // 4 + 1 : SAMPLES // 16])
+    apart = chain.march.disagreement(states[: SAMPLES // 4 + 1 : SAMPLES // 16])
     if not apart < AGREEMENT:
         raise OrbitfinderError(
             f"multipliers: the closed form of this chain's equations and the derivatives of its accelerations differ "
@@ -242,5 +224,5 @@ def measured(chain: Chain, start: np.ndarray, period: float) -> Orbit:
         )
     return recorded(
         problem, period, states[-1], states[: -1 : SAMPLES // NODES], times, states, np.zeros(0),
-        action(problem.model, times, states), multipliers(chain, start, period),
+        action(problem.model, times, states), multipliers(chain, states[0], states[SAMPLES // 4], period),
     )  # fmt: skip

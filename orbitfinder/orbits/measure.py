@@ -16,11 +16,11 @@ from orbitfinder.integrate.equations import accelerations, invariant_gradients, 
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
 from orbitfinder.loops.problem import Problem, boundary_constants
-from orbitfinder.loops.symmetry import recognise
+from orbitfinder.loops.symmetry import recognise, symplectic, turned
 from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.mechanics.model import energy as total_energy
-from orbitfinder.orbits.closure import gap, shift_along, turned
+from orbitfinder.orbits.closure import gap, shift_along
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
 
@@ -141,7 +141,7 @@ def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> F
     if model.constraint is not None:
         basis = tangent_space(model, nodes[0])
         monodromy, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
-    return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=model.conservative)
+    return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=symplectic(model))
 
 
 def frame(model: Model, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

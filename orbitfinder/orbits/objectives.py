@@ -157,32 +157,31 @@ def followed(
 
 def _stopped(shooting: Shooting, w: np.ndarray) -> str:
     """Where the search along the family came to a halt, and what that may mean."""
-    period, _, free = shooting.layout.tail(w)
-    place = "".join(f", {name} {value:.6g}" for name, value in zip(shooting.problem.free, free, strict=True))
+    found = shooting.at(w)
+    place = "".join(f", {name} {value:.6g}" for name, value in zip(shooting.problem.free, found.free, strict=True))
     return (
-        f"no orbit found: the objective cannot be followed beyond the orbit of period {period:.6g} s{place}; it has a "
-        "kink there, or the family ends or branches; give bounds that keep away from it, or start on its other side"
+        f"no orbit found: the objective cannot be followed beyond the orbit of period {found.period:.6g} s{place}; "
+        "it has a kink there, or the family ends or branches; give bounds that keep away from it, or start on its "
+        "other side"
     )
 
 
 def _extents(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     """How far each unknown may sensibly move: the motion's extents, the period, the parameters' own sizes."""
-    layout = shooting.layout
-    nodes, (period, unfolding, free) = layout.nodes(w), layout.tail(w)
-    n = layout.size // 2
-    parts = (nodes[:, :n], nodes[:, n:])
+    found = shooting.at(w)
+    parts = np.hsplit(found.nodes, 2)
+    n = parts[0].shape[1]
     largest = [max(float(np.ptp(part, axis=0).max()), float(np.abs(part).max()) / 2) for part in parts]
-    node = np.concatenate([np.full(n, largest[0]), np.full(n, max(largest[1], largest[0] / period))])
-    return layout.join(
-        np.tile(node, layout.segments), period, np.maximum(np.abs(free), 1e-3), np.full(unfolding.size, np.inf)
-    )
+    node = np.concatenate([np.full(n, largest[0]), np.full(n, max(largest[1], largest[0] / found.period))])
+    free = np.maximum(np.abs(found.free), 1e-3)
+    return np.asarray(found.joined(node, found.period, np.inf, free) / shooting.units)
 
 
 def _peak(
     problem: Problem, near: tuple[Shooting, np.ndarray], settings: SolveSettings, report: Callback | None
 ) -> tuple[Shooting, np.ndarray]:
     """max_amplitude or min_peak_rate, solved again from the true peak until it is at t = 0."""
-    flow, count, free = near[0].flow, near[0].layout.segments, near[0].layout.tail(near[1])[2]
+    flow, found = near[0].flow, near[0].at(near[1])
     times, states = _orbit(*near)
     place = _component(problem, states)
     if problem.objective == "max_amplitude" and problem.turns[place]:
@@ -192,11 +191,11 @@ def _peak(
     heights: list[float] = []
     for _ in range(ROUNDS):
         ready = _at_peak(problem, place, times, states)
-        nodes = guessed_nodes(ready, count)
+        nodes = guessed_nodes(ready, len(found.nodes))
         shooting = transcribe(ready, nodes, flow)
-        start = shooting.layout.join(nodes, ready.guess.period, free)
+        start = shooting.vector(replace(shooting.guess, free=found.free))
         w = followed(shooting, settings, report, start)
-        free = shooting.layout.tail(w)[2]
+        found = shooting.at(w)
         times, states = _orbit(shooting, w)
         heights.append(float(np.abs(states[:, place]).max()))
         if heights[-1] <= (1 + PEAK_TOLERANCE) * abs(states[0, place]):
@@ -257,11 +256,11 @@ def guessed_nodes(problem: Problem, count: int) -> np.ndarray:
 
 def _orbit(shooting: Shooting, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times and states over the whole period of a solved program."""
-    problem, layout = shooting.problem, shooting.layout
-    period, _, free = layout.tail(w)
-    model = with_parameters(problem.model, dict(zip(problem.free, free, strict=True)))
+    problem, found = shooting.problem, shooting.at(w)
+    model = with_parameters(problem.model, dict(zip(problem.free, found.free, strict=True)))
     flow = build_flow(model, (), shooting.flow.unfolded)
-    return dense(flow, full_period(replace(problem, model=model), flow, layout.nodes(w), period), period)
+    whole = full_period(replace(problem, model=model), flow, found.nodes, found.period)
+    return dense(flow, whole, found.period)
 
 
 def instability(model: Model) -> Callable[[Variables], ca.MX]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode
 from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.problem import Guess
@@ -60,7 +60,7 @@ def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
 def _angles(model: Model, angles: list[float]) -> np.ndarray:
     bars = dimensions(model)[0].size
     if len(angles) != bars:
-        raise InputError(f"guess.equilibrium: {len(angles)} angles for {bars} bars; give one per bar")
+        raise InputError(f"guess.equilibrium: {plural(len(angles), 'angle')} for {bars} bars; give one per bar")
     return np.asarray(angles, float)
 
 
@@ -107,11 +107,15 @@ def _numbers(name: str, lines: list[str], size: int) -> np.ndarray:
                 continue
             raise InputError(f"guess.csv: {name!r} line {number}: {error}; give numbers separated by commas") from error
         if len(row) != size + 1:
-            raise InputError(f"guess.csv: {name!r} line {number}: {len(row)} columns; give {size + 1} (t, then states)")
+            raise InputError(
+                f"guess.csv: {name!r} line {number}: {plural(len(row), 'column')}; give {size + 1} (t, then states)"
+            )
         rows.append(row)
     table = np.asarray(rows, float)
     if len(rows) < 2:
-        raise InputError(f"guess.csv: {name!r} has {len(rows)} rows of numbers; give one period with at least 2")
+        raise InputError(
+            f"guess.csv: {name!r} has {plural(len(rows), 'row')} of numbers; give one period with at least 2"
+        )
     if not np.all(np.isfinite(table)):
         raise InputError(f"guess.csv: {name!r} must be finite; replace NaN and infinity by numbers")
     if np.any(np.diff(table[:, 0]) <= 0):

@@ -57,17 +57,17 @@ class Proposals:
     found: Sequence[Proposal]
     notes: Sequence[str]
 
-    def named(self, name: str | None) -> Proposal:
+    def named(self, pick: str | None) -> Proposal:
         """The proposal of that name; the closest return, else the slowest mode, where none is given."""
         if not self.found:
             raise InputError("guess: nothing to propose; " + "; ".join(self.notes))
         order = {"return": 0, "mode": 1, "own": 2}
-        if name is None:
+        if pick is None:
             return min(self.found, key=lambda one: order[one.name.split("-")[0]])
         for one in self.found:
-            if one.name == name:
+            if one.name == pick:
                 return one
-        raise InputError(f"--pick: there is no {name!r}; use one of {', '.join(one.name for one in self.found)}")
+        raise InputError(f"pick: there is no {pick!r}; use one of {', '.join(one.name for one in self.found)}")
 
 
 def propose(
@@ -142,7 +142,7 @@ def returns(loaded: ProblemFile, duration: float | None, count: int) -> list[Pro
         found = recurrences(loaded.model, loaded.start, span, count)
         source = "simulation"
     if not found:
-        raise InputError(f"the motion never came back near itself in {span:g} s; simulate longer with --duration")
+        raise InputError(f"the motion never came back near itself in {span:g} s; simulate longer (duration)")
     return [
         _proposal(
             loaded, f"return-{k}", one.guess, one.distance,

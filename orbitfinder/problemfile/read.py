@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
@@ -186,8 +186,8 @@ def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.nda
     size = len(model.state_names)
     if len(table.simulate.state) != size:
         raise InputError(
-            f"simulate.state: {len(table.simulate.state)} numbers for {size // 2} coordinates; give {size} "
-            "(angles, then rates)"
+            f"simulate.state: {plural(len(table.simulate.state), 'number')} for {plural(size // 2, 'coordinate')}; "
+            f"give {size} (angles, then rates)"
         )
     return np.asarray(table.simulate.state, float)
 
@@ -205,7 +205,7 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
     if not trust:
         raise InputError(
             f"{source}: a Python problem file runs as a program and {'was' if source.exists() else 'would be'} "
-            "not executed; read it, then add --trust"
+            "not executed; read it, then add --trust (in Python trust=True)"
         )
     file_bytes(source, "problem file")
     try:

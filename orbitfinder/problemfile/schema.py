@@ -1,6 +1,6 @@
 """The problem file as data: every table, key, unit and default, checked by pydantic.
 
-The reference in docs/problem-file.md is generated from this module (`python -m orbitfinder.problemfile.reference`).
+The reference in docs/problem-file.md is generated from this module (`python docs/problem_file.py`).
 Sizes that depend on the system (numbers per link, length of a state) are checked where the Model is known.
 """
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.errors import InputError, IntegrationError, plural
 from orbitfinder.integrate.dop853 import SECOND, integrate, vector_field
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.symmetry import Symmetry, off_centre
@@ -142,7 +142,14 @@ def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | Non
     """Nodes of the orbit in a formulation, by DOP853 from the recorded state."""
     n, period = model.degrees_of_freedom, orbit.period
     if orbit.state.size != 2 * n or len(orbit.winding) != n:
-        raise InputError(f"state: {orbit.state.size} numbers for {n} coordinates; run the problem again")
+        raise InputError(
+            f"state: {plural(orbit.state.size, 'number')} for {plural(n, 'coordinate')}; run the problem again"
+        )
+    if orbit.shift:
+        raise InputError(
+            f"shift: {', '.join(orbit.shift)} is found with the orbit, and proofs are of orbits that come back; give "
+            "one that closes after whole turns (find.winding)"
+        )
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(period) and period > 0):
         raise InputError("state: state or period is not a usable number; run the problem again")
     field = vector_field(accelerations(model))

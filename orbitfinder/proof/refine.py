@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.errors import InputError, IntegrationError, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, decimal, precision, radius
 from orbitfinder.proof.enclosure import Settings
@@ -58,13 +58,13 @@ def settings_for(digits: int, order: int | None = None, bits: int | None = None)
     Mathematics 14 (2005) 99-117, section 3.
     """
     if not 1 <= digits <= MOST_DIGITS:
-        raise InputError(f"--digits: must be from 1 to {MOST_DIGITS}, got {digits}; 50 are plenty for most purposes")
+        raise InputError(f"digits: must be from 1 to {MOST_DIGITS}, got {digits}; 50 are plenty for most purposes")
     wanted = digits + GUARD
     least = math.ceil(wanted * math.log2(10)) + 40
     if bits is not None and bits < least:
-        raise InputError(f"--bits: {digits} digits need at least {least}, got {bits}; leave it out")
+        raise InputError(f"bits: {digits} digits need at least {least}, got {bits}; leave it out")
     if order is not None and not 4 <= order <= 2000:
-        raise InputError(f"--order: must be from 4 to 2000, got {order}; leave it out")
+        raise InputError(f"order: must be from 4 to 2000, got {order}; leave it out")
     return Settings(order or max(20, math.ceil(wanted * math.log(10) / 2)), bits or least, 10.0**-wanted)
 
 
@@ -82,7 +82,7 @@ def refine(
         equations = make_equations(model, codes, start, decimal(orbit.energy))
         rough = solve(equations, unknowns_at(start), Settings(), 1e-20)[0]
         centre, rounds = solve(equations, rough, settings, 10.0 ** -(digits + GUARD // 2))
-        say(f"Newton settled in {rounds} iterations at {settings.bits} bits, order {settings.order}")
+        say(f"Newton settled in {plural(rounds, 'iteration')} at {settings.bits} bits, order {settings.order}")
         image, reason = centre, "not asked for"
         if enclose:
             try:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.loops.symmetry import Symmetry, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
@@ -141,7 +141,8 @@ def _prove(
     check_symmetries(codes, start, model)
     equations = make_equations(model, codes, start, decimal(orbit.energy))
     centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
-    say(f"Newton settled in {rounds} iterations; integrating {start.formulation.segments} segments of a box")
+    pieces = plural(start.formulation.segments, "segment")
+    say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
     contracted = enclosed(equations, centre, options, say)
     path = sharpened(equations, trajectory(equations, contracted.image, options), options, say)
     return conclusions(orbit, model, path, start, options) | {

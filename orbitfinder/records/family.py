@@ -23,7 +23,7 @@ import numpy as np
 
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Orbit, system_at
 from orbitfinder.records.reading import (
     arrays,
@@ -172,8 +172,8 @@ class Family:
         """How many orbits are closed and how many of them certified, in words."""
         sure = [sum(one.certified for one in some) for some in (self.points, self.events)]
         return (
-            f"{len(self.points)} closed orbits, {sure[0]} of them certified; "
-            f"{len(self.events)} events, {sure[1]} of them at certified orbits"
+            f"{plural(len(self.points), 'closed orbit')}, {sure[0]} of them certified; "
+            f"{plural(len(self.events), 'event')}, {sure[1]} of them at certified orbits"
         )
 
     def _repr_html_(self) -> str | None:
@@ -239,7 +239,7 @@ def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any],
     one = replace(found, **{name: _as_complex(getattr(found, name), f"{where}.{name}") for name in named})
     size, nodes = one.state.size, one.shooting_nodes
     if one.state.ndim != 1 or size < 2 or size % 2 or not one.period > 0:
-        raise ValueError(f"{where}: state of {size} numbers, period {one.period}: no orbit")
+        raise ValueError(f"{where}: state of {plural(size, 'number')}, period {one.period}: no orbit")
     if nodes.size and (nodes.shape[1:] != (size,) or not _fits(one.mesh, len(nodes))):
         raise ValueError(f"{where}.nodes: do not fit the state or the mesh")
     return one

@@ -12,7 +12,15 @@ import numpy as np
 from orbitfinder._runtime import notebook as display
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
-from orbitfinder.records.reading import arrays, content_digest, json_bytes, json_file, write_atomically, write_npz
+from orbitfinder.records.reading import (
+    arrays,
+    content_digest,
+    finite,
+    json_bytes,
+    json_file,
+    write_atomically,
+    write_npz,
+)
 
 FORMAT, VERSION = "orbitfinder/orbit", 1
 AGAIN = "run the problem again"
@@ -139,9 +147,10 @@ def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
     """The `certificate` entry of orbit.json."""
     if certificate is None:
         return {"passed": False, "scale": 1.0, "checks": []}
-    # JSON has no infinity: a value that could not be computed is null
-    checks = [vars(one) | {"value": one.value if np.isfinite(one.value) else None} for one in certificate.checks]
-    return {"passed": certificate.passed, "scale": certificate.scale, "checks": checks}
+    return {
+        "passed": certificate.passed, "scale": certificate.scale, "closure": finite(certificate.closure),
+        "checks": [vars(one) | {"value": finite(one.value)} for one in certificate.checks],
+    }  # fmt: skip
 
 
 DIGESTED = (
@@ -150,8 +159,8 @@ DIGESTED = (
 )  # fmt: skip
 
 
-def _with_number(check: Mapping[str, Any]) -> dict[str, Any]:
-    return dict(check) | {"value": float("nan") if check["value"] is None else float(check["value"])}
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
 
 
 def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping[str, Any]:
@@ -254,8 +263,9 @@ def orbit_from_document(
         state = np.asarray(document["state"], float)
         multipliers = np.asarray([complex(re, im) for re, im in document["floquet_multipliers"]], complex)
         entry = document.get("certificate") or {}
-        checks = tuple(Check(**_with_number(check)) for check in entry.get("checks", []))
-        certificate = Certificate(checks, float(entry.get("scale", 1.0))) if checks else None
+        checks = tuple(Check(**{**check, "value": _number(check["value"])}) for check in entry.get("checks", []))
+        closure = _number(entry.get("closure", document["closure"]))  # which 0.1 wrote only beside the certificate
+        certificate = Certificate(checks, float(entry.get("scale", 1.0)), closure) if checks else None
         expected = {k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()}
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
         described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}

@@ -44,9 +44,7 @@ def _chosen(members: Sequence[Any], number: int, path: str | Path) -> Any:
 
 
 def load_orbit(path: str | Path) -> Orbit:
-    """Read an orbit.json (and orbit.npz if it is there), or FILE#K: point K of a family.json, orbit K of an atlas
-    export, counted from 0 as in the file's list. A point of a family is an Orbit too. Raises `InputError`.
-    """
+    """An Orbit of an orbit.json, a family.json#K or an atlas export #K; `atlas.store.load_orbit` reads atlases too."""
     file, number = member(path)
     if number is None and file.suffix in DATABASES and file.is_file():
         raise InputError(f"{path}: an atlas database; give one orbit of it by its id: {path}#1")
@@ -59,5 +57,5 @@ def load_orbit(path: str | Path) -> Orbit:
     if kind == "export":
         return orbit_in(_chosen(json_file(file, "atlas export", AGAIN), number, path), str(path))
     if kind == "atlas":
-        raise InputError(f"{path}: an atlas database; open it: Atlas({str(file)!r}).orbit({number})")
+        raise InputError(f"{path}: an atlas database; give its orbit: load_orbit({str(path)!r})")
     raise InputError(f"{path}: #{number}: not a family or an atlas, of which orbits have numbers; leave #{number} out")

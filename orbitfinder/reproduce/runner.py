@@ -55,7 +55,7 @@ def reproduce(folder: str | Path, fresh: bool = False, report: Report | None = N
     try:
         (out / "numbers").mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"--out: cannot write to {out} ({error.strerror}); choose a writable folder") from error
+        raise InputError(f"out: cannot write to {out} ({error.strerror}); choose a writable folder") from error
     numbers: dict[str, Any] = {}
     for k, part in enumerate(PARTS):
         if report:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.store import Atlas
-from orbitfinder.errors import OrbitfinderError
+from orbitfinder.errors import OrbitfinderError, plural
+from orbitfinder.families.members import STEADY
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
@@ -22,8 +23,6 @@ from orbitfinder.show.svg import diagram, moving_mechanism, moving_portrait, uni
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
-STEADY = 1e6
-"""Largest multiplier of an orbit that is drawn by integrating it; a less stable one would be seen to leave itself."""
 ROWS = 12
 """Orbits of an atlas in its table."""
 ROW = "display:flex;flex-wrap:wrap;gap:16px;align-items:center"
@@ -100,7 +99,7 @@ def sampled(model: Model, state: np.ndarray, period: float) -> np.ndarray:
 def verdict_of(certificate: Certificate) -> str:
     """passed, or the checks that failed."""
     count = len(certificate.checks)
-    return f"passed, {count} checks" if certificate.passed else f"FAILED: {', '.join(certificate.failures)}"
+    return f"passed, {plural(count, 'check')}" if certificate.passed else f"FAILED: {', '.join(certificate.failures)}"
 
 
 def certificate_html(certificate: Certificate) -> str:
@@ -153,5 +152,5 @@ def atlas_html(atlas: Atlas) -> str:
     moving = "".join(motions(atlas.system, one.state, one.period) for one in steady)
     head = ("id", "energy (J)", "period (s)", "symmetry", "stability", "largest multiplier")
     more = f"the first {ROWS} by energy and period" if len(rows) > ROWS else ""
-    title = heading(f"Atlas {atlas.path.name}: {len(rows)} orbits", more)
+    title = heading(f"Atlas {atlas.path.name}: {plural(len(rows), 'orbit')}", more)
     return f'<div>{title}{table(numbers, head)}<div style="{ROW}">{moving}</div></div>'

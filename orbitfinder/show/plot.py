@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.families.members import Motion, motions, whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies, positions
@@ -30,12 +30,14 @@ MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
 
-def save_figures(orbit: Orbit, folder: str | Path, model: Model | None = None) -> list[Path]:
-    """Write the four figures of an orbit as PNG files; returns their paths.
+def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
+    """Write the four figures of an orbit, or those of a family, as PNG files; returns their paths.
 
     `model` is needed only for systems that no file describes. An orbit without samples is integrated again.
     """
     model = model or build_model(orbit.system)
+    if isinstance(orbit, Family):
+        return save_family_figures(orbit, folder, model)
     orbit = whole(orbit, model)
     figures = {
         "time_histories": time_histories(orbit, model),
@@ -167,14 +169,16 @@ MARKERS = {
     "stability_change": "D",
 }  # fmt: skip
 """Marker of each kind of event."""
+SIZES = {"resonance": 3.0, "stability_change": 9.0}
+"""Sizes of markers that are not as the others': the verdict changes where something else happens as well."""
 
 
-def save_family_figures(family: Family, folder: str | Path, model: Model | None = None) -> list[Path]:
-    """Write the figures of a family as PNG files, with a gallery where its model is given; returns their paths."""
+def save_family_figures(family: Family, folder: str | Path, model: Model) -> list[Path]:
+    """Write the figures of a family as PNG files; returns their paths."""
     figures = {"frequency_energy": frequency_energy([family])}
     if any(point.floquet_multipliers.size for point in family.points):
         figures |= {"multipliers_plane": multipliers_plane(family), "multipliers": multipliers_along(family)}
-    if model is not None and len(family.points) > 1:
+    if len(family.points) > 1:
         figures["gallery"] = gallery(family, motions(family, model))
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
@@ -232,9 +236,10 @@ def frequency_energy(
             up = [1.0 / point.period for point in run]
             axes.plot(across, up, "-" if stable else "--", color=colour, linewidth=1.8 if stable else 1.1)
         for event in family.events:
-            face = colour if event.kind != "branch_point" else "white"
-            size = 3.0 if event.kind == "resonance" else 5.5
+            face = "white" if event.kind in ("branch_point", "stability_change") else colour
+            size = SIZES.get(event.kind, 5.5)
             style = {"marker": MARKERS[event.kind], "markersize": size, "markerfacecolor": face, "linestyle": "none"}
+            style["zorder"] = 4.0 - size / 10  # what has the same place as another event stays in sight
             (line,) = axes.plot(event.parameter if freed else event.energy, 1.0 / event.period, color=colour, **style)
             shown.setdefault(event.kind.replace("_", " "), line)
     if len(families) > 1:
@@ -319,7 +324,7 @@ def energy_period(rows: Sequence[Row]) -> Figure:
 
     Searches fill single energies, so marks are spread about theirs by how unstable the orbit is.
     """
-    figure = new_figure(8.0, 5.2, f"{len(rows)} periodic orbits: energy, period and stability")
+    figure = new_figure(8.0, 5.2, f"{plural(len(rows), 'periodic orbit')}: energy, period and stability")
     axes = figure.subplots()
     energies = np.array([row.energy for row in rows])
     shells = np.unique(np.round(energies, 9))
@@ -343,7 +348,7 @@ def energy_period(rows: Sequence[Row]) -> Figure:
 
 def instability(rows: Sequence[Row]) -> Figure:
     """Histogram of ln |largest multiplier| / period, the mean rate (1/s) at which neighbours leave."""
-    figure = new_figure(8.0, 4.6, f"{len(rows)} periodic orbits: how fast neighbours leave")
+    figure = new_figure(8.0, 4.6, f"{plural(len(rows), 'periodic orbit')}: how fast neighbours leave")
     axes = figure.subplots()
     rates = {kind: [np.log(row.instability) / row.period for row in rows if row.stability == kind] for kind in KINDS}
     top = max((max(values) for values in rates.values() if values), default=1.0)

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder.errors import plural
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import system_at
 from orbitfinder.site.gather import evenly
 from orbitfinder.site.motion import Simulator, packed
 from orbitfinder.site.orbits import Entry
-from orbitfinder.site.text import mechanism, number, plural, symmetry_words
+from orbitfinder.site.text import mechanism, number, symmetry_words
 
 MOST_POINTS = 60
 """Points of a family that can be seen moving; all points are on the plot."""
@@ -92,7 +93,7 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
     energies, periods = family.values("energy").tolist(), family.values("period").tolist()
     unstable = sum(point.stability == "unstable" for point in points)
     listed = sum(bool(item["event"]) for item in items)
-    left_out = f"{listed} of {len(events)} events are listed; resonances are left out first."
+    left_out = f"{listed} of {plural(len(events), 'event')} are listed; resonances are left out first."
     summary = (
         f"{plural(len(points), 'orbit')} of the {mechanism(family.system)}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import __version__
-from orbitfinder.atlas.store import Atlas, orbit_of
-from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.atlas.store import Atlas, load_orbit
+from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.certify import certify
@@ -115,7 +115,7 @@ def _holds_results(file: Path) -> bool:
 
 def _take(file: Path, found: Gathered) -> None:
     if member(file)[1] is not None:
-        one = orbit_of(file)
+        one = load_orbit(file)
         one = whole(one, build_model(one.system))
         found.orbits.append(replace(_orbit(orbit_to_document(one), str(file)), dense=(one.times, one.samples)))
         return
@@ -143,7 +143,9 @@ def _orbit(document: Any, where: str) -> OrbitFile:
     """One orbit document, checked by building an Orbit from it."""
     orbit = orbit_in(document, where)
     if orbit.state.ndim != 1 or orbit.state.size < 2 or orbit.state.size % 2:
-        raise InputError(f"{where}: state: {orbit.state.size} numbers; coordinates and then as many velocities")
+        raise InputError(
+            f"{where}: state: {plural(orbit.state.size, 'number')}; coordinates and then as many velocities"
+        )
     numbers = [orbit.period, orbit.energy, *orbit.state]
     if not np.all(np.isfinite(numbers)) or orbit.period <= 0:
         raise InputError(f"{where}: period, energy or state is not finite or not positive; run the problem again")

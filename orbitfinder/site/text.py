@@ -94,12 +94,6 @@ def coordinate(name: str) -> str:
     return text if plain else re.sub(r"[<>&]", "", text)
 
 
-def plural(count: int, noun: str) -> str:
-    """`1 orbit`, `2 orbits`, `3 families`."""
-    many = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}es" if noun.endswith("s") else f"{noun}s"
-    return f"{count} {noun if count == 1 else many}"
-
-
 def symmetry_words(name: str) -> str:
     """A symmetry for reading."""
     return "no symmetry" if name == "none" else name.replace("+", " and ")

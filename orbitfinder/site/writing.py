@@ -31,10 +31,10 @@ def mark(paths: Iterable[str]) -> bytes:
 def check_target(out: Path) -> None:
     """`InputError` when the target is no folder for a site."""
     if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise InputError(f"--out: {out} exists and is not a folder; name a new folder")
+        raise InputError(f"out: {out} exists and is not a folder; name a new folder")
     if out.is_dir() and any(out.iterdir()) and not (out / MARK).is_file():
         raise InputError(
-            f"--out: {out} is not empty and holds no former page ({MARK} is missing), so it is left alone; "
+            f"out: {out} is not empty and holds no former page ({MARK} is missing), so it is left alone; "
             "name a new or an empty folder"
         )
 
@@ -48,11 +48,11 @@ def write_site(files: Mapping[str, bytes], out: Path) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"--out: cannot write beside {out} ({error}); choose another folder") from error
+        raise InputError(f"out: cannot write beside {out} ({error}); choose another folder") from error
     try:
         with locks.held(out.parent / f".{out.name}.lock", PATIENCE) as alone:
             if not alone:
-                raise InputError(f"--out: another process is writing {out}; wait for it, or name another folder")
+                raise InputError(f"out: another process is writing {out}; wait for it, or name another folder")
             _swept(out)
             with _beside(out) as temporary:
                 _put(files, temporary / "new", out)
@@ -60,7 +60,7 @@ def write_site(files: Mapping[str, bytes], out: Path) -> None:
                     out.rename(temporary / "old")
                 (temporary / "new").rename(out)
     except OSError as error:
-        raise InputError(f"--out: cannot write {out} ({error}); free some space or choose another folder") from error
+        raise InputError(f"out: cannot write {out} ({error}); free some space or choose another folder") from error
 
 
 @contextlib.contextmanager
@@ -91,7 +91,7 @@ def _put(files: Mapping[str, bytes], fresh: Path, out: Path) -> None:
     former = _former(out)
     for path, data in sorted(files.items()):
         if path not in former and (out / path).exists():
-            raise InputError(f"--out: {out / path} is in the way and no former page's; move it, or name another folder")
+            raise InputError(f"out: {out / path} is in the way and no former page's; move it, or name another folder")
         target = fresh / path
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(data)

@@ -22,7 +22,7 @@ from orbitfinder.problemfile.schema import (
 TITLE = """# The problem file
 
 Generated from `orbitfinder/problemfile/schema.py` by
-`python -m orbitfinder.problemfile.reference > docs/problem-file.md`; do not edit.
+`python docs/problem_file.py > docs/problem-file.md`; do not edit.
 
 A problem file is TOML in UTF-8. All quantities are in SI units, angles in rad from the downward vertical, x down and
 y to the right. Unknown keys, NaN and infinity are refused. `orbitfinder init NAME` writes a commented example.

@@ -1,0 +1,213 @@
+"""Several atlases of one system as one: what the searches in them would have made of one file.
+
+The union is put in an order of its own, so that it does not matter which atlas comes first or how often: searches by
+their request, orbits by the first start that found them. Of an orbit that several atlases hold the record of the lowest
+start is kept, which is the one that a single search would have kept.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from orbitfinder._runtime.arguments import checked
+from orbitfinder._runtime.notebook import brief
+from orbitfinder.atlas.signature import same_orbit, signature_of
+from orbitfinder.atlas.store import RESTORE, Atlas
+from orbitfinder.atlas.tables import explained, transaction
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.orbit import orbit_from_document
+
+Request = tuple[float, float, float, int, str]
+"""A search: energy (J), shortest and longest period (s), seed, method."""
+Birth = tuple[Request, int]
+"""The search and number of a start."""
+
+
+@dataclass(frozen=True)
+class Joined:
+    """One search of a merged atlas: how many starts were made, and how many between them were not (lost shards)."""
+
+    energy: float
+    periods: tuple[float, float]
+    seed: int
+    starts: int
+    missing: int
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What `merge_atlases` made."""
+
+    __repr__ = brief("atlas", "orbits", "starts")
+
+    atlas: Path
+    orbits: int
+    starts: int
+    searches: tuple[Joined, ...]
+
+    def document(self) -> dict[str, Any]:
+        """The same for `--json`."""
+        return asdict(self) | {"atlas": str(self.atlas)}
+
+
+@dataclass(frozen=True, order=True)
+class _Entry:
+    """An orbit of one of the atlases in the order of the union: by its birth, those without one after all others."""
+
+    orphan: bool
+    birth: Birth | tuple[()]
+    numbers: tuple[float, float, float]
+    digest: bytes
+    book: int
+    number: int
+    bins: tuple[int, int]
+
+
+@checked
+def merge_atlases(
+    files: Sequence[str | Path], atlas: str | Path, *, union: bool = False, model: Model | None = None,
+    trusted: Path | None = None,
+) -> Merged:  # fmt: skip
+    """Put the orbits, searches and starts of several atlases of one system into one, beside what that holds already.
+
+    Merging is idempotent, commutative and associative. Atlases that share no search with another one are refused
+    unless `union` is true. The atlas is written whole or not at all. `model` and `trusted` as for `Atlas`.
+    Raises `InputError`.
+    """
+    if not files:
+        raise InputError("files: none given; name the atlases to merge")
+    with contextlib.ExitStack() as stack:
+        books = [stack.enter_context(Atlas(one, model=model, trusted=trusted)) for one in _distinct(files)]
+        for book in books[1:]:
+            stack.enter_context(Atlas(book.path, books[0].system, model=model, trusted=trusted))  # or it is of another
+        out = stack.enter_context(Atlas(atlas, books[0].system, write=True, model=model, trusted=trusted))
+        if out.path.resolve() not in [book.path.resolve() for book in books]:
+            books.append(stack.enter_context(Atlas(atlas, model=model, trusted=trusted)))
+        with explained(out.path), transaction(out.connection):
+            _check_requests(books, union)
+            entries = sorted(one for k, book in enumerate(books) for one in _entries(k, book))
+            for table in ("starts", "orbits", "searches"):
+                out.connection.execute(f"DELETE FROM {table}")
+            known = _orbits(out, books, entries)
+            _starts(out, books, known, [one for one in entries if not one.orphan])
+        return _summary(out)
+
+
+def _distinct(files: Sequence[str | Path]) -> list[Path]:
+    """Each file once."""
+    return list({Path(one).resolve(): Path(one) for one in files}.values())
+
+
+def _searches(book: Atlas) -> dict[int, Request]:
+    """The searches of an atlas by their ids. `InputError` where a start belongs to none, or to no orbit."""
+    lost = "search NOT IN (SELECT id FROM searches) OR orbit > 0 AND orbit NOT IN (SELECT id FROM orbits)"
+    if book.select([int], f"SELECT search FROM starts WHERE {lost} LIMIT 1"):
+        raise InputError(f"{book.path}: starts: of searches or orbits that are not there; {RESTORE}")
+    rows = book.select([int, float, float, float, int, str], "SELECT id, energy, shortest, longest, seed, method FROM "
+                       "searches ORDER BY energy, shortest, longest, seed, method")  # fmt: skip
+    return {number: (energy, *rest) for number, energy, *rest in rows}  # type: ignore[misc]
+
+
+def _check_requests(books: Sequence[Atlas], union: bool) -> None:
+    """`InputError` for an atlas with searches none of which is in another one: hardly a shard of the same."""
+    asked = [(book, set(_searches(book).values())) for book in books]
+    asked = [(book, requests) for book, requests in asked if requests]
+    for book, requests in asked:
+        others = [known for other, known in asked if other is not book]
+        if others and not union and not any(requests & known for known in others):
+            one = min(requests)
+            raise InputError(
+                f"{book.path}: searches: at {one[0]:g} J, periods {one[1]:g} to {one[2]:g} s, seed {one[3]}, and none "
+                "of them is in another of these atlases, so it is no shard of the same search; leave it out, or give "
+                "--union (union=True) to catalogue different searches together"
+            )
+
+
+def _entries(k: int, book: Atlas) -> Iterator[_Entry]:
+    """The orbits of an atlas with the starts that found them."""
+    requests, born = _searches(book), dict[int, Birth]()
+    for orbit, search, number in book.select(
+        [int, int, int], "SELECT orbit, search, number FROM starts WHERE outcome = 'new' AND orbit IS NOT NULL"
+    ):
+        born[orbit] = min(born.get(orbit, (requests[search], number)), (requests[search], number))
+    kinds = [int, float, float, float, int, int, bytes]
+    question = "SELECT id, energy, period, action, period_bin, action_bin, document FROM orbits WHERE id = ?"
+    for (number,) in book.select([int], "SELECT id FROM orbits"):
+        ((_, *numbers, first, second, document),) = book.select(kinds, question, [number])
+        birth, digest = born.get(number, ()), hashlib.sha256(document).digest()
+        yield _Entry(not birth, birth, tuple(numbers), digest, k, number, (first, second))  # type: ignore[arg-type]
+
+
+COLUMNS = "period_bin, action_bin, energy, period, action, symmetry, stability, instability, closure, document"
+
+
+def _orbits(out: Atlas, books: Sequence[Atlas], entries: Sequence[_Entry]) -> dict[tuple[int, int], int]:
+    """Write each orbit once; the new id of every orbit by its atlas and id there."""
+    known, seen = dict[tuple[int, int], int](), dict[bytes, int]()
+    for one in entries:
+        number = seen.get(one.digest)
+        if number is None:
+            book = books[one.book]
+            document, near = book.document(one.number), out.near(one.bins)  # `InputError` where it is damaged
+            if near:
+                found = signature_of(orbit_from_document(document), out.model)
+                number = next((k for k in near if same_orbit(out.signature(k), found)), None)
+            if number is None:
+                row = book.connection.execute(f"SELECT {COLUMNS} FROM orbits WHERE id = ?", [one.number]).fetchone()
+                places = ", ".join("?" * len(row))
+                number = out.connection.execute(f"INSERT INTO orbits ({COLUMNS}) VALUES ({places})", row).lastrowid
+                assert number is not None
+            seen[one.digest] = number
+        known[one.book, one.number] = number
+    return known
+
+
+def _starts(out: Atlas, books: Sequence[Atlas], known: dict[tuple[int, int], int], births: Sequence[_Entry]) -> None:
+    """Write every search and start once; of a start that two atlases hold the one that met an orbit."""
+    execute, ids = out.connection.execute, dict[Request, int]()
+    search = "INSERT INTO searches (energy, shortest, longest, seed, method, sources) VALUES (?, ?, ?, ?, ?, 0)"
+    for request in sorted({one for book in books for one in _searches(book).values()}):
+        row = execute(search, request)
+        ids[request] = int(row.lastrowid or 0)
+    for k, book in enumerate(books):
+        requests = _searches(book)
+        for (search,) in book.select([int], "SELECT DISTINCT search FROM starts"):
+            kinds = [int, str, str, int | None, float]
+            question = "SELECT number, strategy, reason, orbit, seconds FROM starts WHERE search = ?"
+            for number, strategy, reason, orbit, seconds in book.select(kinds, question, [search]):
+                met = None if orbit is None else known[k, orbit]
+                outcome = "failed" if met is None else "duplicate"
+                execute(PREFERRED, [ids[requests[search]], number, strategy, outcome, reason, met, seconds])
+    first: dict[int, _Entry] = {}
+    for one in births:
+        first.setdefault(known[one.book, one.number], one)
+    for number, one in first.items():
+        assert one.birth
+        place = [ids[one.birth[0]], one.birth[1], number]
+        execute("UPDATE starts SET outcome = 'new' WHERE search = ? AND number = ? AND orbit = ?", place)
+
+
+PREFERRED = """
+INSERT INTO starts VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (search, number) DO UPDATE SET
+    strategy = excluded.strategy, outcome = excluded.outcome, reason = excluded.reason, orbit = excluded.orbit,
+    seconds = excluded.seconds
+WHERE (excluded.outcome, excluded.strategy, excluded.reason, coalesce(excluded.orbit, 0), excluded.seconds)
+    < (outcome, strategy, reason, coalesce(orbit, 0), seconds)
+"""
+"""The least of all records of a start, whichever comes first; `duplicate` is before `failed`."""
+
+
+def _summary(out: Atlas) -> Merged:
+    rows = out.select(
+        [float, float, float, int, int, int],
+        "SELECT energy, shortest, longest, seed, count(number), coalesce(max(number) + 1 - count(number), 0) "
+        "FROM searches LEFT JOIN starts ON starts.search = searches.id GROUP BY searches.id ORDER BY searches.id",
+    )
+    found = tuple(Joined(energy, (low, high), seed, made, missing) for energy, low, high, seed, made, missing in rows)
+    return Merged(out.path, len(out), sum(one.starts for one in found), found)
