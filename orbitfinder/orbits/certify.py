@@ -19,7 +19,7 @@ from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gat
 from orbitfinder.orbits.floquet import Floquet
 from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.family import FamilyPoint
-from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document
+from orbitfinder.records.orbit import SHIFT, Certificate, Check, Orbit, digest, orbit_to_document
 
 COVERS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89, 97, 101)
 """A recorded period is tested for being so many times another: of any multiple, one of its prime factors."""
@@ -333,10 +333,15 @@ def _expected_checks(orbit: Orbit, model: Model) -> list[Check]:
     for name, (value, tolerance) in orbit.expected.items():
         if name in ("period", "energy", "action"):
             found = getattr(orbit, name)
+        elif name.removeprefix(SHIFT) in orbit.shift and name.startswith(SHIFT):
+            found = orbit.shift[name.removeprefix(SHIFT)]
         elif name in model.parameter_names:
             found = model.parameter_values[model.parameter_index(name)]
         else:
-            raise InputError(f"expected: unknown quantity {name!r}; use period, energy, action or a physical parameter")
+            raise InputError(
+                f"expected: unknown quantity {name!r}; use period, energy, action, a physical parameter, or "
+                f"{SHIFT}NAME of a relative orbit"
+            )
         checks.append(_at_most(f"expected_{name}", abs(found - value), tolerance, f"against {value!r}"))
     return checks
 

@@ -328,6 +328,9 @@ class ExpectedTable(Table):
     parameters: dict[str, ExpectedNumber] = Field(
         {}, description="freed physical parameters by name, as { length3 = { value, tolerance } }"
     )
+    shift: dict[str, ExpectedNumber] = Field(
+        {}, description="shifts of a relative orbit in a period by name, as { phi = { value, tolerance } }"
+    )
 
 
 class ProblemTable(Table):

@@ -24,6 +24,8 @@ from orbitfinder.records.reading import (
 
 FORMAT, VERSION = "orbitfinder/orbit", 1
 AGAIN = "run the problem again"
+SHIFT = "shift_"
+"""In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
 
 @dataclass(frozen=True)
@@ -269,6 +271,7 @@ def orbit_from_document(
         expected = {k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()}
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
         described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
+        described |= {f"{SHIFT}{name}" for name in document.get("shift") or {}}
         if not 0 < tolerance < 1 or not all({name, name.rstrip("0123456789")} & described for name in expected):
             raise ValueError(f"tolerance {tolerance} not between 0 and 1, or expected of an unknown quantity")
         return Orbit(
