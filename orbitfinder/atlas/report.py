@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.atlas.starts import STRATEGIES
+from orbitfinder.atlas.starts import DECLARED, STRATEGIES
 from orbitfinder.atlas.store import RESTORE, Atlas
 from orbitfinder.errors import plural
 from orbitfinder.records.reading import json_document, read_as
@@ -185,7 +185,8 @@ def stratum(energy: float, symmetry: str, counts: np.ndarray, made: Mapping[str,
 
 def reaches(strategy: str, symmetry: str) -> bool:
     """True when starts of a strategy can end in an orbit of a symmetry: when it has all that they impose."""
-    imposed = STRATEGIES[strategy][0] if strategy in STRATEGIES else "none"
+    named = strategy.removeprefix(DECLARED) if strategy.startswith(DECLARED) else "none"
+    imposed = STRATEGIES[strategy][0] if strategy in STRATEGIES else named
     return imposed == "none" or set(imposed.split("+")) <= set(symmetry.split("+"))
 
 

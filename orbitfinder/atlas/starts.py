@@ -8,7 +8,7 @@ Close returns as starting points: D. P. Lathrop, E. J. Kostelich, Physical Revie
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -27,6 +27,8 @@ from orbitfinder.loops.symmetry import (
     REVERSAL,
     SYMMETRIES,
     Involution,
+    Symmetry,
+    declared,
     off_centre,
     undeclared_mirrors,
 )
@@ -50,6 +52,8 @@ STEP_ERROR = 1e-7
 MOST_HALVINGS = 12
 HALVES = (REVERSAL.name, "mirror")
 """Strategies that begin in the fixed set of a reversal and look for the next return to it, half a period on."""
+DECLARED = "declared-"
+"""In front of the name of a reversal that the system declares: those starts impose it, and solve half a period."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,8 @@ class Context:
     shapes: np.ndarray
     strategies: tuple[str, ...]
     mirrors: tuple[Involution, ...] = ()
+    declared: Mapping[str, Involution] = field(default_factory=dict)
+    """the system's own reversals, by strategy"""
 
 
 @dataclass(frozen=True)
@@ -95,17 +101,23 @@ def context_of(model: Model, target: Target) -> Context:
     check(model, target)
     place = resting_place(model, target.energy)
     prepare(model)
-    found = undeclared_mirrors(model)
     origin = np.zeros(2 * model.degrees_of_freedom)
+    own = {
+        f"{DECLARED}{one.name}": one for one in declared(model)
+        if one.sense < 0 and Symmetry((one,)).held_by(model, origin)
+    }  # fmt: skip
+    found = tuple(one for one in undeclared_mirrors(model) if one.signs not in {each.signs for each in own.values()})
     known = [*(name for name, one in SYMMETRIES.items() if one.held_by(model, origin)), *["mirror"] * bool(found)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
-    unfolded = {name: SYMMETRIES[name].unfolded(model) for name in known if name in imposed}
+    chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
+    chosen |= {one.name: Symmetry((one,)) for one in own.values()}
+    unfolded = {name: one.unfolded(model) for name, one in chosen.items()}
     one = Context(
         model, target,
-        equations={name: Equations(model, SYMMETRIES[name], alone=True) for name in unfolded},
+        equations={name: Equations(model, one, alone=True) for name, one in chosen.items()},
         flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
-        strategies=tuple(name for name in TURNS if possible(name, known)), mirrors=found,
+        strategies=(*(name for name in TURNS if possible(name, known)), *own, *own), mirrors=found, declared=own,
     )  # fmt: skip
     return replace(one, step=calibrated(one))
 
@@ -167,8 +179,12 @@ def check(model: Model, target: Target) -> None:
 def make_start(context: Context, seed: int, index: int) -> Start:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
     name = strategy_of(context, index)
-    symmetry, propose = STRATEGIES[name]
     random = np.random.default_rng([seed, index])
+    if name in context.declared:
+        one = context.declared[name]
+        symmetry, state = one.name, _fixed(context, one, random)
+        return Start(index, name, symmetry, state, _return_time(context, name, state, random))
+    symmetry, propose = STRATEGIES[name]
     state = propose(context, random)
     if name == "recurrence":
         state, period = _recurrence(context, state, random)
@@ -255,9 +271,14 @@ def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
 
 
 def _mirrored(context: Context, random: np.random.Generator) -> np.ndarray:
-    """In the fixed set of one of the model's mirrors: some coordinates at 0 (or a half turn), the others at rest."""
-    signs = np.asarray(context.mirrors[random.integers(len(context.mirrors))].signs)
+    """In the fixed set of one of the model's mirrors."""
+    return _fixed(context, context.mirrors[random.integers(len(context.mirrors))], random)
+
+
+def _fixed(context: Context, one: Involution, random: np.random.Generator) -> np.ndarray:
+    """In the fixed set of a reversal: some coordinates at 0 (or a half turn), the others at rest."""
     angles = context.model.angular
+    signs = np.broadcast_to(one.signs, angles.size)
     for _ in range(ATTEMPTS):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(context, random))
         if potential(context, q) < context.target.energy:
@@ -290,8 +311,9 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
     n, angular = context.model.degrees_of_freedom, context.model.angular
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
-    if symmetry in HALVES:
+    if symmetry in HALVES or symmetry in context.declared:
         known = REVERSAL.maps if symmetry == REVERSAL.name else context.mirrors
+        known = (context.declared[symmetry],) if symmetry in context.declared else known
         scaled = states / np.repeat([1.0, rate], n)
         each = (np.abs(off_centre(mirror, scaled, angular)).max(axis=1) for mirror in known)
         return min(each, key=lambda gap: float(gap[0]))
@@ -313,7 +335,7 @@ def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.
 
 def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
-    fraction = 0.5 if symmetry in HALVES else SYMMETRIES[symmetry].fraction
+    fraction = 0.5 if symmetry in HALVES or symmetry in context.declared else SYMMETRIES[symmetry].fraction
     low, high = context.target.periods
     times, states = simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)
