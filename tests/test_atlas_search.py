@@ -194,7 +194,7 @@ def test_nearly_degenerate_orbits_are_reached(elastic, number, period, instabili
     """Newton's method stalls before both (the Jacobian's singular values fall to 1e-6). Reference: a scan of the
     section phi = 0, r' = 0 in polar coordinates with another integrator."""
     found = perform(context_of(elastic, Target(-8.5, (0.5, 8.0))), 0, Job(number), []).orbit
-    assert found.period == pytest.approx(period, rel=1e-12) and found.symmetry == "none"
+    assert found.period == pytest.approx(period, rel=1e-12) and found.symmetry == "mirror"
     assert np.abs(found.floquet_multipliers).max() == pytest.approx(instability, rel=1e-9)
 
 
@@ -304,48 +304,27 @@ def test_mirrors_are_read_off_the_equations(made, expected):
     assert [one.moves(model.state_names[: model.degrees_of_freedom]) for one in undeclared_mirrors(model)] == expected
 
 
-def test_starts_on_the_section_of_a_mirror(tmp_path):
-    """In polar coordinates, where r is never 0: phi and r' vanish at the start, orbits come, the report says so."""
-    model, path = polar(), tmp_path / "polar.sqlite"
+@pytest.mark.parametrize("parts", [{}, {"symmetries": {"mirror": (1, -1)}}])
+def test_a_mirror_is_imposed_declared_or_not(tmp_path, parts):
+    """Starts where phi and r' vanish solve half a period; with them 60 starts (2 s) find all fourteen orbits, the two
+    nearly degenerate ones among them that search missed in 6000 (trial of 0.1.0, section 10)."""
+    model, path = polar(**parts), tmp_path / "mirror.sqlite"
     one = context_of(model, Target(-8.5, (0.5, 8.0)))
-    number = one.strategies.index("mirror")
-    state = make_start(one, 0, number).state
-    assert abs(np.sin(state[1])) < 1e-15 and state[2] == 0 and state[3] != 0 and state[0] > 0
-    found = search.search(model, -8.5, (0.5, 8.0), path, starts=number + 1, workers=0).summary
-    assert next(one for one in found.yields if one.strategy == "mirror").hits >= 1
-    assert any("mirror phi -> -phi was imposed by no start" in one for one in found.remarks)
-
-
-def test_a_declared_mirror_is_imposed(tmp_path):
-    """Half a period is solved, the orbit carries the name, and no start is said to be missing."""
-    model, path = polar(symmetries={"mirror": (1, -1)}), tmp_path / "declared.sqlite"
-    one = context_of(model, Target(-8.5, (0.5, 8.0)))
-    assert not one.mirrors and one.strategies.count("declared-mirror") == 2
+    assert one.strategies.count("declared-mirror") == 2 and one.equations["mirror"].symmetry.fraction == 0.5
     start = make_start(one, 0, one.strategies.index("declared-mirror"))
-    assert start.symmetry == "mirror" and abs(np.sin(start.state[1])) < 1e-15 and start.state[2] == 0
-    assert one.equations["mirror"].symmetry.fraction == 0.5
+    assert start.symmetry == "mirror" and abs(np.sin(start.state[1])) < 1e-15 and start.state[2] == 0 < start.state[0]
     found = search.search(model, -8.5, (0.5, 8.0), path, starts=60, workers=0).summary
     imposed = next(one for one in found.yields if one.strategy == "declared-mirror")
-    assert imposed.hits == imposed.starts >= 6 and not any("imposed by no start" in one for one in found.remarks)
+    assert imposed.hits == imposed.starts >= 6
     named = {one.symmetry: one for one in found.strata}
-    assert {"mirror", "brake"} <= named.keys() and named["mirror"].starts > named["brake"].starts - imposed.starts
-    assert reaches("declared-mirror", "mirror") and reaches("declared-mirror", "brake+mirror")
-    assert not reaches("declared-mirror", "brake")
+    assert (named["mirror"].orbits, named["brake"].orbits, named["none"].orbits) == (3, 11, 0)
+    assert named["mirror"].starts == named["none"].starts + imposed.starts
+    assert reaches("declared-mirror", "mirror") and not reaches("declared-mirror", "brake")
     with Atlas(path) as atlas:
-        (mirrored,) = [row for row in atlas.rows() if row.symmetry == "mirror"]
-        assert certify(atlas.orbit(mirrored.id), model).passed
-
-
-@pytest.mark.slow
-def test_all_fourteen_orbits_of_the_swinging_spring(tmp_path):
-    """400 starts, about 12 s on one core. Two of them are nearly degenerate and symmetric under a mirror that nobody
-    declared; the estimate of 0.1.0 said 12 +- 0 (trial, section 10)."""
-    found = search.search(polar(), -8.5, (0.5, 8.0), tmp_path / "a.sqlite", starts=400, workers=0)
-    with Atlas(found.atlas) as atlas:
-        periods = [row.period for row in atlas.rows()]
-    assert len(periods) == 14 and found.summary.estimate[0] >= 14
-    for known in (6.653441790013671, 7.578926609086394):
-        assert min(abs(one / known - 1) for one in periods) < 1e-12
+        mirrored = [atlas.orbit(row.id) for row in atlas.rows() if row.symmetry == "mirror"]
+    periods = [orbit.period for orbit in mirrored]
+    assert sorted(periods)[1:] == pytest.approx([6.653441790013671, 7.578926609086394], rel=1e-12)
+    assert all(certify(orbit, polar()).passed for orbit in mirrored)  # of a model that says nothing of it
 
 
 def test_the_wells_beside_a_barrier_are_searched(tmp_path):

@@ -30,7 +30,7 @@ from orbitfinder.loops.symmetry import (
     Symmetry,
     declared,
     off_centre,
-    undeclared_mirrors,
+    with_mirrors,
 )
 from orbitfinder.mechanics.model import Model, wrapped
 
@@ -50,10 +50,9 @@ SPANS = 16
 CALIBRATION_STATES = 24
 STEP_ERROR = 1e-7
 MOST_HALVINGS = 12
-HALVES = (REVERSAL.name, "mirror")
-"""Strategies that begin in the fixed set of a reversal and look for the next return to it, half a period on."""
 DECLARED = "declared-"
-"""In front of the name of a reversal that the system declares: those starts impose it, and solve half a period."""
+"""In front of the name of a reversal that the system has or declares: such starts begin in its fixed set, look for the
+next return to it, and solve half a period."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Context:
     """Everything about a model that starts share.
 
     Equations and flows by the symmetry imposed (only those that the model has), the step (s) of the
-    cheap stage, the equilibrium and the normal modes about it, the strategies that take turns, the model's mirrors.
+    cheap stage, the equilibrium and the normal modes about it, the strategies that take turns.
     """
 
     model: Model
@@ -80,7 +79,6 @@ class Context:
     equilibrium: np.ndarray
     shapes: np.ndarray
     strategies: tuple[str, ...]
-    mirrors: tuple[Involution, ...] = ()
     declared: Mapping[str, Involution] = field(default_factory=dict)
     """the system's own reversals, by strategy"""
 
@@ -99,15 +97,14 @@ class Start:
 def context_of(model: Model, target: Target) -> Context:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     check(model, target)
+    model, origin = with_mirrors(model), np.zeros(2 * model.degrees_of_freedom)
     place = resting_place(model, target.energy)
     prepare(model)
-    origin = np.zeros(2 * model.degrees_of_freedom)
     own = {
         f"{DECLARED}{one.name}": one for one in declared(model)
         if one.sense < 0 and Symmetry((one,)).held_by(model, origin)
     }  # fmt: skip
-    found = tuple(one for one in undeclared_mirrors(model) if one.signs not in {each.signs for each in own.values()})
-    known = [*(name for name, one in SYMMETRIES.items() if one.held_by(model, origin)), *["mirror"] * bool(found)]
+    known = [name for name, one in SYMMETRIES.items() if one.held_by(model, origin)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
     chosen |= {one.name: Symmetry((one,)) for one in own.values()}
@@ -117,14 +114,15 @@ def context_of(model: Model, target: Target) -> Context:
         equations={name: Equations(model, one, alone=True) for name, one in chosen.items()},
         flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
-        strategies=(*(name for name in TURNS if possible(name, known)), *own, *own), mirrors=found, declared=own,
+        strategies=(*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ())),
+        declared=own,
     )  # fmt: skip
     return replace(one, step=calibrated(one))
 
 
 def possible(name: str, known: Sequence[str]) -> bool:
     """True when the model has the symmetries that a strategy relies on."""
-    return (name if name in HALVES else STRATEGIES[name][0]) in known
+    return (name if name == REVERSAL.name else STRATEGIES[name][0]) in known
 
 
 def calibrated(context: Context) -> float:
@@ -189,7 +187,7 @@ def make_start(context: Context, seed: int, index: int) -> Start:
     if name == "recurrence":
         state, period = _recurrence(context, state, random)
     else:
-        period = _return_time(context, name if name in HALVES else symmetry, state, random)
+        period = _return_time(context, name if name == REVERSAL.name else symmetry, state, random)
     return Start(index, name, symmetry, state, period)
 
 
@@ -270,11 +268,6 @@ def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
     return on_shell(context, context.equilibrium, random.normal(size=n))
 
 
-def _mirrored(context: Context, random: np.random.Generator) -> np.ndarray:
-    """In the fixed set of one of the model's mirrors."""
-    return _fixed(context, context.mirrors[random.integers(len(context.mirrors))], random)
-
-
 def _fixed(context: Context, one: Involution, random: np.random.Generator) -> np.ndarray:
     """In the fixed set of a reversal: some coordinates at 0 (or a half turn), the others at rest."""
     angles = context.model.angular
@@ -296,13 +289,11 @@ STRATEGIES: Mapping[str, tuple[str, Callable[[Context, np.random.Generator], np.
     "recurrence": (NONE.name, _random_state),
     "centre": (REFLECTION.name, _centre),
     REVERSAL.name: (NONE.name, _crossing),
-    "mirror": (NONE.name, _mirrored),
 }
 """Name -> (symmetry imposed, proposal of a state on the energy shell)."""
 TURNS = (
     "recurrence", BRAKE.name, "random", REVERSAL.name, "brake-modes", "recurrence", REFLECTION.name, BRAKE.name,
     "normal-modes", "recurrence", "random", "brake-modes", "rest-symmetric", BRAKE.name, "recurrence", "centre",
-    "mirror", "mirror",
 )  # fmt: skip
 """Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
 
@@ -311,9 +302,8 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
     n, angular = context.model.degrees_of_freedom, context.model.angular
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
-    if symmetry in HALVES or symmetry in context.declared:
-        known = REVERSAL.maps if symmetry == REVERSAL.name else context.mirrors
-        known = (context.declared[symmetry],) if symmetry in context.declared else known
+    if symmetry == REVERSAL.name or symmetry in context.declared:
+        known = (context.declared[symmetry],) if symmetry in context.declared else REVERSAL.maps
         scaled = states / np.repeat([1.0, rate], n)
         each = (np.abs(off_centre(mirror, scaled, angular)).max(axis=1) for mirror in known)
         return min(each, key=lambda gap: float(gap[0]))
@@ -335,7 +325,8 @@ def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.
 
 def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
-    fraction = 0.5 if symmetry in HALVES or symmetry in context.declared else SYMMETRIES[symmetry].fraction
+    half = symmetry == REVERSAL.name or symmetry in context.declared
+    fraction = 0.5 if half else SYMMETRIES[symmetry].fraction
     low, high = context.target.periods
     times, states = simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)

@@ -22,6 +22,7 @@ from orbitfinder.loops.problem import Guess, Problem, clock, pinned
 from orbitfinder.loops.symmetry import (
     NONE,
     Symmetry,
+    knowing,
     momenta_of,
     moved,
     named,
@@ -97,7 +98,7 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
     """The Problem whose solution an orbit is, in minimal coordinates."""
     if isinstance(origin, Problem):
         return minimal_problem(origin)
-    model = model or build_model(origin.system)
+    model = knowing(model or build_model(origin.system), origin.symmetry)
     energy = next((one.name for one in model.invariants if one.generator is None), None)
     problem = Problem(
         model, Guess(origin.state, origin.period), (Pin(energy, origin.energy),) if energy else (),
@@ -195,6 +196,7 @@ def _looked_at(equations: Equations, place: Unknowns) -> np.ndarray:
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
     known = read_as(CurveEntry, entry, "curve", "continue the family again")
+    model = knowing(model, known.symmetry)
     if known.symmetry not in symmetries_of(model):
         raise InputError(f"curve: unknown symmetry {known.symmetry!r}; continue the family again")
     unknown_parameters(model, settings)

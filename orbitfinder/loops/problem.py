@@ -14,7 +14,7 @@ from orbitfinder.errors import CountError, InputError, closest
 from orbitfinder.integrate.idas import check_consistent
 from orbitfinder.loops.conditions import Constraint, Expression, Pin, check_bounds, check_constraint, check_pin
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
-from orbitfinder.loops.symmetry import Shift, Symmetry, beside, named, related, shifts_of, time_dependent
+from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.model import Model
 
@@ -77,7 +77,8 @@ class Problem:
     """What to find. `pin=()` takes the orbit nearest to the guess; of a chain or linkage as a DAE, the guess's state
     and the winding may be given for its links instead of its coordinates.
 
-    `symmetry` is none | brake | reflection | reversal | brake+reflection, or one that the model declares;
+    `symmetry` is none | brake | reflection | reversal | brake+reflection, or one that the model declares or, called
+    mirror (mirror-x where there are several), has: signs of coordinates with time reversed;
     `winding` the whole turns of each coordinate in one period; `relative` the cyclic coordinates (or conserved momenta
     of other shifts) along which the orbit need not come back; `segments` the shooting intervals of the
     horizon (None: chosen from the instability of the guess); `tolerance` the closure that the certificate
@@ -114,6 +115,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        object.__setattr__(self, "model", knowing(self.model, self.symmetry))
         if self.model.constraint is not None and self.model.constraint.lift is not None:
             self._lift(self.model.degrees_of_freedom // 3)
         _check(self)

@@ -432,6 +432,7 @@ def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     own = declared(model)
     backward = [BRAKE_MAP, *(one for one in own if one.sense < 0)]
     pairs = [(first, last) for first in backward for last in own if last.sense > 0]
+    pairs += [(one, REFLECTION_MAP) for one in own if one.sense < 0]
     found = (*SYMMETRIES.values(), *(Symmetry((one,)) for one in own), *map(Symmetry, pairs))
     return {one.name: one for one in found} if own else SYMMETRIES
 
@@ -544,17 +545,37 @@ def _apart(
 
 
 def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
-    """What runs time backwards with signs that differ, of the usual ones none, tried at a few states."""
+    """What runs time backwards with signs that differ, of usual and declared ones none, tried at a few states.
+
+    It is called mirror, or mirror-x after the coordinates that it turns where there are several.
+    """
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
-    if n > MOST_COORDINATES:
+    if n > MOST_COORDINATES or model.constraint is not None:
         return ()
     states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
-    candidates = (Involution("mirror", -1, signs) for signs in product((1, -1), repeat=n) if len(set(signs)) > 1)
+    known = {signs for _, sense, signs in model.symmetries if sense < 0}
+    signs = [one for one in product((1, -1), repeat=n) if len(set(one)) > 1 and one not in known]
+    candidates = [Involution("mirror", -1, one) for one in signs]
 
     def kept(one: Involution) -> bool:
         return all(apart <= MIRRORED * size for apart, size in (_apart(model, one, (0.0, *x), 0.0) for x in states))
 
-    return tuple(filter(kept, candidates))
+    found, names = [one for one in candidates if kept(one)], model.state_names[:n]
+    if len(found) + len(model.symmetries) < 2:
+        return tuple(found)
+    turned = ["-".join(name for name, sign in zip(names, one.signs, strict=True) if sign < 0) for one in found]  # type: ignore[arg-type]
+    return tuple(replace(one, name=f"mirror-{which}") for one, which in zip(found, turned, strict=True))
+
+
+def with_mirrors(model: Model) -> Model:
+    """The Model with the mirrors that nobody declares declared."""
+    found = tuple((one.name, one.sense, one.signs) for one in undeclared_mirrors(model))
+    return replace(model, symmetries=(*model.symmetries, *found)) if found else model  # type: ignore[arg-type]
+
+
+def knowing(model: Model, name: str) -> Model:
+    """The Model, with its mirrors declared where the name of a symmetry is one of theirs."""
+    return model if name in SYMMETRIES or name in symmetries_of(model) else with_mirrors(model)
 
 
 # ---- recognition -------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.loops.symmetry import recognise, shifts_of, symmetries_of, symplectic, turned
+from orbitfinder.loops.symmetry import knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents, shift_along
@@ -302,6 +302,7 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 
     A family's point claims the symmetry of its formulation only, and may have more.
     """
+    model = knowing(model, orbit.symmetry)
     names = [
         recognise(evidence.times, evidence.states, model, own=own)
         for own in (True, False)[: 1 + bool(model.symmetries)]
