@@ -25,6 +25,8 @@ from .loops.problem import Problem as Problem
 from .mechanics.chain import chain as chain
 from .mechanics.chain import chain_dae as chain_dae
 from .mechanics.constrained import constrained as constrained
+from .mechanics.first_order import hamiltonian as hamiltonian
+from .mechanics.first_order import ode as ode
 from .mechanics.lagrange import Symbols as Symbols
 from .mechanics.lagrange import lagrange as lagrange
 from .mechanics.linkage import linkage as linkage

@@ -28,7 +28,7 @@ from orbitfinder.exports.source import FORTRAN, C, dense_states, fortran_number,
 from orbitfinder.exports.write import export_orbit
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import vector_field
-from orbitfinder.problemfile.guess import read_trajectory
+from orbitfinder.problemfile.read import read_trajectory
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "orbits"

@@ -18,7 +18,7 @@ from jinja2 import UndefinedError
 from orbitfinder._runtime import locks
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.point import FamilySettings
 from orbitfinder.guesses.modes import mode_problem
@@ -34,10 +34,10 @@ from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.records.store import load_orbit
 from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
-from orbitfinder.site.explorers import span, spread
 from orbitfinder.site.gather import evenly, gather
 from orbitfinder.site.motion import Simulator, histories, packed, resampled
-from orbitfinder.site.text import PAGES, coordinate, mechanism, number, plural, script_data, size, slug_maker
+from orbitfinder.site.pages import span, spread
+from orbitfinder.site.text import PAGES, coordinate, mechanism, number, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
 
 ROOT = Path(__file__).parents[1]

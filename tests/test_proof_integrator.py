@@ -12,12 +12,11 @@ from orbitfinder.integrate.dop853 import TIGHTEST, integrate, vector_field
 from orbitfinder.loops.symmetry import BRAKE, REFLECTION, REVERSAL, SYMMETRIES
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.proof import enclosure, lohner
+from orbitfinder.proof import enclosure
 from orbitfinder.proof.balls import arb, decimal, floats, precision, radii, radius
-from orbitfinder.proof.enclosure import Settings
+from orbitfinder.proof.enclosure import Settings, cloud
 from orbitfinder.proof.field import make_field, programs
 from orbitfinder.proof.invariance import has_symmetry, turns_leave
-from orbitfinder.proof.lohner import cloud
 from orbitfinder.proof.program import Ring, program
 from orbitfinder.proof.series import coefficients, outputs, recurrence, whole_series
 from orbitfinder.proof.taylormodel import remainders
@@ -139,7 +138,7 @@ def test_harmonic_oscillator_over_a_hundred_periods():
     spread = 1e-6
     here = cloud([arb(1, spread), arb(0, spread), arb(0), period.mid()])
     for _ in range(100):
-        here, _ = lohner.integrate(field, here, FAST)
+        here, _ = enclosure.integrate(field, here, FAST)
     late = 100 * (2 * arb.pi() - period.mid())
     for x, v in ((1.0, 0.0), (1.0 + spread, -spread), (1.0 - spread, spread)):
         truth = [x * late.cos() - v * late.sin(), x * late.sin() + v * late.cos()]
@@ -150,17 +149,17 @@ def test_harmonic_oscillator_over_a_hundred_periods():
 
 def test_wrapping_is_what_frames_prevent(monkeypatch):
     """Without the turning frames the same integration blows up."""
-    monkeypatch.setattr(lohner, "orthogonal", lambda matrix, weights: lohner.identity(matrix.nrows()))
+    monkeypatch.setattr(enclosure, "orthogonal", lambda matrix, weights: enclosure.identity(matrix.nrows()))
     field = make_field(oscillator())
     here = cloud([arb(1), arb(0), arb(0), arb(6.25)])
     turned = []
     for _ in range(8):
-        here, _ = lohner.integrate(field, here, FAST)
+        here, _ = enclosure.integrate(field, here, FAST)
         turned.append(radius(here.point[:2]))
     monkeypatch.undo()
     there = cloud([arb(1), arb(0), arb(0), arb(6.25)])
     for _ in range(8):
-        there, _ = lohner.integrate(field, there, FAST)
+        there, _ = enclosure.integrate(field, there, FAST)
     assert turned[-1] > 100 * radius(there.point[:2])
 
 
@@ -171,7 +170,7 @@ def test_pendulum_against_elliptic_functions():
     modulus = np.sin(1.0)
     quarter = ellipk(modulus**2) / frequency
     field = make_field(model)
-    here, _ = lohner.integrate(field, cloud(extended([2.0, 0.0], 0.7)), FAST)
+    here, _ = enclosure.integrate(field, cloud(extended([2.0, 0.0], 0.7)), FAST)
     sn, cn, dn, _ = ellipj(frequency * (quarter - 0.7), modulus**2)
     angle = 2 * np.arcsin(modulus * sn)
     rate = -2 * modulus * frequency * cn * dn / np.sqrt(1 - (modulus * sn) ** 2)
@@ -180,14 +179,14 @@ def test_pendulum_against_elliptic_functions():
     assert abs(float(here.point[1].mid()) - rate) < 1e-11
     with precision(150):  # K by the arithmetic-geometric mean, in balls
         exact = arb.pi() / 2 / arb(1).agm(arb(1).cos()) / (arb(3) / 2 * arb(49) / 5).sqrt()
-    closing, _ = lohner.integrate(make_field(model), cloud([arb(2), arb(0), arb(0), exact.mid()]), FAST)
+    closing, _ = enclosure.integrate(make_field(model), cloud([arb(2), arb(0), arb(0), exact.mid()]), FAST)
     assert closing.point[0].contains(0)
 
 
 def test_against_another_integrator():
     """Chain(2): the enclosures of state and derivatives contain what DOP853 says, to its own error."""
     model, state, duration = chain(2), np.array([0.4, -0.9, 1.1, 0.3]), 0.6
-    here, steps = lohner.integrate(make_field(model), cloud(extended(state, duration)), FAST)
+    here, steps = enclosure.integrate(make_field(model), cloud(extended(state, duration)), FAST)
     field = plain(model)
     end = integrate(field, state, np.array([0.0, duration]), TIGHTEST)[-1]
     assert np.abs([float(x.mid()) for x in here.point[:4]] - end).max() < 1e-12
@@ -212,7 +211,7 @@ def escaped(samples, unfolding=0.0):
     """How many of the solutions from random points of a box leave its enclosure at the end."""
     model = chain(2)
     box = [*extended(STATE, DURATION, SPREAD)[:4], arb(0, unfolding) if unfolding else arb(0), arb(DURATION)]
-    here, _ = lohner.integrate(make_field(model), cloud(box), FAST)
+    here, _ = enclosure.integrate(make_field(model), cloud(box), FAST)
     low, high = (np.array([float(getattr(x, side)()) for x in here.hull[:4]]) for side in ("lower", "upper"))
     random = np.random.default_rng(1)
     starts = STATE + SPREAD * random.choice([-1.0, 1.0, 2.0], size=(samples, 4), p=[0.4, 0.4, 0.2]) * (
@@ -251,10 +250,10 @@ def test_derivatives_of_a_box_contain_those_of_its_points():
     """At random points, the derivatives integrated from the point alone lie inside the box's enclosure."""
     field, random = make_field(chain(2)), np.random.default_rng(2)
     box = extended(STATE, DURATION, 1e-4)
-    whole, _ = lohner.integrate(field, cloud(box), FAST)
+    whole, _ = enclosure.integrate(field, cloud(box), FAST)
     for _ in range(4):
         point = [x.mid() + arb(float(random.uniform(-1e-4, 1e-4))) for x in box[:4]] + box[4:]
-        alone, _ = lohner.integrate(field, cloud([x.mid() for x in point]), FAST)
+        alone, _ = enclosure.integrate(field, cloud([x.mid() for x in point]), FAST)
         pairs = zip(whole.derivatives.entries(), alone.derivatives.entries(), strict=True)
         assert all(ball.contains(exact) for ball, exact in pairs)
 
@@ -262,7 +261,7 @@ def test_derivatives_of_a_box_contain_those_of_its_points():
 def test_broken_enclosure_is_caught(monkeypatch):
     """Derivatives shrunk by a quarter let solutions escape, and the containment test sees it."""
     whole = enclosure.transition_over
-    monkeypatch.setattr(lohner, "transition_over", lambda *arguments: whole(*arguments) * arb(0.75))
+    monkeypatch.setattr(enclosure, "transition_over", lambda *arguments: whole(*arguments) * arb(0.75))
     assert escaped(1000) > 0
 
 
@@ -271,7 +270,7 @@ def test_dropped_remainder_is_caught(monkeypatch):
     coarse = Settings(order=4, bits=96, tolerance=1e-7)
 
     def contains():
-        here, _ = lohner.integrate(make_field(oscillator()), cloud([arb(1), arb(0), arb(0), arb(1)]), coarse)
+        here, _ = enclosure.integrate(make_field(oscillator()), cloud([arb(1), arb(0), arb(0), arb(1)]), coarse)
         return here.point[0].contains(arb(1).cos()) and here.point[1].contains(-arb(1).sin())
 
     assert contains()
@@ -286,7 +285,7 @@ def test_hopeless_step_is_reported():
     """A solution that leaves every bound ends in a message, not in an enclosure."""
     field = make_field(oscillator(lambda q: -(q**4)))
     with pytest.raises(IntegrationError, match="no validated step is short enough"):
-        lohner.integrate(field, cloud([arb(3), arb(30), arb(0), arb(5)]), Settings(10, 80, 1e-12, 1e-5))
+        enclosure.integrate(field, cloud([arb(3), arb(30), arb(0), arb(5)]), Settings(10, 80, 1e-12, 1e-5))
 
 
 def test_symmetries_are_read_off_the_graph():

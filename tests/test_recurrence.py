@@ -74,9 +74,9 @@ def test_a_sum_of_modes_starts_where_the_modes_add_up():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: normal_mode_sum(chain(2), [1, 2], [0.1]), "guess.amplitude: 1 numbers for 2 modes"),
+        (lambda: normal_mode_sum(chain(2), [1, 2], [0.1]), "guess.amplitude: 1 number for 2 modes"),
         (lambda: recurrences(chain(1), [0.1, 0.0], -1.0), "guess.duration: must be positive"),
-        (lambda: recurrences(chain(1), [0.1], 1.0), "guess.state: 1 numbers; give 2"),
+        (lambda: recurrences(chain(1), [0.1], 1.0), "guess.state: 1 number; give 2"),
         (lambda: close_returns(np.arange(3.0), np.zeros((3, 2))), "trajectory: 3 times"),
     ],
 )

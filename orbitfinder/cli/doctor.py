@@ -37,6 +37,11 @@ class Finding:
     remedy: str = ""
 
 
+def finding(name: str, fine: object, detail: str, remedy: str, otherwise: str = MISSING) -> Finding:
+    """What was found fine, or `otherwise`, with what to do about it."""
+    return Finding(name, OK, detail) if fine else Finding(name, otherwise, detail, remedy)
+
+
 def examine() -> list[Finding]:
     """Every finding, essential ones first. Takes about two seconds, most of them imports."""
     return [*essential(), *tools(), *extras(), *defects()]
@@ -45,8 +50,7 @@ def examine() -> list[Finding]:
 def essential() -> Iterator[Finding]:
     """What the main job cannot do without, the main job included."""
     fits = sys.version_info[:2] >= (3, 11)
-    remedy = "" if fits else "use Python 3.11 to 3.13"
-    yield Finding("python", OK if fits else BROKEN, platform.python_version(), remedy)
+    yield finding("python", fits, platform.python_version(), "use Python 3.11 to 3.13", BROKEN)
     for name in (
         "casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
         "platformdirs", "jinja2", "lazy_loader",
@@ -75,10 +79,11 @@ def _plugins() -> Iterator[Finding]:
     remedy = "install the casadi wheel from the package index; system packages often lack plugins"
     for name, kind in PLUGINS.items():
         try:
-            there, detail = bool(getattr(import_module("casadi"), f"has_{kind}")(name)), "plugin missing"
+            there = bool(getattr(import_module("casadi"), f"has_{kind}")(name))
+            detail = "plugin loads" if there else "plugin missing"
         except Exception as error:
             there, detail = False, f"cannot be asked for: {type(error).__name__}: {error}"
-        yield Finding(f"casadi {name}", *((OK, "plugin loads") if there else (BROKEN, detail, remedy)))
+        yield finding(f"casadi {name}", there, detail, remedy, BROKEN)
 
 
 def _main_job() -> Finding:
@@ -95,7 +100,7 @@ def _main_job() -> Finding:
         error = abs(orbit.period / exact - 1)
         fine = error < 1e-11 and of.certify(orbit).passed
         detail = f"pendulum at 1 rad certified, period off the elliptic integral by {error:.0e}"
-        return Finding("main job", OK if fine else BROKEN, detail, "" if fine else "please report this with the output")
+        return finding("main job", fine, detail, "please report this with the output", BROKEN)
     except Exception as error:
         return Finding("main job", BROKEN, f"{type(error).__name__}: {error}", "see the findings above")
 
@@ -106,19 +111,14 @@ def tools() -> Iterator[Finding]:
 
     found, reason = available()
     said = f"{reason or 'runs'} (mode {mode()})"
-    remedy = "install gcc or clang; without one everything runs interpreted"
-    yield Finding("C compiler", OK if found else MISSING, said, "" if found else remedy)
+    yield finding("C compiler", found, said, "install gcc or clang; without one everything runs interpreted")
     yield _cache()
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    yield Finding(
-        "browser", OK if browser else MISSING, browser or "none on the path",
-        "" if browser else "any browser opens the pages; headless Chromium is needed for their tests only",
-    )  # fmt: skip
+    remedy = "any browser opens the pages; headless Chromium is needed for their tests only"
+    yield finding("browser", browser, browser or "none on the path", remedy)
     auto = next((one for one in (os.environ.get("AUTO_DIR"), "/usr/lib/auto-07p") if one and Path(one).is_dir()), None)
-    yield Finding(
-        "AUTO-07p", OK if auto else MISSING, auto or "not found",
-        "" if auto else "only to run what export --to auto writes; set AUTO_DIR",
-    )  # fmt: skip
+    remedy = "only to run what export --to auto writes; set AUTO_DIR"
+    yield finding("AUTO-07p", auto, auto or "not found", remedy)
 
 
 def _cache() -> Finding:
@@ -141,11 +141,8 @@ def extras() -> Iterator[Finding]:
     for extra, wanted in declared_extras().items():
         lacking = [name for name in wanted if not _installed(name)]
         use = EXTRAS.get(extra, extra)
-        if lacking:
-            remedy = f"pip install 'orbitfinder[{extra}]', for {use}"
-            yield Finding(f"extra {extra}", MISSING, f"without {', '.join(lacking)}", remedy)
-        else:
-            yield Finding(f"extra {extra}", OK, f"for {use}")
+        detail = f"without {', '.join(lacking)}" if lacking else f"for {use}"
+        yield finding(f"extra {extra}", not lacking, detail, f"pip install 'orbitfinder[{extra}]', for {use}")
 
 
 def declared_extras() -> dict[str, list[str]]:

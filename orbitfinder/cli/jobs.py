@@ -165,7 +165,8 @@ def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
         orbit.name, str(job.file), "certified" if passed else "rejected",
         f"certified{_among(orbit)}" if passed else f"not an orbit: {explained(certificate)}",
         time.perf_counter() - began,
-        orbit.period, orbit.energy, orbit.closure, orbit.stability, orbit.symmetry,
+        orbit.period, orbit.energy if orbit.energy == orbit.energy else None, orbit.closure, orbit.stability,
+        orbit.symmetry,
         dict(orbit.provenance.get("free", {})), failures,
         tuple(str(path) for path in written),
         reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit),
@@ -256,11 +257,13 @@ def check_consistent(orbit: Orbit, model: Model) -> None:
     """`InputError` when the entries of an orbit do not belong together; a certificate is about those that do."""
     import numpy as np
 
-    n = model.degrees_of_freedom
+    from orbitfinder.mechanics.model import counted
+
+    size, n = len(model.state_names), model.degrees_of_freedom
     again = "the file was edited or damaged, run the problem again"
-    if orbit.state.shape != (2 * n,) or len(orbit.winding) != n:
+    if orbit.state.shape != (size,) or len(orbit.winding) != n:
         found = f"{plural(orbit.state.size, 'number')} in state and {len(orbit.winding)} in winding"
-        raise InputError(f"state: {found} for a system of {plural(n, 'coordinate')}; {again}")
+        raise InputError(f"state: {found} for a system of {counted(model)}; {again}")
     if np.abs(orbit.state).max() > LARGEST_STATE:
         raise InputError(f"state: {orbit.state.tolist()} is beyond {LARGEST_STATE:g}; {again}")
 

@@ -55,8 +55,9 @@ def _print_outcome(outcome: Outcome) -> None:
         text(f"{outcome.name}: {outcome.status}: {outcome.message}")
         return
     text(
-        f"{outcome.name}: {outcome.status}, period {outcome.period!r} s, energy {outcome.energy!r} J, "
-        f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
+        f"{outcome.name}: {outcome.status}, period {outcome.period!r} s, "
+        + (f"energy {outcome.energy!r} J, " if outcome.energy is not None else "")
+        + f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
         + "".join(f", {name} = {value!r}" for name, value in outcome.chosen.items())
     )
     if outcome.reduction:
@@ -101,9 +102,10 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
     document = {"name": loaded.name} | result.document()
     kind, more = ("drift", "") if result.conserved else ("change", ", which this system does not conserve")
     text(f"{loaded.name}: {result.times[-1]:g} s simulated")
-    text(f"  {'energy':<22}{document['energy']:.12g} J")
-    text(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
-    text(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
+    if document["energy"] is not None:
+        text(f"  {'energy':<22}{document['energy']:.12g} J")
+        text(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
+        text(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
     text(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))
     if out is not None:
         written = out / loaded.name / "simulation.csv"

@@ -102,3 +102,16 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
         states = _period(points[k], there, MOTION)[1]
         found.append(Motion(points[k], states, positions(there, states) if model.points is not None else None))
     return found
+
+
+def amplitudes(family: Family, model: Model) -> np.ndarray:
+    """Half the range (k x n) of every coordinate over a period, of each point and then of each event.
+
+    Raises `InputError`.
+    """
+    members: tuple[FamilyPoint | Event, ...] = (*family.points, *family.events)
+    if not family.curve or not all(one.mesh.size for one in members):
+        raise InputError(f"{family.name}: no nodes beside the family; continue it again")
+    curve, n = curve_of(family.curve, model, FamilySettings(parameter=family.parameter)), model.degrees_of_freedom
+    paths = (full_samples(curve, at_place(curve, unknowns_of(curve, one)), SAMPLES)[1][:, :n] for one in members)
+    return np.array([np.ptp(path, axis=0) / 2 for path in paths])

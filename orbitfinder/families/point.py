@@ -12,6 +12,7 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import shifting, turned
 from orbitfinder.orbits.closure import carried
 from orbitfinder.orbits.evidence import ClosureCheck
@@ -55,16 +56,7 @@ class FamilySettings:
 
 def parameter_value(curve: Curve, place: Unknowns, name: str) -> float:
     """The number that the family's parameter has at a place."""
-    p = curve.equations
-    if name in p.free:
-        return float(place.free[p.free.index(name)])
-    if name == "period":
-        return place.period
-    names = [one.name for one in p.model.invariants]
-    if name == "energy" or name in names:
-        which = p.energy if name == "energy" else names.index(name)
-        return float(p.quantities_at(place.nodes[0], place.free)[0][which])
-    return float(place.nodes[0][p.model.state_index(name)])
+    return float(curve.values(place, (pinned(curve.equations, name, 0.0),))[0])
 
 
 def make_point(

@@ -123,7 +123,7 @@ def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[st
     """d/ds of energy, period and every freed parameter along a direction over the head."""
     p, size = curve.equations, curve.equations.size
     _, slope, free = p.quantities_at(place.nodes[0], place.free)
-    energy = float(slope[-1] @ head[:size] + free[-1] @ head[size + 1 :])
+    energy = float(slope[p.energy] @ head[:size] + free[p.energy] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
     for one, by_state, by_free in zip(p.model.invariants, slope, free, strict=False):
         if one.generator is not None:

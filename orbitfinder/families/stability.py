@@ -14,6 +14,8 @@ from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, 
 UNRESOLVED = 1e7
 """The reciprocal of a multiplier beyond this is taken from it, not from the eigenvalue solver."""
 
+STILL = 1e-12
+"""A driven motion that extends no farther than this, in the family's metric, is at rest."""
 CONVEX = 1e-3
 """Weight of the squared distance in the matching, which decides between equal sums of distances."""
 
@@ -106,7 +108,8 @@ def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """
     p, place, x = curve.equations, found.place, found.place.nodes[0]
     flow = p.march.rates(x[None], place.tail)[: not p.model.forced]
-    if not np.any(np.ptp(found.march.states, axis=0) if p.model.forced else flow):
+    moving = np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) > STILL
+    if not np.any(moving if p.model.forced else flow):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
     return p.quantities_at(x, place.free)[1][: p.energy], np.vstack([flow, generated(p.model, x)])
 

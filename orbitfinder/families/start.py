@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.point import FamilySettings, length, parameter_value
+from orbitfinder.families.point import FamilySettings, length, parameter_value, span
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
@@ -155,7 +155,18 @@ def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
     curve = curve_at(equations, place, momenta, problem.turns, {one.name: one.value for one in problem.pin})
     pin = next((one for one in pins if one.name not in momenta), None)
-    return corrected(curve, place, pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place))
+    aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
+    return _measured(corrected(curve, place, aim))
+
+
+def _measured(start: Start) -> Start:
+    """The same, a freed parameter that is 0 measured by what moves the orbit as far as it extends, at most 1."""
+    curve, head, size = start.curve, start.direction, start.curve.equations.size
+    weights, moved = curve.weights.copy(), np.sqrt(curve.weights[:size] @ start.direction[:size] ** 2)
+    for k in size + 1 + np.flatnonzero(start.found.place.free == 0.0):
+        if head[k]:
+            weights[k] = max(1.0, float(moved / (head[k] * span(curve, start.found))) ** 2)
+    return replace(start, curve=replace(curve, weights=weights), direction=head / np.sqrt(weights @ head**2))
 
 
 def curve_at(

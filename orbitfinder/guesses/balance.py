@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, LinAlgWarning, solve
@@ -22,8 +21,10 @@ from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError
 from orbitfinder.guesses.modes import normal_modes
 from orbitfinder.integrate.equations import linearised
-from orbitfinder.loops.conditions import Pin, pinned_at_rest
-from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.loop import Equations, Loop
+from orbitfinder.loops.problem import Guess, Problem, pinned
 from orbitfinder.loops.symmetry import QUARTER
 from orbitfinder.mechanics.model import Model, energy
 
@@ -212,7 +213,9 @@ def balanced_guess(problem: Problem) -> Guess | None:
     except InputError:  # q = 0 is no equilibrium
         return None
     with np.errstate(over="ignore", invalid="ignore"):
-        found = along_family(problem, squared, shapes, linearised(problem.model), pins(problem.model))
+        found = along_family(
+            problem, squared, shapes, linearised(problem.model), pins(Equations(problem.model, QUARTER))
+        )
     return None if found is None else Guess(np.append(found.start, np.zeros(found.start.size)), found.period)
 
 
@@ -237,17 +240,18 @@ def only_pinned(problem: Problem) -> bool:
     return symmetric and not chosen and problem.guess.states is None and len(problem.pin) == 1
 
 
-def pins(model: Model) -> Callable[[Pin], PinRow]:
+def pins(equations: Equations) -> Callable[[Pin], PinRow]:
     """A pin's residual at rest and its derivatives in q(0), T, as a NumPy function for each pin."""
-    known: dict[str, Any] = {}
+    n, mesh = equations.model.degrees_of_freedom, uniform(QUARTER.fraction, 1, 1)
 
     def made(one: Pin) -> PinRow:
-        if one.name not in known:
-            known[one.name] = pinned_at_rest(model, one.name)
+        conditions = (pinned(equations, one.name, one.value),)
+        loop = Loop(equations, np.zeros(equations.size), conditions)
 
-        def row(place: np.ndarray, duration: float) -> tuple[float, np.ndarray, float]:
-            value, by_place, by_period = known[one.name](place, duration)
-            return float(value) - one.value, by_place.full().ravel(), float(by_period)
+        def row(place: np.ndarray, period: float) -> tuple[float, np.ndarray, float]:
+            w = equations.unknowns(np.append(place, np.zeros(n))[None], period, mesh)
+            slopes = loop.slopes(w, conditions)[0]
+            return float(loop.values(w, conditions)[0]), slopes[:n], float(slopes[2 * n])
 
         return row
 

@@ -50,8 +50,7 @@ def close_returns(
     40 (1989) 4028-4031. Raises `InputError` for fewer than 20 samples.
     """
     times, states = _regular(np.asarray(times, float), np.asarray(states, float))
-    step, n = float(times[1] - times[0]), states.shape[1] // 2
-    wrapping = np.zeros(2 * n, bool)
+    step, wrapping = float(times[1] - times[0]), np.zeros(states.shape[1], bool)
     wrapping[: len(angles)] = angles
     extent = np.maximum(np.ptp(states, axis=0), 1e-300)
     extent = np.where(wrapping, np.minimum(extent, np.pi), extent)

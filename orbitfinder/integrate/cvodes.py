@@ -149,7 +149,7 @@ def remembered(
     def built() -> Flow:
         return kind(model, settings, names, invariants, vector_field(model, names, invariants), units)
 
-    return (_small if 2 * model.degrees_of_freedom <= SMALL else _large)(key, built)
+    return (_small if len(model.state_names) <= SMALL else _large)(key, built)
 
 
 _small, _large = Kept["Flow"](2), Kept["Flow"](1)
@@ -250,7 +250,7 @@ def _call(flow: Flow, function: ca.Function, state: np.ndarray, duration: float,
     free = flow.model.parameters()[[flow.model.parameter_index(name) for name in flow.free]]
     with sundials(state, start, duration):
         result = function.call([start, state, duration, ca.DM.zeros(len(flow.unfolded)), free])
-    numbers = [value.full().squeeze() if value.shape[1] == 1 else value.full() for value in result]
+    numbers = [value.full().ravel() if k == 0 else value.full() for k, value in enumerate(result)]
     if not all(np.all(np.isfinite(number)) for number in numbers):
         raise integration_error("the state is not finite", state, start, duration)
     return numbers

@@ -53,7 +53,7 @@ def under_constraints(model: Model) -> Rest:
 def linearised(model: Model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """(q, v) -> the accelerations (n) of an autonomous Model and their slopes in q and in v (n x n each)."""
     n = model.degrees_of_freedom
-    symbol = ca.SX.sym if model.acceleration.is_a("SXFunction") else ca.MX.sym
+    symbol = ca.SX.sym if model.scalar else ca.MX.sym
     q, v = symbol("q", n), symbol("v", n)
     a = model.acceleration(0.0, q, v, ca.DM(model.parameter_values))
     slopes = [ca.densify(ca.jacobian(a, q)), ca.densify(ca.jacobian(a, v))]
@@ -68,12 +68,15 @@ def linearised(model: Model) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndar
 
 def with_action(model: Model, field: ca.Function) -> ca.Function:
     """A field f(t, x, s, free) with the action as a last state: (x, S)' = (f, 2 T + G)."""
-    n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
+    p = ca.DM(model.parameter_values)
     t, z, s, free = inputs = [ca.MX.sym("y", field.size1_in(k) + int(k == 1)) for k in range(4)]
-    rate = 2.0 * model.kinetic(z[:n], z[n:-1], p)
-    if model.gyroscopic is not None:
-        rate += model.gyroscopic(z[:n], z[n:-1], p)
+    rate = model.action_rate(t, z[:-1], p)
     return ca.Function("action_field", inputs, [ca.vertcat(field(t, z[:-1], s, free), rate)])
+
+
+def action_rate(model: Model) -> ca.Function:
+    """What the action is the integral of (see `Model.action_rate`), as a function of (t, x, p)."""
+    return _remembered(model, _action_rate)
 
 
 def prepare(model: Model, effort: float | None = None) -> None:
@@ -88,15 +91,21 @@ def prepare(model: Model, effort: float | None = None) -> None:
 
 def _plain(model: Model) -> ca.Function:
     field = vector_field(model, (), ())
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", 2 * model.degrees_of_freedom)
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", len(model.state_names))
     return ca.Function("plain", [t, x], [field(t, x, ca.DM(0, 1), ca.DM(0, 1))])
+
+
+def _action_rate(model: Model) -> ca.Function:
+    symbol = ca.SX.sym if model.scalar else ca.MX.sym
+    inputs = [symbol("t"), symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))]
+    return ca.Function("action_rate", inputs, [model.action_rate(*inputs)])
 
 
 def _gradients(model: Model) -> ca.Function:
     n, p = model.degrees_of_freedom, ca.DM(model.parameter_values)
-    x = ca.MX.sym("x", 2 * n)
+    x = ca.MX.sym("x", len(model.state_names))
     rows = [ca.gradient(one.value(x[:n], x[n:], p), x).T for one in model.invariants]
-    return ca.Function("gradients", [x], [ca.densify(ca.vertcat(*rows)) if rows else ca.MX(0, 2 * n)])
+    return ca.Function("gradients", [x], [ca.densify(ca.vertcat(*rows)) if rows else ca.MX(0, x.numel())])
 
 
 def _at_rest(model: Model) -> ca.Function:
@@ -130,8 +139,8 @@ def _rest(model: Model) -> Rest:
 
 
 def _key(model: Model, derive: Callable[..., Any]) -> tuple[Any, ...]:
-    parts = (model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces, model.constraint,
-             *(one.value for one in model.invariants))  # fmt: skip
+    parts = (model.rates, model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces,
+             model.constraint, *(one.value for one in model.invariants))  # fmt: skip
     return (derive, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
 
 

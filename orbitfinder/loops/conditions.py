@@ -49,14 +49,6 @@ def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, 
     return ca.vertcat(start[n:], constraint_of(model).phi(start[:n], parameters), basis.T @ end[n:])
 
 
-def pinned_at_rest(model: Model, name: str) -> ca.Function:
-    """(q, T) -> what a pin names at rest at q (n), and its gradients by q and by the period T."""
-    n, q, period = model.degrees_of_freedom, ca.MX.sym("q", model.degrees_of_freedom), ca.MX.sym("T")
-    found = quantity(model, name, ca.vertcat(q, ca.DM.zeros(n)), period, ca.DM(model.parameter_values))
-    slopes = [ca.densify(ca.gradient(found, by)) for by in (q, period)]
-    return ca.Function("pinned", [q, period], [found, *slopes])
-
-
 def quantity(model: Model, name: str, state: Any, period: Any, parameters: Any) -> Any:
     """What pins and bounds name: the period, an invariant, the energy, or a state component at t = 0."""
     n = model.degrees_of_freedom

@@ -6,6 +6,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import integration_error, sundials
+from orbitfinder.loops.problem import clocked
 from orbitfinder.loops.shooting import Shooting
 from orbitfinder.mechanics.model import energy
 
@@ -106,8 +107,7 @@ def _speed(shooting: Shooting, w: np.ndarray) -> float:
     """Largest rate or acceleration over the nodes, in units of the period."""
     found = shooting.at(w)
     clock = shooting.problem.guess.period / (2 * np.pi)
-    n = found.nodes.shape[1] // 2
-    scale = np.concatenate([np.full(n, clock), np.full(n, clock**2)])
+    scale = clock * clocked(shooting.problem.model, clock)
     rates = [shooting.flow.field(0.0, node, found.unfolding, found.free).full().ravel() * scale for node in found.nodes]
     return float(np.abs(rates).max())
 
@@ -122,7 +122,7 @@ def _energy_gap(shooting: Shooting) -> str:
     """A remark when the pinned energy is far from the guess's own, else nothing."""
     problem = shooting.problem
     pinned = [one.value for one in problem.pin if one.name == "energy"]
-    if not pinned:
+    if not pinned or problem.model.rates is not None:  # of rest, which the difference is measured by, nothing is known
         return ""
     own = energy(problem.model, problem.guess.state)
     n = problem.model.degrees_of_freedom

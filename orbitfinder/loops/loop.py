@@ -159,13 +159,13 @@ class Equations:
     @cached_property
     def boundary(self) -> tuple[np.ndarray, np.ndarray]:
         """P B0 and P B1 (r x d)."""
-        first, last = self.symmetry.rows(self.size // 2)
+        first, last = self.symmetry.rows(self.model.degrees_of_freedom)
         return (first, last) if self.asked is None else (self.asked @ first, self.asked @ last)
 
     @cached_property
     def asked(self) -> np.ndarray | None:
         """P (r x d), None where all rows are asked."""
-        return self.symmetry.asked(self.size // 2)
+        return self.symmetry.asked(self.model.degrees_of_freedom)
 
     def aimed(self, constant: np.ndarray) -> np.ndarray:
         """P c of the boundary rows' constants (d)."""
@@ -222,7 +222,8 @@ class Equations:
         x, found = w.nodes[0], []
         if not (self.symmetry.reverses or self.model.forced):
             found.append(self.march.rates(x[None], w.tail)[0])
-        q, v, values = x[: self.size // 2], x[self.size // 2 :], self.model.parameter_values
+        n, values = self.model.degrees_of_freedom, self.model.parameter_values
+        q, v = x[:n], x[n:]
         found += [one(q, v, values).full().ravel() for one in self._generators]
         rows = np.asarray(found).reshape(len(found), self.size)
         return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
@@ -332,13 +333,10 @@ class Loop:
 
 
 def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.Function:
-    """dS/dt = 2 kinetic + gyroscopic as a function of (t, x, s, free)."""
+    """dS/dt as a function of (t, x, s, free)."""
     inputs = flow.sx_in() if flow.is_a("SXFunction") else flow.mx_in()
-    n, x, parameters = model.degrees_of_freedom, inputs[1], model.parameters(free, inputs[3])
-    action = 2.0 * model.kinetic(x[:n], x[n:], parameters)
-    if model.gyroscopic is not None:
-        action += model.gyroscopic(x[:n], x[n:], parameters)
-    return ca.Function("action_rate", inputs, [action])
+    rate = model.action_rate(inputs[0], inputs[1], model.parameters(free, inputs[3]))
+    return ca.Function("action_rate", inputs, [rate])
 
 
 def _values(model: Model, x: Any, parameters: Any) -> Any:
@@ -359,6 +357,9 @@ def _quantities(model: Model, free: tuple[str, ...]) -> ca.Function:
 
 def _momenta(model: Model, free: tuple[str, ...]) -> ca.Function:
     n = model.degrees_of_freedom
+    if model.rates is not None:  # they are among the components of the state
+        inputs = [ca.MX.sym("x", n), ca.MX.sym("free", len(free))]
+        return ca.Function("momenta", inputs, [ca.densify(ca.MX.eye(n))])
     q, v, chosen = ca.MX.sym("q", n), ca.MX.sym("v", n), ca.MX.sym("free", len(free))
     parameters = model.parameters(free, chosen)
     momentum = ca.gradient(model.kinetic(q, v, parameters), v)

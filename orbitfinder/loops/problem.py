@@ -16,7 +16,7 @@ from orbitfinder.loops.conditions import Constraint, Expression, Pin, check_boun
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.mechanics.chain import maximal_states
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.model import Model, counted
 
 CLOSURE_TOLERANCE = 1e-12
 """Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
@@ -213,13 +213,12 @@ def _check(problem: Problem) -> None:
     size = len(model.state_names)
     if state.shape != (size,):
         raise InputError(
-            f"guess.state: {state.size} numbers for {size // 2} coordinates; give {size} "
-            f"({', '.join(model.state_names)})"
+            f"guess.state: {state.size} numbers for {counted(model)}; give {size} ({', '.join(model.state_names)})"
         )
     if not np.all(np.isfinite(state)):
         raise InputError(f"guess.state: must be finite, got {state.tolist()}; replace NaN and infinity by numbers")
     _check_relative(problem)
-    symmetry, n = problem.boundary, size // 2
+    symmetry, n = problem.boundary, model.degrees_of_freedom
     _check_winding(problem)
     if problem.segments is not None and problem.segments < 1:
         raise InputError(f"segments: must be at least 1, got {problem.segments}; leave it out for the default")
@@ -348,6 +347,12 @@ def boundary_constants(problem: Problem, nodes: np.ndarray, end: np.ndarray | No
     return problem.boundary.constants(problem.model.angular, start, end, problem.winding)
 
 
+def guessed_nodes(guess: Guess, shares: np.ndarray) -> np.ndarray:
+    """Node states (N x 2n) at shares of the period (N), from a guess that has a trajectory."""
+    assert guess.times is not None and guess.states is not None
+    return np.stack([np.interp(shares * guess.period, guess.times, column) for column in guess.states.T], axis=1)
+
+
 WINDING_MARGIN = 0.25
 """A motion whose angles end farther than this from whole turns (in turns) runs round in none of them."""
 
@@ -368,15 +373,13 @@ def clock(equations: Equations, cycles: int) -> tuple[Condition, ...]:
 def pinned(equations: Equations, name: str, value: float) -> Condition:
     """The condition that a period, an invariant, the energy, a freed parameter or a state at t = 0 has a value."""
     model, size = equations.model, equations.size
-    unit = np.eye(size + 1 + len(equations.free))
-    names = [one.name for one in model.invariants]
-    if name == "period":
-        return Condition(value, unit[size])
-    if name in (*names, "energy"):
-        return Condition(value, quantity=(*names, "energy").index(name))
-    if name in equations.free:
-        return Condition(value, unit[size + 1 + equations.free.index(name)])
-    return Condition(value, unit[model.state_index(name)])
+    names = (*(one.name for one in model.invariants), "energy")
+    if name in names:
+        return Condition(value, quantity=names.index(name))
+    normal = np.zeros(size + 1 + len(equations.free))
+    known = ("period", *equations.free)
+    normal[size + known.index(name) if name in known else model.state_index(name)] = 1.0
+    return Condition(value, normal)
 
 
 def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.ndarray:
@@ -385,7 +388,7 @@ def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.nd
     if problem.boundary.maps or problem.winding is not None or end is None:
         return boundary_constants(problem, w.nodes, end)
     turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative)
-    return np.concatenate([np.zeros(n) if turns is None else 2 * np.pi * turns, np.zeros(n)])
+    return np.concatenate([np.zeros(n) if turns is None else 2 * np.pi * turns, np.zeros(w.nodes.shape[1] - n)])
 
 
 def whole_turns(
@@ -404,12 +407,16 @@ def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: flo
 
     Rates are measured by `clock` (s). Raises `IntegrationError`.
     """
-    return segments_for(equations.varied(w).transitions[0], clock, growth, between)
+    return segments_for(equations.varied(w).transitions[0], clocked(equations.model, clock), growth, between)
 
 
-def segments_for(matrix: np.ndarray, clock: float, growth: float, between: tuple[int, int]) -> int:
-    """Segments that share the growth of a state-transition matrix so that none has more than `growth`."""
-    n = len(matrix) // 2
-    units = np.concatenate([np.ones(n), np.full(n, clock)])
+def clocked(model: Model, clock: float) -> np.ndarray:
+    """1 for the coordinates and `clock` (s) for the rates of a state (d): what makes lengths of both."""
+    n = model.degrees_of_freedom
+    return np.concatenate([np.ones(n), np.full(len(model.state_names) - n, clock)])
+
+
+def segments_for(matrix: np.ndarray, units: np.ndarray, growth: float, between: tuple[int, int]) -> int:
+    """Segments that share the growth of a state-transition matrix, times `units` (d), so that none has more."""
     found = max(float(np.linalg.norm(matrix * units[:, None] / units[None, :], 2)), 2.0)
     return min(max(int(np.ceil(np.log(found) / np.log(growth))), between[0]), between[1])

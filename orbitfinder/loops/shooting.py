@@ -95,8 +95,8 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
     ends = _ends(problem, flow, parts, tail)
     constraints = rows(w, ends)
-    lower, upper = (one.vector / units for one in _bounds(problem, flow, guess))
-    weights = _weights(problem, flow, guess.at(start))
+    lower, upper = (one.vector / units for one in _bounds(problem, flow, guess, guess.at(units)))
+    weights = _weights(problem, guess.at(start))
     value, residuals, inequalities = aims(w, ends)
     if problem.objective == "nearest":
         value = 0.5 * ca.dot(ca.DM(weights), (w - start) ** 2)
@@ -117,6 +117,8 @@ def units_of(problem: Problem) -> tuple[float, ...]:
         return ()
     n, state = model.degrees_of_freedom, np.asarray(problem.guess.state, float)
     states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
+    if model.rates is not None:
+        return _units_alone(states, model.rate(0.0, state, model.parameter_values).full().ravel(), clock)
     acceleration = model.acceleration(0.0, state[:n], state[n:], model.parameter_values).full().ravel()
     places, rates = np.split(np.abs(states).max(axis=0), 2)
     lengths, pushed = np.maximum(places, rates * clock), np.abs(np.nan_to_num(acceleration)) * clock**2
@@ -126,22 +128,24 @@ def units_of(problem: Problem) -> tuple[float, ...]:
     return () if np.all(units == 1.0) else tuple(float(one) for one in units)
 
 
+def _units_alone(states: np.ndarray, rate: np.ndarray, clock: float) -> tuple[float, ...]:
+    """What a first-order state (d) is measured in: each component by itself, that at 0 as the largest."""
+    sizes = np.maximum(np.abs(states).max(axis=0), np.abs(np.nan_to_num(rate)) * clock)
+    units = [_rounded(one) for one in np.where(sizes > 0, sizes, sizes.max())]
+    return () if all(one == 1.0 for one in units) else tuple(units)
+
+
 def _rounded(value: float) -> float:
     """The power of 256 nearest to a value, 1 for 0."""
     return float(256.0 ** np.round(np.log(value) / np.log(256.0))) if value > 0 else 1.0
-
-
-def _clock(flow: Flow) -> float:
-    """What times are measured in."""
-    return flow.units[0] / flow.units[len(flow.units) // 2] if flow.units else 1.0
 
 
 def _units(flow: Flow, guess: Unknowns) -> np.ndarray:
     """Units of every entry of w: the flow's for nodes and period, 1 / period, the freed parameters' own sizes."""
     if not flow.units:
         return np.ones(guess.vector.size)
-    sizes = np.abs(guess.free)
-    return guess.joined(np.asarray(flow.units), _clock(flow), 1.0 / _clock(flow), np.where(sizes > 0, sizes, 1.0))
+    clock, sizes = _rounded(guess.period / (2 * np.pi)), np.abs(guess.free)
+    return guess.joined(np.asarray(flow.units), clock, 1.0 / clock, np.where(sizes > 0, sizes, 1.0))
 
 
 def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[list[ca.MX], list[ca.MX]]:
@@ -235,19 +239,14 @@ def far_end(problem: Problem, nodes: np.ndarray, flow: Flow) -> np.ndarray | Non
     return end_state(flow, nodes[-1], duration, (len(nodes) - 1) * duration)
 
 
-def _scales(problem: Problem, flow: Flow, guess: Unknowns) -> tuple[np.ndarray, float]:
-    n = guess.nodes.shape[1] // 2
-    least = FAR * np.asarray(flow.units[:n]) if flow.units else 1.0
-    coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
-    rate = max(float(np.abs(guess.nodes[:, n:]).max()), 2 * np.pi / problem.guess.period * float(np.max(least)))
-    return coordinates, rate
-
-
-def _bounds(problem: Problem, flow: Flow, guess: Unknowns) -> tuple[Unknowns, Unknowns]:
+def _bounds(problem: Problem, flow: Flow, guess: Unknowns, units: Unknowns) -> tuple[Unknowns, Unknowns]:
     """Lowest and highest unknowns."""
-    coordinates, rate = _scales(problem, flow, guess)
-    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(coordinates.size, RATE_RANGE * rate)])
-    unfolding = np.full(guess.unfolding.size, UNFOLDING_RANGE / _clock(flow))
+    n, turning = problem.model.degrees_of_freedom, 2 * np.pi / problem.guess.period
+    least = FAR * units.nodes[0, :n] if flow.units else np.ones(n)
+    coordinates = np.maximum(least, np.abs(guess.nodes[:, :n]).max(axis=0))
+    rate = max(float(np.abs(guess.nodes[:, n:]).max(initial=0.0)), turning * float(least.max()))
+    reach = np.concatenate([ANGLE_RANGE * coordinates, np.full(guess.nodes[0].size - n, RATE_RANGE * rate)])
+    unfolding = UNFOLDING_RANGE * units.unfolding
     spread = 0.95 * np.abs(guess.free) + (guess.free == 0)
     times = problem.bounds.get("period", (guess.period / PERIOD_RANGE, guess.period * PERIOD_RANGE))
     ends = zip(problem.free, guess.free - spread, guess.free + 10 * spread, strict=True)
@@ -258,10 +257,9 @@ def _bounds(problem: Problem, flow: Flow, guess: Unknowns) -> tuple[Unknowns, Un
     )
 
 
-def _weights(problem: Problem, flow: Flow, start: Unknowns) -> np.ndarray:
+def _weights(problem: Problem, start: Unknowns) -> np.ndarray:
     """Weights of the distance to the guess: 1 for angles in rad, or for each unit; rates and periods comparable."""
-    n, unit = start.nodes.shape[1] // 2, _clock(flow)
-    clock = problem.guess.period / (2 * np.pi) / unit
-    node = np.concatenate([np.ones(n), np.full(n, clock**2)]) / len(start.nodes)
+    size, n, clock = start.nodes.shape[1], problem.model.degrees_of_freedom, start.period / (2 * np.pi)
+    node = np.concatenate([np.ones(n), np.full(size - n, clock**2)]) / len(start.nodes)
     relative = 1.0 / np.maximum(np.abs(start.free), 1e-6) ** 2
-    return start.joined(node, (unit / problem.guess.period) ** 2, 0.0, relative)
+    return start.joined(node, (1.0 / start.period) ** 2, 0.0, relative)

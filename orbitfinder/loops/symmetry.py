@@ -33,6 +33,8 @@ BROKEN = 1e-8
 """Relative difference of accelerations there and in the image, above which the equations lack a symmetry."""
 MIRRORED = 1e-9
 """Relative difference below which they have one that nobody declares"""
+STILL = 1e-9
+"""A component that moves less than this, relative to the one that moves most, is measured in this share of that"""
 MOST_COORDINATES = 8
 """Mirrors that nobody declares are looked for among this many"""
 Affine = tuple[np.ndarray, np.ndarray]
@@ -43,13 +45,15 @@ Affine = tuple[np.ndarray, np.ndarray]
 class Involution:
     """q -> P q, P a sign for each coordinate (or one for all) and perhaps a permutation, v -> sense P v, t -> sense t.
 
-    `order[i]` is the coordinate that takes the place of the i-th; () leaves all where they are.
+    `order[i]` is the coordinate that takes the place of the i-th; () leaves all where they are. The state of a
+    `first_order` system is q alone.
     """
 
     name: str
     sense: int
     signs: int | tuple[int, ...]
     order: tuple[int, ...] = ()
+    first_order: bool = False
 
     def places(self, n: int) -> np.ndarray:
         """P (n x n)."""
@@ -58,6 +62,8 @@ class Involution:
 
     def matrix(self, n: int) -> np.ndarray:
         """S (2n x 2n) of x -> S x."""
+        if self.first_order:
+            return self.places(n)
         return np.kron(np.diag([1.0, self.sense]), self.places(n))
 
     def after(self, other: Involution) -> Involution:
@@ -68,8 +74,8 @@ class Involution:
         signs = tuple(int(one) for one in np.ravel(pair[0] * pair[1]))
         made: int | tuple[int, ...] = signs[0] if len(set(signs)) == 1 else signs
         sense = self.sense * other.sense
-        alike = (one for one in USUAL if (one.sense, one.signs) == (sense, made))
-        return next(alike, Involution(f"{other.name} with {self.name}", sense, made))
+        alike = (one for one in USUAL if (one.sense, one.signs) == (sense, made) and not self.first_order)
+        return next(alike, Involution(f"{other.name} with {self.name}", sense, made, first_order=self.first_order))
 
     def in_words(self, names: tuple[str, ...]) -> str:
         """What it does, for messages."""
@@ -98,15 +104,15 @@ class _Fixed:
 
     def turning(self, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
         """Which rows (n) hold angles."""
-        return np.asarray(np.any(self.rows[:, : self.share.size][:, np.asarray(angles, bool)] != 0, axis=1))
+        return np.asarray(np.any(self.rows[:, : len(angles)][:, np.asarray(angles, bool)] != 0, axis=1))
 
 
 @lru_cache(maxsize=64)
 def _fixed(one: Involution, n: int) -> _Fixed:
     matrix = one.matrix(n)
-    apart = np.eye(2 * n) - matrix
+    apart = np.eye(len(matrix)) - matrix
     partner = np.abs(matrix).argmax(axis=1)
-    kept = [i for i in range(2 * n) if i <= partner[i] and np.any(apart[i])]
+    kept = [i for i in range(len(matrix)) if i <= partner[i] and np.any(apart[i])]
     share = np.array([0.5 if partner[i] == i else 1.0 for i in kept])
     rows = apart[kept] * share[:, None]
     return _Fixed(rows, apart @ rows.T @ np.linalg.inv(rows @ rows.T), share)
@@ -117,8 +123,14 @@ class Symmetry:
     """What an orbit has: no involution, one, or one that runs time backwards and then one that does not."""
 
     maps: tuple[Involution, ...] = ()
+    first_order: bool = False
+    """the state is the coordinates alone, without their rates"""
     relative: tuple[tuple[float, ...], ...] = ()
     """directions (n each) along which the motion need not come back: it returns up to a shift"""
+
+    def coordinates(self, size: int) -> int:
+        """n, how many components of a state (d) are coordinates: half of them, or of a first-order system all."""
+        return size if self.first_order else size // 2
 
     @property
     def name(self) -> str:
@@ -159,7 +171,8 @@ class Symmetry:
 
     def held(self, n: int) -> np.ndarray:
         """Which components of a state (2n) the rows hold at the start by themselves."""
-        return np.any(self.rows(n)[0] != 0, axis=0) if self.reverses else np.zeros(2 * n, bool)
+        first = self.rows(n)[0]
+        return np.any(first != 0, axis=0) if self.reverses else np.zeros(len(first), bool)
 
     def asks_where(self, n: int) -> bool:
         """True when the rows hold coordinates at the end of the part, so that it must be known which half turns."""
@@ -177,14 +190,15 @@ class Symmetry:
         `turns` are the whole turns of a period (n), where they are known. An angle counts in half turns about a centre,
         and in whole turns over the part; without `end` it stays with the start's.
         """
-        n = start.size // 2
+        n = self.coordinates(start.size)
+        rest = np.zeros(start.size - n)
         whole = np.zeros(n) if turns is None else np.asarray(turns)
         if not self.reverses:
             forward = self.forward
             if forward is None or end is None:
-                return np.concatenate([2 * np.pi * whole, np.zeros(n)])
+                return np.concatenate([2 * np.pi * whole, rest])
             gap = (end - forward.matrix(n) @ start)[:n]
-            return np.concatenate([np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0), np.zeros(n)])
+            return np.concatenate([np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0), rest])
 
         def nearest(one: Involution, x: np.ndarray) -> np.ndarray:
             fixed = _fixed(one, n)
@@ -194,7 +208,7 @@ class Symmetry:
         first, last = self.mirrors
         begin = nearest(first, start)
         if end is None or (turns is not None and first == last):
-            travelled = np.concatenate([np.pi * whole, np.zeros(n)])
+            travelled = np.concatenate([np.pi * whole, rest])
             return np.concatenate([begin, begin + _fixed(first, n).rows @ travelled if first == last else 0 * begin])
         return np.concatenate([begin, nearest(last, end)])
 
@@ -206,43 +220,44 @@ class Symmetry:
         """The constants with the shift that a motion from `start` to `end` of the part (2n each) has."""
         if not self.relative:
             return constant
-        first, last = self.rows(start.size // 2)
-        along = last[:, : start.size // 2] @ np.transpose(self.relative)
+        n = self.coordinates(start.size)
+        first, last = self.rows(n)
+        along = last[:, :n] @ np.transpose(self.relative)
         missed = first @ start + last @ end - constant
         return np.asarray(constant + along @ np.linalg.lstsq(along, missed)[0])
 
     def shifts(self, constant: np.ndarray) -> np.ndarray:
         """How far a period takes the motion along each of `relative`, from constants that are `settled`."""
-        n = constant.size // 2
+        n = self.coordinates(constant.size)
         moved = self.displaced(constant)[1][:n] - 2 * np.pi * self.turns(constant)
         return np.asarray(np.linalg.lstsq(np.reshape(self.relative, (-1, n)).T, moved)[0])
 
     def implied(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """The constants (2n) that coordinates at start and end have themselves, rates' ones 0: for drawing."""
-        n = start.size // 2
+        n = self.coordinates(start.size)
         first, last = self.rows(n)
         rates = np.any((np.abs(first) + np.abs(last))[:, n:] > 0, axis=1)
         return np.where(rates, 0.0, first @ start + last @ end)
 
     def displaced(self, constant: np.ndarray) -> Affine:
         """(S, d) of the map that takes x(0) to the state half a period on, or a whole one without symmetry."""
-        n = constant.size // 2
+        n = self.coordinates(constant.size)
         if not self.reverses:
-            return (np.eye(2 * n) if self.forward is None else self.forward.matrix(n)), constant
+            return (np.eye(constant.size) if self.forward is None else self.forward.matrix(n)), constant
         (first, begin), (last, end) = self.about(constant)
         return last @ first, last @ begin + end
 
     def about(self, constant: np.ndarray) -> tuple[Affine, Affine]:
         """(S, d) of the maps about the start and about the end of the part, of a symmetry that reverses."""
-        n = constant.size // 2
+        n, half = self.coordinates(constant.size), constant.size // 2
         first, last = self.mirrors
-        return (first.matrix(n), _fixed(first, n).lift @ constant[:n]), (
-            last.matrix(n), _fixed(last, n).lift @ constant[n:],
+        return (first.matrix(n), _fixed(first, n).lift @ constant[:half]), (
+            last.matrix(n), _fixed(last, n).lift @ constant[half:],
         )  # fmt: skip
 
     def turns(self, constant: np.ndarray) -> np.ndarray:
         """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-        n = constant.size // 2
+        n = self.coordinates(constant.size)
         if len(self.maps) > self.reverses:
             return np.zeros(n, int)
         turned = self.displaced(constant)[1][:n] / (2 * np.pi)
@@ -256,7 +271,7 @@ class Symmetry:
 
     def centre(self, constant: np.ndarray) -> np.ndarray:
         """Where the coordinates (n) must be centred, nan for those that may be anywhere."""
-        n = constant.size // 2
+        n = self.coordinates(constant.size)
         matrix, moved = self.displaced(constant)
         flipped = (np.diag(matrix)[:n] < 0) & (self.forward is not None)
         return np.where(flipped, 0.5 * moved[:n], np.nan)
@@ -287,15 +302,14 @@ class Symmetry:
 
         Coordinates count where the symmetry says where they must be, modulo half turns of angles.
         """
-        n = states.shape[1] // 2
+        n = self.coordinates(states.shape[1])
         first, last = self.rows(n)
         gap = last @ states[-1] + (0.0 if self.reverses else first @ states[0])
         kept = np.any(last != 0, axis=1)
         where = np.any(last[:, :n] != 0, axis=1)
         kept &= ~where | self.reverses
         constant = self.constants(angles, states[0], states[-1]) * where
-        extents = np.repeat([max(float(np.ptp(half, axis=0).max()), 1e-12) for half in np.hsplit(states, 2)], n)
-        units = (np.abs(last) * extents).max(axis=1)
+        units = (np.abs(last) * _moved(states, n)).max(axis=1)
         return float((np.abs(gap - constant) / np.where(kept, units, 1.0))[kept].max())
 
     def root(
@@ -312,7 +326,7 @@ class Symmetry:
         S A after S, R0 A^-1 R1 A after R0 about the start and R1 about the end; of the symmetry's two, each at most.
         `inverse_of(B)` is A^-1 B; `made` and `times` are those of the algebra that A belongs to.
         """
-        n = size // 2
+        n = self.coordinates(size)
         if not self.reverses:
             return (part, 1) if self.forward is None else (times(made(self.forward.matrix(n)), part), 2)
         first, last = (made(one.matrix(n)) for one in self.mirrors)
@@ -345,7 +359,9 @@ class Symmetry:
             yield self, 0.0
         if self.reverses and self.forward is not None:
             first, last = self.mirrors
-            yield from ((Symmetry((first,)), 0.0), (Symmetry((last,)), 0.25), (Symmetry((self.forward,)), 0.0))
+            yield from (
+                (replace(self, maps=(one,)), share) for one, share in ((first, 0.0), (last, 0.25), (self.forward, 0.0))
+            )
         elif self.reverses:
             yield self, 0.5
 
@@ -392,7 +408,7 @@ def beside(moved: np.ndarray, directions: Sequence[Sequence[float]]) -> np.ndarr
 def _asked(symmetry: Symmetry, n: int) -> np.ndarray:
     along = symmetry.rows(n)[1][:, :n] @ np.transpose(symmetry.relative)
     if np.all(np.count_nonzero(along, axis=0) == 1):
-        return np.delete(np.eye(2 * n), np.flatnonzero(along.any(axis=1)), axis=0)
+        return np.delete(np.eye(len(along)), np.flatnonzero(along.any(axis=1)), axis=0)
     return np.asarray(np.linalg.svd(along)[0][:, along.shape[1] :].T)
 
 
@@ -400,9 +416,10 @@ def _asked(symmetry: Symmetry, n: int) -> np.ndarray:
 def _rows(symmetry: Symmetry, n: int) -> tuple[np.ndarray, np.ndarray]:
     if not symmetry.reverses:
         forward = symmetry.forward
-        return -(np.eye(2 * n) if forward is None else forward.matrix(n)), np.eye(2 * n)
+        unit = np.eye(n if symmetry.first_order else 2 * n)
+        return -(unit if forward is None else forward.matrix(n)), unit
     first, last = (_fixed(one, n).rows for one in symmetry.mirrors)
-    return np.vstack([first, 0 * first]), np.vstack([0 * last, last])
+    return np.vstack([first, 0 * last]), np.vstack([0 * first, last])
 
 
 BRAKE_MAP = Involution("brake", -1, 1)
@@ -410,6 +427,8 @@ REFLECTION_MAP = Involution("reflection", 1, -1)
 REVERSAL_MAP = Involution("reversal", -1, -1)
 USUAL = (BRAKE_MAP, REFLECTION_MAP, REVERSAL_MAP)
 NONE = Symmetry()
+ALONE = Symmetry(first_order=True)
+"""Nothing is asked of the orbit of a first-order system."""
 REFLECTION = Symmetry((REFLECTION_MAP,))
 """x(t + T/2) = -x(t)"""
 BRAKE = Symmetry((BRAKE_MAP,))
@@ -424,12 +443,27 @@ SYMMETRIES: Mapping[str, Symmetry] = {one.name: one for one in (NONE, REFLECTION
 
 def declared(model: Model) -> tuple[Involution, ...]:
     """The involutions that a model declares."""
-    return tuple(Involution(name, sense, signs) for name, sense, signs in model.symmetries)
+    alone = model.rates is not None
+    return tuple(Involution(name, sense, signs, first_order=alone) for name, sense, signs in model.symmetries)
+
+
+def _usual_alone(model: Model) -> tuple[Involution, ...]:
+    """The involutions that a first-order system may have without declaring them: x -> -x; rest where x = (q, p)."""
+    mirror = Involution(REFLECTION_MAP.name, REFLECTION_MAP.sense, REFLECTION_MAP.signs, first_order=True)
+    if not model.hamiltonian:
+        return (mirror,)
+    half = model.degrees_of_freedom // 2
+    return Involution(BRAKE_MAP.name, BRAKE_MAP.sense, (1,) * half + (-1,) * half, first_order=True), mirror
 
 
 def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     """The symmetries that a Problem of this model may ask for, by name: the usual ones and those it declares."""
     own = declared(model)
+    if model.rates is not None:
+        own = (*_usual_alone(model), *own)
+        pairs = [(first, last) for first in own for last in own if first.sense < last.sense]
+        alone = (ALONE, *(Symmetry(maps, True) for maps in (*((one,) for one in own), *pairs)))
+        return {one.name: one for one in alone}
     backward = [BRAKE_MAP, *(one for one in own if one.sense < 0)]
     pairs = [(first, last) for first in backward for last in own if last.sense > 0]
     pairs += [(one, REFLECTION_MAP) for one in own if one.sense < 0]
@@ -439,7 +473,7 @@ def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
 
 def named(name: str, model: Model) -> Symmetry:
     """The symmetry with a name; `InputError` names the known ones."""
-    known = SYMMETRIES if name in SYMMETRIES else symmetries_of(model)
+    known = SYMMETRIES if name in SYMMETRIES and model.rates is None else symmetries_of(model)
     if name not in known:
         raise InputError(f"symmetry: unknown {name!r}; use one of {', '.join(known)}")
     return known[name]
@@ -456,11 +490,11 @@ class Shift:
 def shifts_of(model: Model) -> Mapping[str, Shift]:
     """The shifts of a model by name: its cyclic coordinates, and the momenta kept with other constant directions."""
     n, found, random = model.degrees_of_freedom, {}, np.random.default_rng(0)
-    places = random.normal(0, 1.0, (2, 2, n))
+    states = random.normal(0, 1.0, (2, len(model.state_names)))
     for one in model.invariants:
         if one.generator is None:
             continue
-        here, there = (one.generator(*x, model.parameter_values).full().ravel() for x in places)
+        here, there = (one.generator(x[:n], x[n:], model.parameter_values).full().ravel() for x in states)
         if np.array_equal(here, there) and not np.any(here[n:]) and np.any(here[:n]):
             moving = np.flatnonzero(here[:n])
             name = model.state_names[moving[0]] if moving.size == 1 else one.name
@@ -510,7 +544,7 @@ def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
     matrix = one.matrix(n)
     for _ in range(4):
-        x = random.normal(0, 1.0, 2 * n)
+        x = random.normal(0, 1.0, len(matrix))
         here, there = (float(invariant.value(s[:n], s[n:], model.parameter_values)) for s in (x, matrix @ x))
         if np.isfinite(here - there) and here:
             return int(np.round(there / here)) if abs(abs(there / here) - 1.0) < BROKEN else 0
@@ -518,10 +552,10 @@ def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
 
 
 def _broken(model: Model, state: np.ndarray, one: Involution, shift: float) -> bool:
-    random = np.random.default_rng(0)
-    q, v = np.split(np.asarray(state, float), 2)
+    random, n, state = np.random.default_rng(0), model.degrees_of_freedom, np.asarray(state, float)
+    q, v = state[:n], state[n:]
     for _ in range(4):
-        place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(), v.size)
+        place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(initial=0.0), v.size)
         if model.constraint is not None:  # off the constraints the stabilisation is damped
             basis = allowed_velocities(model, q)
             place, rate = q, basis @ (basis.T @ rate)
@@ -535,9 +569,16 @@ def _broken(model: Model, state: np.ndarray, one: Involution, shift: float) -> b
 def _apart(
     model: Model, one: Involution, at: tuple[float, np.ndarray, np.ndarray], shift: float
 ) -> tuple[float, float]:
-    """Largest difference of the accelerations at the image of (t, q, v) from the image of theirs, and their size."""
+    """Largest difference of the accelerations at the image of (t, q, v) from the image of theirs, and their size.
+
+    Of a first-order system f(sense t, P q) = sense P f(t, q) is asked of its rates.
+    """
     t, q, v = at
     places = one.places(q.size)
+    if model.rates is not None:
+        here = one.sense * places @ model.rates(t, q, model.parameter_values).full().ravel()
+        there = model.rates(one.sense * t + shift, places @ q, model.parameter_values).full().ravel()
+        return float(np.abs(there - here).max()), float(np.abs(here).max())
     here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
     image = (one.sense * t + shift, places @ q, one.sense * (places @ v))
     there = model.acceleration(*image, model.parameter_values).full().ravel()
@@ -550,7 +591,7 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
     It is called mirror, or mirror-x after the coordinates that it turns where there are several.
     """
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
-    if n > MOST_COORDINATES or model.constraint is not None:
+    if n > MOST_COORDINATES or model.constraint is not None or model.rates is not None:
         return ()
     states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
     known = {signs for _, sense, signs in model.symmetries if sense < 0}
@@ -587,6 +628,8 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
     Looked for are rest and x -> -x, else a centre, and then, with `own`, what the model declares.
     """
     angles = model.angular
+    if model.rates is not None:
+        return _first_order(states, (*_usual_alone(model), *(declared(model) if own else ())), angles)
     found = [one for one in QUARTER.maps if has(one, times, states, angles)]
     for one in (REVERSAL_MAP, *(declared(model) if own else ())):
         taken = {each.sense for each in found}
@@ -599,9 +642,7 @@ def has(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarr
     """Whether samples over a period have a symmetry, wherever in it they begin."""
     if one.sense < 0:
         return _mirrored(one, times, states, angles)
-    extent, n = np.ptp(states, axis=0), angles.size
-    scale = np.concatenate([np.full(n, extent[:n].max()), np.full(n, extent[n:].max())])
-    return bool(np.all(half_period_gaps(one, states, angles) <= RECOGNITION * np.maximum(scale, 1e-300)))
+    return bool(np.all(half_period_gaps(one, states, angles) <= RECOGNITION * _moved(states, angles.size)))
 
 
 def half_period_gaps(one: Involution, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -615,6 +656,45 @@ def off_centre(one: Involution, states: np.ndarray, angles: Sequence[bool] | np.
     fixed = _fixed(one, len(angles))
     gaps = states @ fixed.rows.T
     return np.asarray(wrapped(gaps / fixed.share, fixed.turning(angles)) * fixed.share)
+
+
+def _moved(states: np.ndarray, n: int) -> np.ndarray:
+    """What components (d) move (k x d), none 0: all coordinates (n) the most of them, all rates, if any, too.
+
+    A first-order system's components may have units of their own, so that each is measured by itself.
+    """
+    extent = np.ptp(states, axis=0)
+    if n == extent.size:
+        return np.asarray(np.maximum(extent, max(STILL * float(extent.max()), 1e-300)))
+    return np.repeat(np.maximum([extent[:n].max(), extent[n:].max()], 1e-300), n)
+
+
+def _first_order(states: np.ndarray, known: Sequence[Involution], angles: np.ndarray) -> str:
+    """The name of the symmetry, of the known ones, that states (k+1 x d) of a first-order system over T have."""
+    found: list[Involution] = []
+    for one in known:
+        holds = _reversed(one, states) if one.sense < 0 else has(one, np.zeros(0), states, angles)
+        if holds and one.sense not in {each.sense for each in found}:
+            found.append(one)
+    return Symmetry(tuple(sorted(found, key=lambda one: one.sense)), True).name
+
+
+def _reversed(one: Involution, states: np.ndarray) -> bool:
+    """Whether x(t0 + t) = S x(t0 - t) for some t0: about it harmonics are c = S conj(c).
+
+    The phase of the largest harmonic leaves twice as many candidates for t0 as its number.
+    """
+    drift = np.linspace(0, 1, len(states))[:, None] * (states[-1] - states[0])
+    harmonics = np.fft.rfft((states - drift)[:-1] / _moved(states, states.shape[1]), axis=0) / (len(states) - 1)
+    order, matrix = np.arange(len(harmonics))[:, None], one.matrix(states.shape[1])
+    partner = harmonics @ matrix.T
+    k, i = np.unravel_index(int(np.abs(harmonics[1:] * partner[1:]).argmax()), harmonics[1:].shape)
+    phase = np.angle(harmonics[k + 1, i] * partner[k + 1, i])  # c e^(iks) = conj(S c e^(iks)) at s = -phase / 2k
+    for turn in range(2 * (int(k) + 1)):
+        shifted = harmonics * np.exp(1j * order * (2 * np.pi * turn - phase) / (2 * (k + 1)))
+        if np.abs(shifted - shifted.conj() @ matrix.T).max() <= MIRROR:
+            return True
+    return False
 
 
 def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np.ndarray) -> bool:
@@ -653,7 +733,7 @@ def _mirrored(one: Involution, times: np.ndarray, states: np.ndarray, angles: np
 
 def time_dependent(model: Model) -> bool:
     """True when the accelerations contain time explicitly."""
-    return bool(model.acceleration.jac_sparsity(0, 0).nnz())
+    return bool((model.rates or model.acceleration).jac_sparsity(0, 0).nnz())
 
 
 def moved(model: Model, free: Sequence[str]) -> Model:
@@ -669,6 +749,8 @@ def symplectic(model: Model) -> bool:
 
     The forces of a driven system are then the gradient of a potential, tried at a few states.
     """
+    if model.rates is not None:
+        return model.hamiltonian
     if model.conservative or model.forces is None or not model.forced:
         return model.conservative
     random, slopes = np.random.default_rng(0), model.forces.jacobian()

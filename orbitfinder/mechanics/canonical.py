@@ -6,8 +6,8 @@ the energies and the constraints alone, without stabilisation:
     q' = v with p = dL/dv(q, v),    p' = dL/dq(q, v) + Q + J^T lambda,    J q' = 0,
 
 a chain or linkage under constraints in its link angles (an open chain has no constraint left, a linkage the two of its
-last pivot), any other system in its own coordinates. Sources: Goldstein, Classical Mechanics, section 8.1;
-E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section VII.1.2.
+last pivot), any other system in its own coordinates. A first-order system is taken as it stands. Sources: Goldstein,
+Classical Mechanics, section 8.1; E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section VII.1.2.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class Coordinates:
     @property
     def size(self) -> int:
         """k, the number of coordinates."""
-        return int(self.chosen.size // 2)
+        return int(self.kinetic.numel_in(0))
 
 
 @dataclass(frozen=True)
 class Canonical:
-    """Canonical equations in y = (q, momentum), 2k numbers.
+    """Canonical equations in y = (q, momentum), 2k numbers; of a first-order system in y = q, its whole state.
 
     `field(t, y)` is y'; `variational(t, z)` is z' for z = (y, vec Y, S) with Y' = (dy'/dy) Y
     and S' = momentum.v the rate of the action; `momentum(q, v)` is dL/dv, `lift(q, v)` the Jacobian (2k x 2k)
@@ -92,6 +92,8 @@ def canonical(model: Model) -> Canonical:
 
     v = M(q)^-1 (momentum - dT/dv at v = 0), dH/dp = v, -dH/dq = dL/dq(q, v) at that v.
     """
+    if model.rates is not None:
+        return _first_order(model)
     system, values = coordinates(model), model.parameters()
     k, symbol = system.size, _symbol(model, system.size)
     t, q, v, y = symbol("t"), symbol("q", k), symbol("v", k), symbol("y", 2 * k)
@@ -116,7 +118,7 @@ def canonical(model: Model) -> Canonical:
     return Canonical(
         coordinates=system,
         field=ca.Function("canonical_field", [t, y], [rate]),
-        variational=_variational(t, y, rate),
+        variational=_variational(t, y, rate, ca.dot(y[k:], rate[:k])),
         momentum=ca.Function("momentum", [q, v], [momentum]),
         lift=ca.Function("lift", [q, v], [ca.densify(ca.vertcat(upper, lower))]),
         tangent=ca.Function("tangent", [y], [ca.densify(ca.jacobian(level, y))]),
@@ -134,13 +136,32 @@ def _reaction(kinetic: Any, potential: Any, phi: Any, q: Any, v: Any) -> Any:
     return jacobian.T @ solve_positive_definite(jacobian @ weighted, right)
 
 
-def _variational(t: Any, y: Any, rate: Any) -> ca.Function:
-    """z' for z = (y, vec Y, S) from y'(t, y)."""
+def _first_order(model: Model) -> Canonical:
+    """The rates of a first-order Model and nothing else: its state is where it is."""
+    n, values, symbol = model.degrees_of_freedom, model.parameters(), ca.SX.sym if model.scalar else ca.MX.sym
+    t, x, v = symbol("t"), symbol("x", n), symbol("v", 0)
+    rate, nothing = model.rates(t, x, values), type(x)(0, 1)  # type: ignore[misc]
+    system = Coordinates(
+        ca.Function("kinetic", [x, v], [type(x)(0)]), ca.Function("potential", [x], [model.potential(x, values)]),
+        ca.Function("constraint", [x], [nothing]), np.arange(n),
+    )  # fmt: skip
+    return Canonical(
+        coordinates=system,
+        field=ca.Function("rates", [t, x], [rate]),
+        variational=_variational(t, x, rate, model.action_rate(t, x, values)),
+        momentum=ca.Function("momentum", [x, v], [nothing]),
+        lift=ca.Function("lift", [x, v], [ca.densify(type(x).eye(n))]),
+        tangent=ca.Function("tangent", [x], [type(x)(0, n)]),
+    )
+
+
+def _variational(t: Any, y: Any, rate: Any, action: Any) -> ca.Function:
+    """z' for z = (y, vec Y, S) from y'(t, y) and S'(t, y)."""
     size, scalar = y.numel(), isinstance(y, ca.SX)
     columns = type(y).sym("Y", size, size)
     # in scalars the Jacobian times Y has two thirds of the operations of one directional derivative a column
     slopes = ca.jacobian(rate, y) @ columns if scalar else ca.jtimes(rate, y, columns)
-    variation = ca.vertcat(rate, ca.vec(slopes), ca.dot(y[size // 2 :], rate[: size // 2]))
+    variation = ca.vertcat(rate, ca.vec(slopes), action)
     if scalar:
         inputs = ca.vertcat(y, ca.vec(columns), ca.SX.sym("S"))
     else:  # MX functions take pure symbols only

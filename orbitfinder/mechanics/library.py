@@ -5,7 +5,7 @@ Only what is listed in `FUNCTIONS` can be named in a problem file without --trus
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Model
 
@@ -41,9 +42,22 @@ class _Ingredients:
         names, values = tuple(self.values), tuple(self.values.values())
         clock = 2 * np.pi / self["frequency"] if "frequency" in self.values else None
         symbols = Symbols(self.q, self.v, self.parameters, names, values, self.t, clock)
-        arguments = {**(fixed or {}), **self.values}
-        system = {"kind": "python", "module": BUILT_IN, "function": function, "arguments": arguments}
+        system = self._described(function, fixed)
         return lagrange(kinetic, potential, symbols, system=system, **parts)
+
+    def first_order(self, function: str, field: Any, states: Sequence[str], **parts: Any) -> Model:
+        """The Model of x' = field(t, x, p), described likewise; `parts` are those of `ode`."""
+        return ode(field, states, self.values, system=self._described(function), **parts)
+
+    def canonical(
+        self, function: str, energy: Any, coordinates: Sequence[str], momenta: Sequence[str], **parts: Any
+    ) -> Model:
+        """The Model of Hamilton's equations of energy(x, p), described likewise; `parts` are those of `hamiltonian`."""
+        return hamiltonian(energy, coordinates, momenta, self.values, system=self._described(function), **parts)
+
+    def _described(self, function: str, fixed: Any = None) -> dict[str, Any]:
+        arguments = {**(fixed or {}), **self.values}
+        return {"kind": "python", "module": BUILT_IN, "function": function, "arguments": arguments}
 
 
 def _ingredients(
@@ -350,11 +364,110 @@ def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quarti
     return made.model("planar_oscillator", ca.sumsqr(made.v) / 2, potential, names=["x", "y"], points=ca.vertcat(-y, x))
 
 
+def restricted_three_body_canonical(ratio: float = 0.012150585609624) -> Model:
+    """The spatial restricted three-body problem in Hamilton's form, rotating frame, units as `restricted_three_body`.
+
+    H = (px^2 + py^2 + pz^2) / 2 + y px - x py - (1 - ratio) / r1 - ratio / r2 with px = x' - y, py = y' + x, pz = z'.
+    Orbits may have the symmetries "mirror": x(-t) = x(t), y(-t) = -y(t), z(-t) = z(t), "axis", with z(-t) = -z(t)
+    instead, and "plane": z(t + T/2) = -z(t). Earth and Moon: ratio 0.01215. Source: V. Szebehely, Theory of Orbits
+    (1967), sections 1.5 and 10.1.
+    """
+
+    def energy(x: Named, c: Named) -> Any:
+        plane = x.y**2 + x.z**2
+        first, second = ca.sqrt((x.x + c.ratio) ** 2 + plane), ca.sqrt((x.x - 1 + c.ratio) ** 2 + plane)
+        kinetic = (x.px**2 + x.py**2 + x.pz**2) / 2 + x.y * x.px - x.x * x.py
+        return kinetic - (1 - c.ratio) / first - c.ratio / second
+
+    mirror = {"y": -1, "px": -1, "pz": -1}
+    axis, plane = {"y": -1, "px": -1, "z": -1}, {"z": -1, "pz": -1}
+    return _ingredients(3, {"ratio": ratio}).canonical(
+        "restricted_three_body_canonical", energy, ("x", "y", "z"), ("px", "py", "pz"),
+        symmetries={"mirror": (-1, mirror), "axis": (-1, axis), "plane": (1, plane)},
+    )  # fmt: skip
+
+
+def lorenz(sigma: float = 10.0, rho: float = 28.0, beta: float = 8 / 3) -> Model:
+    """x' = sigma (y - x), y' = x (rho - z) - y, z' = x y - beta z: convection in a ring, chaotic at these values.
+
+    Orbits may have the symmetry "turn": half a period later (x, y, z) is (-x, -y, z).
+    Source: E. N. Lorenz, Journal of the Atmospheric Sciences 20 (1963) 130-141.
+    """
+
+    def field(_: Any, x: Named, p: Named) -> Any:
+        return [p.sigma * (x.y - x.x), x.x * (p.rho - x.z) - x.y, x.x * x.y - p.beta * x.z]
+
+    made = _ingredients(1, signed={"sigma": sigma, "rho": rho, "beta": beta})
+    return made.first_order("lorenz", field, ("x", "y", "z"), symmetries={"turn": (1, {"x": -1, "y": -1})})
+
+
+def rossler(a: float = 0.2, b: float = 0.2, c: float = 5.7) -> Model:
+    """x' = -y - z, y' = x + a y, z' = b + z (x - c). Source: O. E. Rössler, Physics Letters A 57 (1976) 397-398."""
+
+    def field(_: Any, x: Named, p: Named) -> Any:
+        return [-x.y - x.z, x.x + p.a * x.y, p.b + x.z * (x.x - p.c)]
+
+    return _ingredients(1, signed={"a": a, "b": b, "c": c}).first_order("rossler", field, ("x", "y", "z"))
+
+
+def brusselator(feed: float = 1.0, rate: float = 3.0) -> Model:
+    """u' = feed - (rate + 1) u + u^2 v, v' = rate u - u^2 v: a chemical clock where rate > 1 + feed^2.
+
+    Source: I. Prigogine, R. Lefever, Journal of Chemical Physics 48 (1968) 1695-1700.
+    """
+
+    def field(_: Any, x: Named, p: Named) -> Any:
+        made = x.u**2 * x.v
+        return [p.feed - (p.rate + 1) * x.u + made, p.rate * x.u - made]
+
+    return _ingredients(1, {"feed": feed, "rate": rate}).first_order("brusselator", field, ("u", "v"))
+
+
+def fitzhugh_nagumo(current: float = 0.5, a: float = 0.7, b: float = 0.8, rate: float = 0.08) -> Model:
+    """v' = v - v^3 / 3 - w + current, w' = rate (v + a - b w): the simplest nerve that fires.
+
+    Source: R. FitzHugh, Biophysical Journal 1 (1961) 445-466.
+    """
+
+    def field(_: Any, x: Named, p: Named) -> Any:
+        return [x.v - x.v**3 / 3 - x.w + p.current, p.rate * (x.v + p.a - p.b * x.w)]
+
+    made = _ingredients(1, {"rate": rate}, {"current": current, "a": a, "b": b})
+    return made.first_order("fitzhugh_nagumo", field, ("v", "w"))
+
+
+def hodgkin_huxley(current: float = 10.0) -> Model:
+    """The nerve of the squid: voltage V in mV and gates m, h, n, time in ms, current in uA/cm^2; rest at -65 mV.
+
+    C V' = current - 120 m^3 h (V - 50) - 36 n^4 (V + 77) - 0.3 (V + 54.387), C = 1 uF/cm^2, and m' = alpha (1 - m) -
+    beta m for each gate. Source: A. L. Hodgkin, A. F. Huxley, Journal of Physiology 117 (1952) 500-544, with the
+    voltage as it is measured today.
+    """
+
+    def ramp(u: Any) -> Any:
+        """u / (1 - exp(-u)), 1 at 0."""
+        return u / 2 + ca.if_else(u == 0, 1.0, u / 2 / ca.tanh(u / 2))
+
+    def field(_: Any, x: Named, p: Named) -> Any:
+        volts, m, h, n = x
+        currents = 120 * m**3 * h * (volts - 50) + 36 * n**4 * (volts + 77) + 0.3 * (volts + 54.387)
+        rates = (
+            (ramp((volts + 40) / 10), 4 * ca.exp(-(volts + 65) / 18)),
+            (0.07 * ca.exp(-(volts + 65) / 20), 1 / (1 + ca.exp(-(volts + 35) / 10))),
+            (0.1 * ramp((volts + 55) / 10), 0.125 * ca.exp(-(volts + 65) / 80)),
+        )
+        gates = [alpha * (1 - gate) - beta * gate for gate, (alpha, beta) in zip((m, h, n), rates, strict=True)]
+        return [p.current - currents, *gates]
+
+    return _ingredients(1, signed={"current": current}).first_order("hodgkin_huxley", field, ("V", "m", "h", "n"))
+
+
 FUNCTIONS: dict[str, Callable[..., Model]] = {
     one.__name__: one
     for one in (
-        cart_chain, double_well, duffing, forced_duffing, forced_pendulum, henon_heiles, pendulum_on_cart,
-        planar_oscillator, restricted_three_body, rotating_hoop, spherical_pendulum, spring_pendulum, swinging_spring,
+        brusselator, cart_chain, double_well, duffing, fitzhugh_nagumo, forced_duffing, forced_pendulum, henon_heiles,
+        hodgkin_huxley, lorenz, pendulum_on_cart, planar_oscillator, restricted_three_body,
+        restricted_three_body_canonical, rossler, rotating_hoop, spherical_pendulum, spring_pendulum, swinging_spring,
         three_bodies, van_der_pol, vibrated_pendulum,
     )
 }  # fmt: skip

@@ -1,9 +1,10 @@
-"""A mechanical system as CasADi functions: the only thing the upper floors know of mechanics."""
+"""A system as CasADi functions, mechanical or any x' = f(t, x, p): the only thing the upper floors know of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import casadi as ca
@@ -21,7 +22,8 @@ class Invariant:
     `value(q, v, p)` is the integral; `unfolding(q, v, p)` is the fictitious acceleration u (n)
     with dI/dt = s (grad_v I).u != 0 along an orbit, so that s must return to 0 on any periodic
     solution; `generator(q, v, p)` is the symmetry direction (2n) that the integral belongs to,
-    or None for time translation (the energy).
+    or None for time translation (the energy). Of a first-order system q is the whole state, v is empty and
+    u = grad I is added to the rates: dI/dt = s |grad I|^2.
 
     Source: F. J. Muñoz-Almaraz, E. Freire, J. Galán, E. Doedel, A. Vanderbauwhede, "Continuation
     of periodic orbits in conservative and Hamiltonian systems", Physica D 181 (2003) 1-38.
@@ -83,6 +85,10 @@ class HolonomicConstraint:
 class Model:
     """Equations of motion x' = (v, a(t, q, v, p)) of a state x = (q, v), and what belongs to them.
 
+    A first-order system has `rates(t, q, p)` = q' instead: q is its whole state, v and a are empty, its energy is the
+    `potential`, nan where nothing is conserved; `hamiltonian` says that q is (coordinates, momenta), half each, and
+    its rates are Hamilton's equations.
+
     All functions take the full parameter vector p; `parameter_values` are the numbers that go
     there when a parameter is not freed. The state is x = (q, v), SI units, angles in rad.
 
@@ -116,6 +122,8 @@ class Model:
     symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
     """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
     constraint: HolonomicConstraint | None = None
+    rates: ca.Function | None = None
+    hamiltonian: bool = False
 
     @property
     def conservative(self) -> bool:
@@ -129,13 +137,49 @@ class Model:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """n, the number of generalized coordinates."""
-        return len(self.state_names) // 2
+        """n, the number of generalized coordinates; of a first-order system, of all components of the state."""
+        return len(self.state_names) // (2 if self.rates is None else 1)
+
+    @property
+    def canonical(self) -> bool:
+        """True when the equations are Hamilton's by construction: no forces act, or the rates are those of an H."""
+        return self.forces is None if self.rates is None else self.hamiltonian
+
+    @property
+    def scalar(self) -> bool:
+        """True when the equations are graphs of scalars (SX) and not of matrices (MX)."""
+        return bool((self.rates or self.acceleration).is_a("SXFunction"))
+
+    def rate(self, t: Any, x: Any, p: Any) -> Any:
+        """x' (d) at a time and a state (d)."""
+        if self.rates is not None:
+            return self.rates(t, x, p)
+        n = self.degrees_of_freedom
+        return ca.vertcat(x[n:], self.acceleration(t, x[:n], x[n:], p))
+
+    def action_rate(self, t: Any, x: Any, p: Any) -> Any:
+        """What the action of a loop is the integral of: momentum.q', = 2 T + G; of other first-order systems |x'|^2."""
+        n = self.degrees_of_freedom
+        if self.rates is not None:
+            rate = self.rates(t, x, p)
+            return ca.dot(x[n // 2 :], rate[: n // 2]) if self.hamiltonian else ca.sumsqr(rate)
+        found = 2.0 * self.kinetic(x[:n], x[n:], p)
+        return found if self.gyroscopic is None else found + self.gyroscopic(x[:n], x[n:], p)
 
     @property
     def angular(self) -> np.ndarray:
         """Which coordinates (n) are angles, none where the model does not say."""
         return np.asarray(self.angles or (False,) * self.degrees_of_freedom, bool)
+
+    @property
+    def planes(self) -> tuple[tuple[int, int], ...]:
+        """Components of a state that portraits draw against each other, across and up: each coordinate and its rate,
+        or momentum; of other first-order systems every two.
+        """
+        half = len(self.state_names) // 2
+        if self.rates is None or self.hamiltonian:
+            return tuple((i, half + i) for i in range(half))
+        return tuple(combinations(range(self.degrees_of_freedom), 2)) or ((0, 0),)
 
     def forcing_cycles(self, period: float) -> int:
         """Periods of the forcing in `period` (s), to the nearest and at least 1; 0 for an autonomous model."""
@@ -181,21 +225,24 @@ def constraint_of(model: Model) -> HolonomicConstraint:
 
 
 def vector_field(model: Model, free: Sequence[str] = (), unfolded: Sequence[Invariant] = ()) -> ca.Function:
-    """The state-space field f(t, x, s, free) = (v, a(t, q, v, p) + sum_k s_k u_k(q, v, p)) of a Model."""
+    """The state-space field f(t, x, s, free) = (v, a(t, q, v, p) + sum_k s_k u_k(q, v, p)) of a Model.
+
+    Of a first-order system it is the rates + sum_k s_k grad I_k.
+    """
     n = model.degrees_of_freedom
-    symbol: Any = ca.SX.sym if model.acceleration.is_a("SXFunction") else ca.MX.sym
-    t, x = symbol("t"), symbol("x", 2 * n)
+    symbol: Any = ca.SX.sym if model.scalar else ca.MX.sym
+    t, x = symbol("t"), symbol("x", len(model.state_names))
     s, chosen = symbol("s", len(unfolded)), symbol("free", len(free))
     parameters = model.parameters(free, chosen)
-    acceleration = model.acceleration(t, x[:n], x[n:], parameters)
+    last = model.acceleration(t, x[:n], x[n:], parameters) if model.rates is None else model.rates(t, x, parameters)
     for k, invariant in enumerate(unfolded):
-        acceleration += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
-    return ca.Function("field", [t, x, s, chosen], [ca.vertcat(x[n:], acceleration)])
+        last += s[k] * invariant.unfolding(x[:n], x[n:], parameters)
+    return ca.Function("field", [t, x, s, chosen], [last if model.rates is not None else ca.vertcat(x[n:], last)])
 
 
 def check_state(model: Model, state: Any) -> np.ndarray:
     """One state (2n) as floats; `InputError` for another size."""
-    found = np.squeeze(np.asarray(state, float))
+    found = np.atleast_1d(np.squeeze(np.asarray(state, float)))
     if found.shape != (len(model.state_names),):
         raise InputError(_missized("state", f"{found.size} numbers", model, ""))
     return found
@@ -210,8 +257,14 @@ def check_states(model: Model, states: Any) -> np.ndarray:
 
 
 def _missized(name: str, found: str, model: Model, what: str) -> str:
-    n = len(model.state_names) // 2
-    return f"{name}: {found} for {n} coordinates; give {what}{2 * n} numbers ({', '.join(model.state_names)})"
+    size = len(model.state_names)
+    return f"{name}: {found} for {counted(model)}; give {what}{size} numbers ({', '.join(model.state_names)})"
+
+
+def counted(model: Model) -> str:
+    """How many coordinates a Model has, or components a first-order state, for messages."""
+    what = "coordinates" if model.rates is None else "components of the state"
+    return f"{model.degrees_of_freedom} {what}"
 
 
 def wrapped(gaps: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray:
@@ -222,16 +275,15 @@ def wrapped(gaps: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray
 
 
 def energy(model: Model, state: np.ndarray) -> float:
-    """Total energy E = T(q, v) + V(q) of one state (2n), in J. Raises `InputError`."""
-    q, v = np.split(check_state(model, state), 2)
-    p = model.parameter_values
-    return float(model.kinetic(q, v, p)) + float(model.potential(q, p))
+    """Total energy E = T(q, v) + V(q) of one state (2n), in J; nan where none exists. Raises `InputError`."""
+    x, n, p = check_state(model, state), model.degrees_of_freedom, model.parameter_values
+    return float(model.kinetic(x[:n], x[n:], p)) + float(model.potential(x[:n], p))
 
 
 def energies(model: Model, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Kinetic and potential energy (two arrays of k) along states (k x 2n), in J. Raises `InputError`."""
-    q, v = np.split(check_states(model, states).T, 2)
-    return model.along(model.kinetic, q, v).ravel(), model.along(model.potential, q).ravel()
+    x, n = check_states(model, states).T, model.degrees_of_freedom
+    return model.along(model.kinetic, x[:n], x[n:]).ravel(), model.along(model.potential, x[:n]).ravel()
 
 
 def positions(model: Model, states: np.ndarray, which: str = "points") -> np.ndarray:

@@ -6,15 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Invariant, Model, wrapped
-from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, extents, shift_along
+from orbitfinder.mechanics.model import Invariant, Model, counted, wrapped
+from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents, shift_along
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
 from orbitfinder.orbits.reduction import reduction
@@ -109,7 +108,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         if model.invariants or not model.forced
         else None,
         _at_most("symplectic", evidence.symplectic, allowed.symplectic, "Phi^T J Phi = J")
-        if model.forces is None
+        if model.canonical
         else None,
         _at_most(
             "unfolding", orbit.period * max(map(abs, orbit.unfolding), default=0.0), allowed.unfolding + 10 * found.gap,
@@ -134,9 +133,8 @@ def certified(orbit: Orbit, model: Model) -> Orbit:
 
 def _turns(orbit: Orbit, model: Model) -> np.ndarray:
     """Whole turns (n) of the coordinates. Raises `InputError` where the record contradicts its system."""
-    n = model.degrees_of_freedom
-    if (orbit.state.size, len(orbit.winding)) != (2 * n, n):
-        sizes = f"{orbit.state.size} numbers and {len(orbit.winding)} turns for {n} coordinates"
+    if (orbit.state.size, len(orbit.winding)) != (len(model.state_names), model.degrees_of_freedom):
+        sizes = f"{orbit.state.size} numbers and {len(orbit.winding)} turns for {counted(model)}"
         raise InputError(f"state: {sizes}; the record contradicts its system, run the problem again")
     if any(abs(k) > MOST_TURNS for k in orbit.winding):
         raise InputError(f"winding: more than {MOST_TURNS} turns in a period; run the problem again")
@@ -206,7 +204,7 @@ def _minimal_period(
         return None
     shares = _shares(covers).ravel()
     moved = 2 * np.pi * shares[:, None] * turns
-    shift = np.hstack([moved, np.zeros(moved.shape)])
+    shift = np.hstack([moved, np.zeros((len(moved), orbit.state.size - turns.size))])
     far = np.abs((evidence.reached[: shares.size] - shift - orbit.state) / evidence.extents).max(axis=1)
     found = far.reshape(-1, 2).max(axis=1)
     note = f"nearest early return at T/{covers[int(found.argmin())]}"
@@ -240,12 +238,11 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
 
     States between samples come from a periodic spline of the deviation; the certificate integrates to T/k.
     """
-    n = states.shape[1] // 2
-    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
-    moments = times[-1] / np.asarray(covers, float)
-    there = np.hstack([spline(moments), spline(moments, 1)])
-    moved, rushed = np.split(np.ptp(states, axis=0), 2)
-    units = np.concatenate(extents(moved, rushed, np.ones(n), float(times[-1])))
+    there = between(times, states, angles.size, times[-1] / np.asarray(covers, float))
+    moved, n = np.ptp(states, axis=0), angles.size
+    units = alone(moved)
+    if n < moved.size:
+        units = np.concatenate(extents(moved[:n], moved[n:], np.ones(n), float(times[-1])))
     return [float(one) for one in np.abs(wrapped(there - states[0], angles) / units).max(axis=1)]
 
 
@@ -263,13 +260,18 @@ def _picture_checks(pictured: Sequence[Picture], reached: np.ndarray, evidence: 
 def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tolerances, scale: float) -> list[Check]:
     """What the record claims against what was recomputed; catches a file edited by hand."""
     bulk = max(abs(evidence.action), 1e-3 * evidence.exchanged * orbit.period)
+    if model.hamiltonian:  # momenta far from 0 cancel round the loop
+        half = orbit.state.size // 2
+        bulk = max(bulk, float(np.abs(evidence.states[:, half:]).max(axis=0) @ evidence.extents[:half]))
     closure = abs(orbit.closure - evidence.closure) / float(evidence.extents.max())
     held = min(orbit.tolerance, allowed.closure)
     if isinstance(orbit, FamilyPoint):  # its closure is relative, and by an integration that stops where it is enough
         closure, held = abs(orbit.closure - evidence.closes.gap), orbit.tolerance
     room = allowed.record + 10 * evidence.closes.gap
+    energetic = np.isfinite(orbit.energy) or np.isfinite(evidence.energy)
+    level = abs(orbit.energy - evidence.energy) / evidence.exchanged
     checks = [
-        _at_most("energy", abs(orbit.energy - evidence.energy) / evidence.exchanged, allowed.record, RECORDED),
+        *([_at_most("energy", level, allowed.record, RECORDED)] if energetic else []),
         _at_most("action", abs(orbit.action - evidence.action) / bulk, room, RECORDED),
         _at_most("recorded_closure", closure, held * scale, RECORDED),
         _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
@@ -358,7 +360,7 @@ def _premises(model: Model, evidence: Evidence, turns: np.ndarray, shift: Mappin
 
 
 class _Nearby:
-    """Seeded moments and states about a motion, and the accelerations there in extents."""
+    """Seeded moments and states about a motion, and the accelerations (rates of first order) there in extents."""
 
     def __init__(self, model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> None:
         random = np.random.default_rng(0)
@@ -372,8 +374,10 @@ class _Nearby:
         self.here = self._accelerations(self.moments, self.rows)
 
     def _accelerations(self, moments: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        found = self.model.along(self.model.acceleration, moments[None], *np.split(rows.T, 2))
-        return np.asarray(found.T * self.period / np.split(self.units, 2)[1])
+        model = self.model
+        columns = np.split(rows.T, 2) if model.rates is None else [rows.T]
+        found = model.along(model.rates or model.acceleration, moments[None], *columns)
+        return np.asarray(found.T * self.period / self.units[-len(found) :])
 
     def _differ(self, there: np.ndarray) -> float:
         """Largest relative difference from the accelerations here, where both are finite."""
@@ -407,7 +411,7 @@ class _Nearby:
         known, n = shifts_of(self.model), self.model.degrees_of_freedom
         for name, amount in shift.items():
             by = np.random.default_rng(1).uniform(0.1, 1.0, (TRIED, 1)) * (abs(amount) + self.units[:n].max())
-            moved = np.hstack([by * known[name].direction, np.zeros((TRIED, n))])
+            moved = np.hstack([by * known[name].direction, np.zeros((TRIED, self.units.size - n))])
             there = self._accelerations(self.moments, self.rows + moved)
             note = f"equations of motion further along {name}, which {known[name].momentum} is held for"
             yield _at_most("cyclic", self._differ(there), EXACT, note)
@@ -417,11 +421,12 @@ class _Nearby:
         for one in self.model.invariants:
             values = self._constants(one, self.along[:: max(1, len(self.along) // 64)])
             varied = self._constants(one, self.along[:1] + self.units * (self.rows - self.rows.mean(axis=0) + 1e-3))
-            size = max(float(np.abs(varied - values[0]).max()), 1e-300)
-            lost = ROUNDED * float(max(np.abs(values).max(), np.abs(varied).max()))
+            varied = varied[np.isfinite(varied)]  # beside the motion there may be none, as of a logarithm
+            size = float(np.abs(varied - values[0]).max(initial=1e-300))
+            lost = ROUNDED * float(np.abs([*values, *varied]).max())
             drift = max(float(np.ptp(values)) - lost, 0.0) / size
             yield _at_most(f"invariant_{one.name}", drift, DRIFT, "drift along the motion beyond round-off")
 
     def _constants(self, one: Invariant, states: np.ndarray) -> np.ndarray:
         """An invariant's values (k) at states (k x 2n)."""
-        return self.model.along(one.value, *np.split(states.T, 2)).ravel()
+        return self.model.along(one.value, *np.split(states.T, [self.model.degrees_of_freedom])).ravel()

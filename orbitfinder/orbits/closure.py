@@ -19,8 +19,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from orbitfinder.loops.symmetry import shifts_of
+from orbitfinder.loops.symmetry import STILL, shifts_of
 from orbitfinder.mechanics.model import Model
 
 EPSILON = float(np.finfo(float).eps)
@@ -54,6 +55,17 @@ def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: f
         return np.ones(moved.shape), np.full(moved.shape, 1.0 / clock)
     lengths = LEAST_SHARE * np.sqrt(action * clock / weights)
     return np.maximum(moved, lengths), np.maximum(rushed, lengths / clock)
+
+
+def alone(moved: np.ndarray) -> np.ndarray:
+    """Extents (d) of a first-order motion from how far its components moved, none of them 0.
+
+    Each may have a unit of its own; what hardly moves at all is measured in a tenth of what the others do.
+    """
+    largest = float(moved.max(initial=0.0))
+    if not (np.isfinite(largest) and largest > 0.0):
+        return np.ones(moved.shape)
+    return np.where(moved > STILL * largest, moved, LEAST_SHARE * largest)
 
 
 def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:
@@ -98,6 +110,8 @@ def masses_of(kinetic: Callable[..., Any], state: np.ndarray, model: Model | Non
 
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
     """Extents (2n) of a motion of a Model (k x 2n) over its period."""
+    if model.rates is not None:
+        return alone(np.ptp(states, axis=0))
     moved, rushed = np.split(np.ptp(states, axis=0), 2)
     return np.concatenate(extents(moved, rushed, masses_of(model.kinetic, states[0], model), period))
 
@@ -114,6 +128,14 @@ def shift_along(
     return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved)[0]), strict=True))
 
 
+def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray | float) -> np.ndarray:
+    """States at moments from dense samples (k x d), by cubics; n of the components are coordinates, others rates."""
+    if n == states.shape[1]:
+        return np.asarray(CubicSpline(times, states)(moments))
+    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
+    return np.concatenate([spline(moments), spline(moments, 1)], axis=-1)
+
+
 def gap(
     start: np.ndarray, end: np.ndarray, turns: np.ndarray | Sequence[int], units: np.ndarray | float = 1.0
 ) -> float:
@@ -122,5 +144,5 @@ def gap(
 
 
 def shift(turns: np.ndarray | Sequence[int], size: int) -> np.ndarray:
-    """2 pi k in the coordinates of a state (2n) and 0 in the others."""
+    """2 pi k in the coordinates of a state (d) and 0 in the others."""
     return np.concatenate([2 * np.pi * np.asarray(turns), np.zeros(size - len(turns))])

@@ -5,6 +5,7 @@ here it is DOP853 at its tightest, without unfolding or stabilisation, on equati
 
 - Hamilton's equations, derived by automatic differentiation;
 - the same under constraints, in the link angles where there are any (both by `mechanics.canonical`);
+- of a first-order system the rates as they are given, which is all there is to know of it;
 - for long chains Lagrange's equations in closed form, dense and in NumPy. Their momenta (1300 kg m^2/s at 100 links,
   which the velocities depend on through the inverse of a matrix of condition 5e4) lose digits: the first mode of 100
   links at 1 rad closes to 1.2e-10 in Hamilton's equations and to 9e-13 here. Only the monodromy is taken to canonical
@@ -32,14 +33,14 @@ from orbitfinder.integrate.dop853 import (
     integrate_in,
     vector_field,
 )
-from orbitfinder.integrate.equations import accelerations, hamilton
+from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
-from orbitfinder.orbits.closure import Closure, closes, extents, extents_of, gap, masses_of, shift
+from orbitfinder.orbits.closure import Closure, alone, closes, extents, extents_of, gap, masses_of, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy, symplectic_unit
 
 SAMPLES = 512
@@ -54,6 +55,7 @@ ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-13)
 LONGEST_PHASE = 0.15
 """Radians of the fastest linear mode in a step: at 20 links the rates close to 2e-13, with 800 steps a period to
 8e-13."""
+HAMILTON, GIVEN = "Hamilton's equations", "the rates as given"
 REFLECTED = 1e-9
 """x(T/2) is this near to -x(0), in extents of the motion, where half a period stands for the whole"""
 
@@ -63,7 +65,8 @@ class Motion:
     """What a formulation finds: a motion in coordinates y = (q, p) (m numbers) and its state-transition matrices.
 
     `states` (k x 2n) are those of the model at `times`, `path` (k x m) the same in y, `masses` (m / 2) the
-    diagonal of its mass matrix, `constraints` (r x m) the gradients of what y is held to, `rate` y' at the start.
+    diagonal of its mass matrix (none: each component of y by itself), `constraints` (r x m) the gradients of what y is
+    held to, `rate` y' at the start.
     """
 
     times: np.ndarray
@@ -76,7 +79,7 @@ class Motion:
     directions: np.ndarray
     masses: np.ndarray
     turns: np.ndarray
-    formulation: str = "Hamilton's equations"
+    formulation: str = HAMILTON
     constraints: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
@@ -94,11 +97,17 @@ class Hamiltonian:
 
     def start(self, state: np.ndarray) -> np.ndarray:
         """(q, momentum) of a state (2n) of the model."""
-        q, v = np.split(state[self.coordinates.chosen], 2)
+        q, v = self._halves(state)
         return np.concatenate([q, self.equations.momentum(q, v).full().ravel()])
+
+    def _halves(self, state: np.ndarray) -> list[np.ndarray]:
+        """q and v, empty of a first-order system, of a state of the model."""
+        return np.split(state[self.coordinates.chosen], [self.coordinates.size])
 
     def states(self, path: np.ndarray) -> np.ndarray:
         """States of the model (k x 2n); dH/dp, the first half of the field, is the velocity."""
+        if self.model.rates is not None:
+            return path
         places, lift = path[:, : self.coordinates.size], self.coordinates.lift
         rates = self.field.many(np.zeros(len(path)), path)[:, : self.coordinates.size]  # type: ignore[attr-defined]
         return np.hstack([places, rates]) if lift is None else lift.map(len(path))(places.T, rates.T).full().T
@@ -106,9 +115,13 @@ class Hamiltonian:
     def frame(self, state: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Gradients of the invariants, symmetry directions (the flow first) and gradients of the constraints at y."""
         model, flow = self.model, self.field(0.0, start)
+        tangent = self.equations.tangent(start).full()
+        if model.rates is not None:
+            directions = np.vstack([*([] if model.forced else [flow]), generated(model, state)])
+            return invariant_gradients(model)(state).full(), directions, tangent
         free = None if model.forces is None else hamilton(replace(model, forces=None)).field(0.0, start).full().ravel()
-        lift = self.equations.lift(*np.split(state[self.coordinates.chosen], 2)).full()
-        return *canonical_frame(model, state, flow, lift, free), self.equations.tangent(start).full()
+        lift = self.equations.lift(*self._halves(state)).full()
+        return *canonical_frame(model, state, flow, lift, free), tangent
 
 
 def canonical_frame(
@@ -133,14 +146,17 @@ def canonical_motion(
     """The `Motion` of a state (2n) at `moments` (from 0 to the period) by Hamilton's equations."""
     equations = Hamiltonian(model)
     chosen, start = equations.coordinates.chosen, equations.start(state)
-    masses = masses_of(equations.coordinates.kinetic, state[chosen])
+    first_order = model.rates is not None
+    masses = np.zeros(0) if first_order else masses_of(equations.coordinates.kinetic, state[chosen])
     units = units_of(equations.field, start, masses, period)
     path = integrate_in(units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD)
-    transitions, action = _pieces(vector_field(equations.equations.variational), start, units, period)
+    half = start.size // 2
+    work = float(units @ units) / period if model.rates is not None else float(units[:half] @ units[half:]) or 1.0
+    transitions, action = _pieces(vector_field(equations.equations.variational), start, units, work, period)
     gradients, directions, constraints = equations.frame(state, start)
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
-        masses, turns[chosen[: masses.size]], constraints=constraints,
+        masses, turns[chosen[: equations.coordinates.size]], GIVEN if first_order else HAMILTON, constraints,
     )  # fmt: skip
 
 
@@ -160,19 +176,20 @@ def units_of(field: VectorField, start: np.ndarray, masses: np.ndarray, period: 
 
 
 def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float) -> np.ndarray:
-    """`extents` in (q, p) of what moved so far in (q, p)."""
+    """`extents` in (q, p) of what moved so far in (q, p); without masses, of a first-order system, `alone`."""
+    if not masses.size:
+        return alone(moved)
     places, momenta = np.split(moved, 2)
     lengths, speeds = extents(places, momenta / np.maximum(masses, 1e-300), masses, period)
     return np.concatenate([lengths, np.where(masses > 0, masses, 1.0) * speeds])
 
 
 def _pieces(
-    variational: VectorField, start: np.ndarray, units: np.ndarray, period: float
+    variational: VectorField, start: np.ndarray, units: np.ndarray, work: float, period: float
 ) -> tuple[list[np.ndarray], float]:
-    """State-transition matrices (m x m) of equal pieces of a period, and the action."""
+    """State-transition matrices (m x m) of equal pieces of a period, and the action, which is measured in `work`."""
     size, now, action = start.size, start, 0.0
     matrix = (units[:, None] / units[None, :]).ravel("F")
-    work = float(units[: size // 2] @ units[size // 2 :]) or 1.0
     measures, pieces = np.concatenate([units, matrix, [work]]), []
     for k in range(PIECES):
         extended = np.concatenate([now, np.eye(size).ravel(), [0.0]])
@@ -263,7 +280,7 @@ class Evidence:
     symplectic: float
     floquet: Floquet
     reached: np.ndarray
-    formulation: str = "Hamilton's equations"
+    formulation: str = HAMILTON
 
 
 def gather(
@@ -297,10 +314,11 @@ def _measured(
     basis = tangent_basis(motion.constraints * units) if motion.constraints.size else np.eye(units.size)
     inner, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
     scale = max(1.0, float(np.abs(inner).max()))
-    form = basis.T @ (units[:, None] * symplectic_unit(units.size // 2) * units) @ basis
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     exchanged = max(float(np.ptp(potential)) + float(kinetic.max()), 1e-3 * float(np.abs(potential).max()), 1e-300)
+    if model.rates is not None:
+        exchanged = _variable(model, states, units)
     return Evidence(
         times=motion.times[at],
         states=states,
@@ -313,11 +331,29 @@ def _measured(
         extents=extents_of(model, states, period),
         growth=growth,
         trivial=max(_off(directions @ inner.T, directions), _off(gradients @ inner, gradients)) / scale,
-        symplectic=float(np.abs(inner.T @ form @ inner - form).max()) / (scale**2 * float(np.abs(form).max())),
+        symplectic=_asymplectic(inner, basis, units) / scale**2 if model.canonical else 0.0,
         floquet=analyse(reduce_monodromy(inner, gradients, directions), conservative=symplectic(model)),
         reached=motion.states[np.searchsorted(motion.times, moments)],
         formulation=motion.formulation,
     )
+
+
+def _asymplectic(inner: np.ndarray, basis: np.ndarray, units: np.ndarray) -> float:
+    """|Phi^T J Phi - J| on the tangent space, relative to J in extents of the motion."""
+    form = basis.T @ (units[:, None] * symplectic_unit(units.size // 2) * units) @ basis
+    return float(np.abs(inner.T @ form @ inner - form).max()) / float(np.abs(form).max())
+
+
+def _variable(model: Model, states: np.ndarray, units: np.ndarray) -> float:
+    """How much a first-order system's energy varies about a motion (k x d), |grad E| in its extents; nan without one.
+
+    What is exchanged in it cannot be told: it is one expression.
+    """
+    which = next((k for k, one in enumerate(model.invariants) if one.generator is None), None)
+    if which is None:
+        return float("nan")
+    gradients = invariant_gradients(model)
+    return max(float(np.abs(gradients(state).full()[which]) @ units) for state in states[:: SAMPLES // 16])
 
 
 def _products(pieces: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:

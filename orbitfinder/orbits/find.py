@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime import interrupt
 from orbitfinder._runtime.limit import limited
@@ -26,16 +25,24 @@ from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.polish import polish, segment, tail_of
-from orbitfinder.loops.problem import Guess, Problem, boundary_constants, segments_for, whole_turns
+from orbitfinder.loops.problem import (
+    Guess,
+    Problem,
+    boundary_constants,
+    clocked,
+    guessed_nodes,
+    segments_for,
+    whole_turns,
+)
 from orbitfinder.loops.shooting import Shooting, far_end, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.closure import extents_of, gap
+from orbitfinder.orbits.closure import between, extents_of, gap
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
-from orbitfinder.orbits.objectives import chosen, guessed_nodes
+from orbitfinder.orbits.objectives import chosen
 from orbitfinder.orbits.reduction import steady
 from orbitfinder.records.orbit import Orbit
 
@@ -61,8 +68,8 @@ def check_invariants(problem: Problem) -> None:
         return
     n, values = model.degrees_of_freedom, model.parameter_values
     field = vector_field(accelerations(model))
-    units = np.asarray(units_of(problem) or np.ones(2 * n))
-    start = np.asarray(problem.guess.state, float) + 0.01 * units * np.random.default_rng(0).normal(size=2 * n)
+    units = np.asarray(units_of(problem) or np.ones(len(model.state_names)))
+    start = np.asarray(problem.guess.state, float) + 0.01 * units * np.random.default_rng(0).normal(size=units.size)
     try:
         states = integrate_in(units, field, start, np.linspace(0.0, problem.guess.period, 9), SECOND)
     except IntegrationError:
@@ -104,7 +111,7 @@ def at_section(problem: Problem, flow: Flow) -> Problem:
         )  # fmt: skip
     except IntegrationError:
         return problem  # the search itself will say where
-    clock = np.repeat([1.0, guess.period / (2 * np.pi)], n)
+    clock = clocked(model, guess.period / (2 * np.pi))
     away = np.abs(off_centre(problem.boundary.maps[0], np.asarray(states, float) * clock, model.angles)).max(axis=1)
     best = int(away.argmin())
     if away[0] <= max(2 * away[best], SECTION) and guess.states is None:
@@ -293,7 +300,7 @@ def _within(problem: Problem, orbit: Orbit) -> None:
 
 def _periodic(problem: Problem, orbit: Orbit) -> None:
     """`ConvergenceError` for a relative equilibrium, which comes back up to a shift after any time at all."""
-    rates = steady(problem.model, orbit.state) if problem.relative and not problem.free else {}
+    rates = steady(problem.model, orbit.state, orbit.period) if problem.relative and not problem.free else {}
     if rates:
         moving = ", ".join(f"{name} = {rate:.9g}" for name, rate in rates.items())
         raise ConvergenceError(
@@ -318,7 +325,7 @@ def initial_nodes(problem: Problem, flow: Flow, settings: SolveSettings) -> np.n
     guess, horizon = problem.guess, problem.boundary.fraction * problem.guess.period
     count = problem.segments or _segments_needed(problem, flow, horizon, settings)
     if guess.times is not None and guess.states is not None:
-        return guessed_nodes(problem, count)
+        return guessed_nodes(guess, np.arange(count) * problem.boundary.fraction / count)
     nodes = [np.asarray(guess.state, float)]
     for k in range(1, count):
         try:
@@ -333,7 +340,8 @@ def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: Sol
     matrix = transition(flow, np.asarray(problem.guess.state, float), horizon)[1]
     fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
     between = (fewest, settings.most_segments)
-    return segments_for(matrix, problem.guess.period / (2 * np.pi), settings.growth_per_segment, between)
+    units = clocked(problem.model, problem.guess.period / (2 * np.pi))
+    return segments_for(matrix, units, settings.growth_per_segment, between)
 
 
 def _reporter(progress: Callback | None, began: float) -> Callback | None:
@@ -359,8 +367,8 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
         natural = natural_pin(settled, nodes[0])
-        pins = problem.pin[: len(natural)]
-        settled = replace(settled, pin=pins if len(pins) == len(natural) else _held(problem, natural, period))
+        given = problem.pin[: len(natural)] if len(problem.pin) >= len(natural) else ()
+        settled = replace(settled, pin=given or _held(problem, natural, period))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
     return held, polish(held, held.vector(replace(held.guess, unfolding=found.unfolding)))
 
@@ -377,7 +385,7 @@ def _held(problem: Problem, natural: tuple[Pin, ...], period: float) -> tuple[Pi
     """The pin at which an orbit is polished: the range's end where one holds it, else its own energy."""
     held = _snapped(problem, "period", period)
     if held in problem.bounds.get("period", ()):
-        return (Pin("period", held),)
+        return (Pin("period", held), *natural[1:])
     return tuple(Pin(one.name, _snapped(problem, one.name, one.value)) for one in natural)
 
 
@@ -389,14 +397,13 @@ def without_choice(problem: Problem) -> Problem:
 
 
 def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
-    """What holds an orbit where it is in its family: its energy, and the momenta of what it is relative in.
-
-    Nothing where nothing is conserved.
+    """The pins that hold an orbit where it is in its family: its energy, the momenta of what it is relative in, and of
+    general first-order systems every invariant that no symmetry belongs to; nothing where none is conserved.
     """
     n = problem.model.degrees_of_freedom
-    values = problem.model.parameter_values
-    kept = {one.momentum for one in problem.shifts}
-    held = [one for k, one in enumerate(problem.model.invariants) if k == 0 or one.name in kept]
+    values, kept = problem.model.parameter_values, {one.momentum for one in problem.shifts}
+    alone = [one for one in problem.model.invariants if one.generator is None] or problem.model.invariants[:1]
+    held = [one for one in problem.model.invariants if one in alone or one.name in kept]
     return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in held)
 
 
@@ -422,12 +429,11 @@ def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float
     problem, period = shooting.problem, shooting.at(w).period
     times, states = dense(shooting.flow, shooting.at(w).nodes, period)
     n = problem.model.degrees_of_freedom
-    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
     units = extents_of(problem.model, states, period)
     for cover in range(most, 1, -1):
         if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
             continue
-        reached = np.concatenate([spline(period / cover), spline(period / cover, 1)])
+        reached = between(times, states, n, period / cover)
         if gap(states[0], reached, shift_of(problem, states[0], states[-1])[1] / cover, units) < tolerance:
             return cover
     return 1

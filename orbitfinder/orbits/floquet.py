@@ -38,7 +38,7 @@ def symplectic_unit(n: int) -> np.ndarray:
 
 def generated(model: Model, state: np.ndarray) -> np.ndarray:
     """The symmetry directions (k x 2n) in (q, v) that a model's invariants generate at a state (2n)."""
-    q, v = np.split(state, 2)
+    q, v = state[: model.degrees_of_freedom], state[model.degrees_of_freedom :]
     found = [one.generator(q, v, model.parameter_values).full().ravel() for one in model.invariants if one.generator]
     return np.asarray(found).reshape(-1, state.size)
 
@@ -106,6 +106,8 @@ def _conservative_verdict(indices: np.ndarray, defect: float) -> str:
 
 
 def _dissipative_verdict(multipliers: np.ndarray) -> str:
+    if not multipliers.size:  # nothing is left that could grow or decay
+        return "elliptic"
     largest = float(np.abs(multipliers).max(initial=0.0))
     if abs(largest - 1.0) < ERROR_FLOOR:
         return "marginal"

@@ -65,6 +65,7 @@ class Chain:
 
     problem: Problem
     march: ClosedChain
+    equations: Equations
     pin: Callable[[Pin], PinRow]
 
     @property
@@ -118,7 +119,9 @@ def build_chain(problem: Problem) -> Chain:
     n = model.degrees_of_freedom
     if name in model.state_names[n:]:
         raise InputError(f"pin: {name} is 0 where a brake orbit starts; pin an angle, the energy or the period")
-    return Chain(problem, ClosedChain(model, problem.boundary.held(n)), pins(model))
+    march = ClosedChain(model, problem.boundary.held(n))
+    equations = Equations(model, problem.boundary, given=march)
+    return Chain(problem, march, equations, pins(equations))
 
 
 def balanced(chain: Chain, report: Callable[[str, int, float, float], None]) -> Series:
@@ -169,8 +172,7 @@ def shot(
 
     The matrix, kept while it serves, is of a few digits. Raises `ConvergenceError` when the residual does not shrink.
     """
-    problem = chain.problem
-    equations = Equations(problem.model, problem.boundary, given=chain.march)
+    problem, equations = chain.problem, chain.equations
     w = equations.unknowns(_at_rest(start), period, chain.mesh(FRACTION, period, NEWTON_PHASE))
     newton = Newton(loop_of(problem, equations, w, None, problem.pin), SHOOTING)
     try:

@@ -12,13 +12,13 @@ from scipy.integrate import trapezoid
 
 from orbitfinder._runtime import __version__
 from orbitfinder.integrate.cvodes import Flow, transition
-from orbitfinder.integrate.equations import accelerations, invariant_gradients, with_action
+from orbitfinder.integrate.equations import accelerations, action_rate, invariant_gradients, with_action
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
 from orbitfinder.loops.problem import Problem, boundary_constants
 from orbitfinder.loops.symmetry import recognise, symplectic, turned
 from orbitfinder.mechanics.constrained import tangent_space
-from orbitfinder.mechanics.model import Model, energies
+from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
 from orbitfinder.orbits.closure import gap, shift_along
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy
@@ -129,8 +129,7 @@ def dense(flow: Flow, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.
 
 def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> Floquet:
     """Reduced Floquet multipliers by the product of the segments' state-transition matrices."""
-    n, count = model.degrees_of_freedom, len(nodes)
-    monodromy = np.eye(2 * n)
+    count, monodromy = len(nodes), np.eye(nodes.shape[1])
     for k, node in enumerate(nodes):
         monodromy = transition(flow, node, period / count, k * period / count)[1] @ monodromy
     gradients, directions = frame(model, nodes[0])
@@ -166,13 +165,10 @@ def loop_action(model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, 
 
 
 def action(model: Model, times: np.ndarray, states: np.ndarray) -> float:
-    """Integral of momentum.dq over the loop, = integral of 2 T + G dt, G the gyroscopic term (linear in v).
+    """Integral over the loop of `Model.action_rate`: of momentum.dq, of general first-order systems of |x'|^2 dt.
 
     The trapezoidal rule on equally spaced samples of a periodic function converges exponentially
     (L. N. Trefethen, J. A. C. Weideman, SIAM Review 56 (2014) 385-458).
     """
-    kinetic, _ = energies(model, states)
-    rate = 2.0 * kinetic
-    if model.gyroscopic is not None:
-        rate += model.along(model.gyroscopic, *np.split(np.asarray(states).T, 2)).ravel()
+    rate = model.along(action_rate(model), times[None], np.asarray(states).T).ravel()
     return float(trapezoid(rate, times))

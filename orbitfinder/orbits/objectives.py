@@ -23,7 +23,7 @@ from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.loops.conditions import Constraint, Variables
 from orbitfinder.loops.ipopt import Callback, SolveSettings, solve_nlp
-from orbitfinder.loops.problem import PEAKS, Guess, Problem
+from orbitfinder.loops.problem import PEAKS, Guess, Problem, guessed_nodes
 from orbitfinder.loops.shooting import Shooting, transcribe
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
@@ -191,7 +191,7 @@ def _peak(
     heights: list[float] = []
     for _ in range(ROUNDS):
         ready = _at_peak(problem, place, times, states)
-        nodes = guessed_nodes(ready, len(found.nodes))
+        nodes = guessed_nodes(ready.guess, found.edges[:-1])
         shooting = transcribe(ready, nodes, flow)
         start = shooting.vector(replace(shooting.guess, free=found.free))
         w = followed(shooting, settings, report, start)
@@ -244,14 +244,6 @@ def _aim(place: int, n: int, sign: float) -> Callable[[Variables], object]:
 def _flat(place: int, n: int) -> Callable[[Variables], object]:
     """The time derivative of a state component at t = 0."""
     return lambda variables: variables.start[place + n] if place < n else variables.acceleration[place - n]
-
-
-def guessed_nodes(problem: Problem, count: int) -> np.ndarray:
-    """Node states (count x 2n) from the guess's trajectory."""
-    guess = problem.guess
-    assert guess.times is not None and guess.states is not None
-    moments = np.arange(count) * problem.boundary.fraction * guess.period / count
-    return np.stack([np.interp(moments, guess.times, column) for column in guess.states.T], axis=1)
 
 
 def _orbit(shooting: Shooting, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from orbitfinder.integrate.equations import accelerations
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.floquet import generated
@@ -16,19 +17,20 @@ STEADY = 1e-9
 """A rate this far off the symmetries' directions, relative, is along them."""
 
 
-def steady(model: Model, state: np.ndarray) -> dict[str, float]:
+def steady(model: Model, state: np.ndarray, period: float) -> dict[str, float]:
     """c of x' = sum_k c_k g_k(x) at a state (2n), by the name of each symmetry; nothing where x' is no such sum.
 
+    Rates are measured by the largest one, accelerations by what that changes in a `period` (s).
     The flow of a relative equilibrium is that of its symmetries: a conical pendulum turns steadily about its axis.
     """
-    n, p = model.degrees_of_freedom, model.parameter_values
-    along = generated(model, state)
+    n, along = model.degrees_of_freedom, generated(model, state)
     if not len(along) or model.forced:
         return {}
-    rate = np.concatenate([state[n:], model.acceleration(0.0, state[:n], state[n:], p).full().ravel()])
+    rate = accelerations(model)(0.0, state).full().ravel()
     found = np.linalg.lstsq(along.T, rate)[0]
-    clock = np.repeat([1.0, 1.0 / max(np.linalg.norm(state[n:]), 1e-300)], n)  # of one turn, more or less
-    if not np.linalg.norm(clock * (rate - along.T @ found)) <= STEADY * np.linalg.norm(rate[:n]):
+    speed = max(float(np.abs(rate[:n]).max()), 1e-300)
+    missed = np.abs(rate - along.T @ found) / np.where(np.arange(state.size) < n, speed, 2 * np.pi * speed / period)
+    if not missed.max() <= STEADY:
         return {}
     momenta = [one.name for one in model.invariants if one.generator is not None]
     called = {one.momentum: name for name, one in shifts_of(model).items()}
@@ -37,7 +39,8 @@ def steady(model: Model, state: np.ndarray) -> dict[str, float]:
 
 def held(model: Model, orbit: Orbit) -> dict[str, float]:
     """The momenta that are kept with what an orbit is relative in."""
-    kept, n = {one.momentum for name, one in shifts_of(model).items() if name in orbit.shift}, orbit.state.size // 2
+    kept = {one.momentum for name, one in shifts_of(model).items() if name in orbit.shift}
+    n = model.degrees_of_freedom
     q, v, p = orbit.state[:n], orbit.state[n:], model.parameter_values
     return {one.name: float(one.value(q, v, p)) for one in model.invariants if one.name in kept}
 
@@ -47,7 +50,7 @@ def reduction(model: Model, orbit: Orbit) -> str:
     if orbit.shift:
         moved = ", ".join(f"{name} by {by!r}" for name, by in orbit.shift.items())
         return f"relative: shifts {moved} in a period; held {_listed(held(model, orbit))}"
-    found = {name: rate for name, rate in steady(model, orbit.state).items() if rate}
+    found = {name: rate for name, rate in steady(model, orbit.state, orbit.period).items() if rate}
     return f"relative equilibrium: steady rates {_listed(found)} a second" if found else ""
 
 

@@ -20,7 +20,7 @@ from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Newton, NewtonSettings
-from orbitfinder.loops.problem import Guess, Problem, loop_of, segments_needed
+from orbitfinder.loops.problem import Guess, Problem, guessed_nodes, loop_of, segments_needed
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.find import at_forcing_period
 from orbitfinder.orbits.measure import measure
@@ -129,9 +129,7 @@ class Refiner:
         state, fraction = np.asarray(guess.state, float), self.problem.boundary.fraction
         mesh = uniform(fraction, self.segments, self._steps)
         if guess.times is not None and guess.states is not None:
-            moments = guess.period * mesh[: -1 : self._steps]
-            nodes = np.stack([np.interp(moments, guess.times, row) for row in guess.states.T], axis=1)
-            return self.equations.unknowns(nodes, guess.period, mesh)
+            return self.equations.unknowns(guessed_nodes(guess, mesh[: -1 : self._steps]), guess.period, mesh)
         w = self.equations.unknowns(state[None], guess.period, mesh)
         if self.segments == 1:
             return w

@@ -38,18 +38,19 @@ class Simulation:
     def __repr__(self) -> str:
         """One line."""
         kind = "drift" if self.conserved else "change"
-        return f"Simulation({self.times[-1]:g} s, {self.times.size} samples, energy {kind} {self.change:.2g} J)"
+        energy = f", energy {kind} {self.change:.2g} J" if np.isfinite(self.energy[0]) else ""
+        return f"Simulation({self.times[-1]:g} s, {self.times.size} samples{energy})"
 
     def document(self) -> dict[str, Any]:
         """The numbers of the run for `--json`."""
-        kind = "drift" if self.conserved else "change"
+        kind, known = "drift" if self.conserved else "change", bool(np.isfinite(self.energy[0]))
         return {
             "duration": float(self.times[-1]),
             "samples": int(self.times.size),
-            "energy": float(self.energy[0]),
+            "energy": float(self.energy[0]) if known else None,
             "energy_conserved": self.conserved,
-            f"energy_{kind}": self.change,
-            f"relative_energy_{kind}": self.change / self.exchanged if self.exchanged else 0.0,
+            f"energy_{kind}": self.change if known else None,
+            f"relative_energy_{kind}": (self.change / self.exchanged if self.exchanged else 0.0) if known else None,
             "end": dict(zip(self.state_names, map(float, self.states[-1]), strict=True)),
         }
 

@@ -10,6 +10,11 @@
 
 Unknowns: the first node's free components, the other nodes (2n each), s where it is used, and the
 segments' duration tau = T / (parts N). Equations: N - 1 times continuity (2n), then as above.
+
+These are the loop's unknowns (`loops.loop.Unknowns`) without the components that its boundary rows hold at the
+start: a ball is a float with a radius, and no float is k pi, so that in a box of all of w the held rows would be solved
+to a radius, and the theorem be about an orbit that is symmetric up to that. Left out, they are exact. The rows'
+matrices, what they hold, and how the whole follows from a part are read from `loops.symmetry`.
 """
 
 from __future__ import annotations

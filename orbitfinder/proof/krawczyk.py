@@ -15,10 +15,9 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.proof.balls import Vector, arb, arb_mat, block, column, exact, floats, inside, magnitude, midpoints
-from orbitfinder.proof.enclosure import Settings, Step, horner
+from orbitfinder.proof.enclosure import Settings, Step, cloud, horner, integrate
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation
-from orbitfinder.proof.lohner import cloud, integrate
 
 Arc = tuple[Vector, Any, Vector, list[Step]]
 """a segment: its end from the box's centre, derivatives over the box (2n x 2n+2), its end from the box, steps"""

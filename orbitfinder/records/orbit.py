@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,8 @@ class Orbit:
     integral of momentum.dq over the loop (J s), `floquet_multipliers` the non-trivial ones
     (complex), `pair_defect` max |mu_i mu_j - 1| over reciprocal pairs, their error bar.
     `nodes` (N x 2n) are states at equal times over the period, `times` and `samples` a dense
-    picture of it. `system` rebuilds the model.
+    picture of it. `system` rebuilds the model. Of first-order systems the energy is the first invariant that no
+    symmetry belongs to, nan (null in the file) where there is none, and the action the integral of |x'|^2.
     """
 
     __repr__ = brief("name", "period", "energy", "closure", "symmetry", "stability", "certificate")
@@ -124,7 +126,7 @@ def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
         "system": dict(orbit.system),
         "state": orbit.state.tolist(),
         "period": orbit.period,
-        "energy": orbit.energy,
+        "energy": None if unconserved(orbit) else orbit.energy,
         "action": orbit.action,
         "closure": orbit.closure,
         "symmetry": orbit.symmetry,
@@ -143,6 +145,11 @@ def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
         document["shift"] = dict(orbit.shift)
     document["record"] = digest(document)
     return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
+
+
+def unconserved(orbit: Orbit) -> bool:
+    """True for the orbit of a first-order system, which has as many turns as components, without an energy."""
+    return bool(np.isnan(orbit.energy)) and len(orbit.winding) == orbit.state.size
 
 
 def certificate_to_document(certificate: Certificate | None) -> dict[str, Any]:
@@ -236,7 +243,7 @@ def check_document(document: Any, where: str) -> dict[str, Any]:
             "use the orbitfinder that wrote it, or run the problem again"
         )
     kinds: dict[str, type | tuple[type, ...]] = {
-        "name": str, "system": dict, "state": list, "period": (int, float), "energy": (int, float),
+        "name": str, "system": dict, "state": list, "period": (int, float), "energy": (int, float, NoneType),
         "action": (int, float), "closure": (int, float), "symmetry": str, "stability": str,
         "floquet_multipliers": list,
     }  # fmt: skip
@@ -272,11 +279,14 @@ def orbit_from_document(
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
         described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
         described |= {f"{SHIFT}{name}" for name in document.get("shift") or {}}
+        energy = float("nan") if document["energy"] is None else float(document["energy"])
+        if np.isnan(energy) and len(document.get("winding") or ()) != state.size:
+            raise ValueError("energy of a mechanical system is missing")
         if not 0 < tolerance < 1 or not all({name, name.rstrip("0123456789")} & described for name in expected):
             raise ValueError(f"tolerance {tolerance} not between 0 and 1, or expected of an unknown quantity")
         return Orbit(
             name=document["name"], system=document["system"], state=state,
-            period=float(document["period"]), energy=float(document["energy"]),
+            period=float(document["period"]), energy=energy,
             action=float(document["action"]), closure=float(document["closure"]),
             symmetry=document["symmetry"],
             winding=tuple(int(k) for k in document.get("winding") or [0] * n),

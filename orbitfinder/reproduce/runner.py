@@ -39,8 +39,8 @@ PARTS = (
     Part("differences", "figures 6 to 8: methods compared", "orbitfinder.reproduce.runs", "difference_part"),
     Part("four_bar", "figure 10: four-bar linkages", "orbitfinder.reproduce.runs", "four_bar_part"),
     Part("orbits", "figures 11 to 13: periodic orbits", "orbitfinder.reproduce.orbits", "orbit_part"),
-    Part("hundred", "100 links in motion", "orbitfinder.reproduce.chains", "hundred_part"),
-    Part("derivation", "derivation of n links", "orbitfinder.reproduce.chains", "derivation_part"),
+    Part("hundred", "100 links in motion", "orbitfinder.reproduce.runs", "hundred_part"),
+    Part("derivation", "derivation of n links", "orbitfinder.reproduce.runs", "derivation_part"),
 )
 Report = Callable[[str, int, int], None]
 

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw, ImageFont
-from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.orbits.closure import between
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.svg import COLOURS
@@ -70,18 +70,28 @@ def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
 
 
 def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSettings | None = None) -> Clip:
-    """A seamless clip of an orbit from its dense samples; without them it is integrated again."""
+    """A seamless clip of an orbit from its dense samples; without them it is integrated again.
+
+    Of a first-order system it is its state that moves, in the plane of two components.
+    """
     settings = settings or AnimationSettings()
     model = model or build_model(orbit.system)
-    if model.points is None:
+    if model.points is None and model.rates is None:
         raise InputError(f"{orbit.name}: this system declares no points to draw; pass points= when you build it")
-    n, orbit = model.degrees_of_freedom, whole(orbit, model)
-    spline = CubicHermiteSpline(orbit.times, orbit.samples[:, :n], orbit.samples[:, n:])
+    orbit = whole(orbit, model)
     periods, frames = loop_frames(orbit.period, settings)
     moments = (np.arange(frames) * (periods * orbit.period / frames)) % orbit.period
-    states = np.hstack([spline(moments), np.zeros((frames, n))])
+    states = between(orbit.times, orbit.samples, model.degrees_of_freedom, moments)
     trace = min(frames, round(settings.trace * orbit.period * settings.rate))
-    return Clip(positions(model, states), settings.rate, orbit.title or orbit.name, trace, loops=True)
+    shown = portrait(model, states) if model.points is None else positions(model, states)
+    return Clip(shown, settings.rate, orbit.title or orbit.name, trace, loops=True)
+
+
+def portrait(model: Model, states: np.ndarray) -> np.ndarray:
+    """Positions (k x 2 x 1) of a first-order state (k x d) in the first of its planes, each component in its extent."""
+    across, up = model.planes[0]
+    shown = states[:, [up, across]] * [-1.0, 1.0]
+    return np.asarray((shown / np.maximum(np.ptp(shown, axis=0), 1e-300))[:, :, None])
 
 
 def simulation_clip(

@@ -16,7 +16,7 @@ from orbitfinder.errors import OrbitfinderError, plural
 from orbitfinder.families.members import STEADY
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.mechanics.model import positions
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Certificate, Orbit
 from orbitfinder.show.svg import diagram, moving_mechanism, moving_portrait, unit_circle
@@ -62,38 +62,35 @@ def orbit_html(orbit: Orbit) -> str:
         verdict = f"as its file has it, not checked here: {verdict}"
     sizes = np.abs(orbit.floquet_multipliers)
     largest = f"{sizes.max():.6g}" if sizes.size else "none but the trivial ones"
+    energy = f"{orbit.energy:.12g} J" if np.isfinite(orbit.energy) else "none is conserved"
     rows = [
-        ("period", f"{orbit.period:.12g} s"), ("energy", f"{orbit.energy:.12g} J"),
+        ("period", f"{orbit.period:.12g} s"), ("energy", energy),
         ("closure", f"{orbit.closure:.1e}"), ("stability", orbit.stability), ("symmetry", orbit.symmetry),
         ("largest multiplier", largest), ("certificate", verdict),
     ]  # fmt: skip
     circle = unit_circle(orbit.floquet_multipliers, "Floquet multipliers and the unit circle")
     drawable = len(orbit.samples) > 1 or sizes.max(initial=0.0) < STEADY
-    pictures = motions(orbit.system, orbit.state, orbit.period, orbit.samples) if drawable else ""
+    pictures = "".join(motions(orbit)) if drawable else ""
     body = f'<div style="{ROW}">{pictures}{circle}{table(rows)}</div>'
     return f"<div>{heading(orbit.title or orbit.name, orbit.source)}{body}</div>"
 
 
-def motions(system: Any, state: np.ndarray, period: float, samples: np.ndarray | None = None) -> str:
-    """Mechanism and phase portrait of one period; nothing for a system that no file describes."""
+def motions(orbit: Orbit) -> list[str]:
+    """Mechanism (where one is declared) and phase portrait of a period; nothing for a system that no file describes."""
     try:
-        model = build_model(system)
-        states = samples if samples is not None and len(samples) > 1 else sampled(model, state, period)
+        model = build_model(orbit.system)
+        recorded, states = len(orbit.samples) > 1, orbit.samples
+        states = states if recorded else sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
     except OrbitfinderError:
-        return ""
-    n = model.degrees_of_freedom
-    largest = int(np.argmax(np.ptp(states[:, :n], axis=0)))
-    name = model.state_names[largest]
-    parts = []
+        return []
+    moved, period = np.ptp(states, axis=0), orbit.period
+    across, up = max(model.planes, key=lambda pair: moved[pair[0]])
+    name = model.state_names[across]
+    against = f"rate of {name}" if model.rates is None else model.state_names[up]
+    parts = [moving_portrait(states[:, across], states[:, up], period, f"{against} against {name}")]
     if model.points is not None:
-        parts.append(moving_mechanism(positions(model, states), period, f"the mechanism over {period:.4g} s"))
-    parts.append(moving_portrait(states[:, largest], states[:, n + largest], period, f"rate of {name} against {name}"))
-    return "".join(parts)
-
-
-def sampled(model: Model, state: np.ndarray, period: float) -> np.ndarray:
-    """States (k x 2n) at equal times over one period, by CVODES."""
-    return sample(build_flow(model), state, period, SAMPLES)
+        parts.insert(0, moving_mechanism(positions(model, states), period, f"the mechanism over {period:.4g} s"))
+    return parts
 
 
 def verdict_of(certificate: Certificate) -> str:
@@ -123,22 +120,18 @@ def family_html(family: Family) -> str:
     rows = [("orbits", str(len(family.points))), ("parameter", family.parameter), ("events", events), *ends]
     steady = [point for point in family.points if point.scale < STEADY]
     places = sorted({0, len(steady) // 2, len(steady) - 1}) if steady else []
-    shown = "".join(_member(family, steady[place]) for place in places)
+    shown = "".join(_member(steady[place]) for place in places)
     body = f'<div style="{ROW}">{diagram(family)}{table(rows)}</div><div style="{ROW}">{shown}</div>'
     return f"<div>{heading(f'Family {family.name}')}{body}</div>"
 
 
-def _member(family: Family, point: FamilyPoint) -> str:
-    try:
-        model = build_model(family.system)
-        states = sampled(model, point.state, point.period)
-    except OrbitfinderError:
+def _member(point: FamilyPoint) -> str:
+    """The mechanism of one orbit of a family; nothing where none is declared."""
+    pictures = motions(point)
+    if len(pictures) < 2:
         return ""
-    if model.points is None:
-        return ""
-    picture = moving_mechanism(positions(model, states), point.period, f"orbit {point.index} of the family")
     text = f"E = {point.energy:.6g} J, T = {point.period:.5g} s, {point.stability}"
-    return f"<div>{picture}<br>{escape(text)}</div>"
+    return f"<div>{pictures[0]}<br>{escape(text)}</div>"
 
 
 def atlas_html(atlas: Atlas) -> str:
@@ -149,7 +142,7 @@ def atlas_html(atlas: Atlas) -> str:
         for row in rows[:ROWS]
     ]
     steady = [atlas.orbit(row.id) for row in [row for row in rows if row.instability < STEADY][:3]]
-    moving = "".join(motions(atlas.system, one.state, one.period) for one in steady)
+    moving = "".join(picture for one in steady for picture in motions(one))
     head = ("id", "energy (J)", "period (s)", "symmetry", "stability", "largest multiplier")
     more = f"the first {ROWS} by energy and period" if len(rows) > ROWS else ""
     title = heading(f"Atlas {atlas.path.name}: {plural(len(rows), 'orbit')}", more)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,10 @@ from matplotlib.lines import Line2D
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError, plural
-from orbitfinder.families.members import Motion, motions, whole
+from orbitfinder.families.members import Motion, amplitudes, motions, whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies, positions
-from orbitfinder.records.family import Family
+from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.style import dress, line_style, new_figure, plane, save_png, sweep, trail
 from orbitfinder.show.svg import COLOURS, runs
@@ -31,9 +32,10 @@ MOST_IN_LEGEND = 12
 
 
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
-    """Write the four figures of an orbit, or those of a family, as PNG files; returns their paths.
+    """Write the four figures of an orbit (no energy or links where it has none), or those of a family, as PNG files.
 
-    `model` is needed only for systems that no file describes. An orbit without samples is integrated again.
+    Returns their paths. `model` is needed only for systems that no file describes. An orbit without samples is
+    integrated again.
     """
     model = model or build_model(orbit.system)
     if isinstance(orbit, Family):
@@ -42,8 +44,9 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
     figures = {
         "time_histories": time_histories(orbit, model),
         "phase_portraits": phase_portraits(orbit, model),
-        "energy_error": energy_error(orbit, model),
     }
+    if np.isfinite(orbit.energy):
+        figures["energy_error"] = energy_error(orbit, model)
     if model.points is not None:
         figures["swept_configuration"] = swept_configuration(orbit, model)
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
@@ -61,8 +64,10 @@ def label(name: str) -> str:
 
 
 def units(model: Model) -> list[str]:
-    """Unit of each coordinate: rad for angles, m otherwise."""
+    """Unit of each coordinate: rad for angles, m otherwise; none is known of a first-order system's components."""
     n = model.degrees_of_freedom
+    if model.rates is not None:
+        return ["rad" if angle else "" for angle in model.angular]
     angles = model.angles or (True,) * n
     return ["rad" if angle else "m" for angle in angles]
 
@@ -74,26 +79,50 @@ def _samples(orbit: Orbit) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _unit(model: Model, suffix: str = "") -> str:
-    return " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(units(model)))
+    known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(units(model)) if unit)
+    return f" ({known})" if known else ""
+
+
+def axis(model: Model, i: int) -> str:
+    """A component's name for an axis, with its unit where that is known."""
+    n = model.degrees_of_freedom
+    name, unit = label(model.state_names[i % n]), units(model)[i % n]
+    if i >= n:
+        return f"rate of {name} ({unit}/s)"
+    return f"{name} ({unit})" if unit else name
 
 
 def time_histories(orbit: Orbit, model: Model) -> Figure:
-    """Coordinates and velocities over one period."""
+    """Coordinates and velocities over one period; of a first-order system each component on its own scale."""
     times, states = _samples(orbit)
     n = model.degrees_of_freedom
     figure = new_figure(8.0, 6.0, *heading(orbit, "time histories"))
+    if model.rates is not None:
+        return _components(figure, orbit, model)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for i in range(n):
         style = line_style(i, n)
         upper.plot(times, states[:, i], label=label(model.state_names[i]), **style)
         lower.plot(times, states[:, n + i], **style)
-    dress(upper, "", f"coordinates ({_unit(model)})")
-    dress(lower, "time (s)", f"velocities ({_unit(model, '/s')})")
+    dress(upper, "", f"coordinates{_unit(model)}")
+    dress(lower, "time (s)", f"velocities{_unit(model, '/s')}")
     lower.set_xlim(0.0, orbit.period)
     if n <= MOST_IN_LEGEND:
         figure.legend(*upper.get_legend_handles_labels(), loc="outside right center", frameon=False)
     else:
         _colour_bar(figure, [upper, lower], n)
+    return figure
+
+
+def _components(figure: Figure, orbit: Orbit, model: Model) -> Figure:
+    """Components of a state over one period below each other (at most 12, evenly chosen)."""
+    n = model.degrees_of_freedom
+    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PORTRAITS)).round().astype(int))
+    panels = np.atleast_1d(figure.subplots(chosen.size, 1, sharex=True))
+    for axes, i in zip(panels, chosen, strict=True):
+        axes.plot(orbit.times, orbit.samples[:, i], color=COLOURS[0], linewidth=1.3)
+        dress(axes, "time (s)" if axes is panels[-1] else "", axis(model, int(i)))
+    panels[-1].set_xlim(0.0, orbit.period)
     return figure
 
 
@@ -107,19 +136,18 @@ def _colour_bar(figure: Figure, axes: Any, count: int) -> None:
 
 
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
-    """Velocity against coordinate, one panel each (at most 12, evenly chosen)."""
+    """Velocity against coordinate, one panel each (at most 12, evenly chosen); see `Model.planes`."""
     _, states = _samples(orbit)
-    n = model.degrees_of_freedom
-    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PORTRAITS)).round().astype(int))
+    planes = model.planes
+    chosen = np.unique(np.linspace(0, len(planes) - 1, min(len(planes), MOST_PORTRAITS)).round().astype(int))
     columns = min(chosen.size, 3 if chosen.size != 4 else 2)
     rows = -(-chosen.size // columns)
     figure = new_figure(max(3.2 * columns, 5.0), max(2.9 * rows, 3.6) + 0.5, *heading(orbit, "phase portraits"))
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, i in zip(grid, chosen, strict=False):
-        axes.plot(states[:, i], states[:, n + i], color=COLOURS[0], linewidth=1.3)
-        axes.plot(states[0, i], states[0, n + i], "o", color=COLOURS[1], markersize=5, label="t = 0")
-        name, unit = label(model.state_names[i]), units(model)[i]
-        dress(axes, f"{name} ({unit})", f"rate of {name} ({unit}/s)")
+    for axes, (i, j) in zip(grid, [planes[k] for k in chosen], strict=False):
+        axes.plot(states[:, i], states[:, j], color=COLOURS[0], linewidth=1.3)
+        axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
+        dress(axes, axis(model, i), axis(model, j))
         axes.locator_params(axis="x", nbins=4)
         axes.margins(0.08)
     for axes in grid[chosen.size :]:
@@ -152,15 +180,16 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
     kinetic, potential = energies(model, states)
     total = kinetic + potential
     figure = new_figure(8.0, 5.6, *heading(orbit, "energy"))
-    upper, lower = figure.subplots(2, 1, sharex=True)
-    upper.plot(times, kinetic, label="kinetic", **line_style(0, 3))
-    upper.plot(times, potential - potential.min(), label="potential above its least", **line_style(1, 3))
-    dress(upper, "", "energy (J)")
+    upper, lower = (None, figure.subplots()) if model.rates is not None else figure.subplots(2, 1, sharex=True)
+    if upper is not None:  # a first-order system's energy is one expression
+        upper.plot(times, kinetic, label="kinetic", **line_style(0, 3))
+        upper.plot(times, potential - potential.min(), label="potential above its least", **line_style(1, 3))
+        dress(upper, "", "energy (J)")
+        upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
     lower.plot(times, total - total[0], color=COLOURS[2], linewidth=1.1)
     lower.axhline(0.0, color="0.5", linewidth=0.7)
     dress(lower, "time (s)", "E(t) \N{MINUS SIGN} E(0) (J)")
     lower.set_xlim(0.0, orbit.period)
-    upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
     return figure
 
 
@@ -174,8 +203,13 @@ SIZES = {"resonance": 3.0, "stability_change": 9.0}
 
 
 def save_family_figures(family: Family, folder: str | Path, model: Model) -> list[Path]:
-    """Write the figures of a family as PNG files; returns their paths."""
-    figures = {"frequency_energy": frequency_energy([family])}
+    """Write the figures of a family as PNG files; returns their paths.
+
+    A forced family has its response in place of frequency and energy, another that dissipates both.
+    """
+    figures = {} if model.forced else {"frequency_energy": frequency_energy([family])}
+    if not model.conservative:
+        figures["response"] = response([family], model)
     if any(point.floquet_multipliers.size for point in family.points):
         figures |= {"multipliers_plane": multipliers_plane(family), "multipliers": multipliers_along(family)}
     if len(family.points) > 1:
@@ -228,31 +262,76 @@ def frequency_energy(
     freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
     figure = new_figure(8.0, 5.6, title or f"{names}: frequency and {freed or 'energy'}")
     axes = figure.subplots()
-    shown: dict[str, Any] = {}
-    for k, family in enumerate(families):
-        colour = COLOURS[k % len(COLOURS)]
-        for stable, run in runs(family.points):
-            across = [point.value if freed else point.energy for point in run]
-            up = [1.0 / point.period for point in run]
-            axes.plot(across, up, "-" if stable else "--", color=colour, linewidth=1.8 if stable else 1.1)
-        for event in family.events:
-            face = "white" if event.kind in ("branch_point", "stability_change") else colour
-            size = SIZES.get(event.kind, 5.5)
-            style = {"marker": MARKERS[event.kind], "markersize": size, "markerfacecolor": face, "linestyle": "none"}
-            style["zorder"] = 4.0 - size / 10  # what has the same place as another event stays in sight
-            (line,) = axes.plot(event.parameter if freed else event.energy, 1.0 / event.period, color=colour, **style)
-            shown.setdefault(event.kind.replace("_", " "), line)
-    if len(families) > 1:
-        names_shown = [Line2D([], [], color=COLOURS[k % len(COLOURS)]) for k in range(len(families))]
-        axes.legend(names_shown, [family.name for family in families], loc="upper right", frameon=False)
+
+    def place(one: FamilyPoint | Event) -> tuple[float, float]:
+        value = one.value if isinstance(one, FamilyPoint) else one.parameter
+        return (value if freed else one.energy), 1.0 / one.period
+
+    _curves(figure, axes, families, [[*map(place, each.points), *map(place, each.events)] for each in families])
     for name, (energy, period) in (marks or {}).items():
         axes.plot(energy, 1.0 / period, "*", color="black", markersize=10)
         offset = {"xytext": (6, 8), "textcoords": "offset points"}
         axes.annotate(name, (energy, 1.0 / period), fontsize=9, parse_math=False, **offset)
     dress(axes, axis_name(families[0]) if freed else "energy (J)", "frequency (1/s)")
+    return figure
+
+
+def response(families: Sequence[Family], model: Model, coordinate: str | None = None) -> Figure:
+    """Amplitude against the parameter, as a resonance curve is drawn: solid where stable, dashed where not.
+
+    The amplitude is half the range of a `coordinate` over a period, by default of the one that moves most. Families of
+    one `model` and one parameter are drawn together. Raises `InputError`.
+    """
+    sizes = [amplitudes(family, model) for family in families]
+    names = model.state_names[: model.degrees_of_freedom]
+    if coordinate is not None and coordinate not in names:
+        raise InputError(f"coordinate: unknown {coordinate!r}; this system has {', '.join(names)}")
+    most = int(np.max([size.max(axis=0) for size in sizes], axis=0).argmax())
+    which = most if coordinate is None else names.index(coordinate)
+    first = families[0]
+    figure = new_figure(8.0, 5.6, f"{', '.join(one.name for one in families)}: response to {first.parameter}")
+    axes = figure.subplots()
+    places = []
+    for family, size in zip(families, sizes, strict=True):
+        values = [*family.values("value"), *(event.parameter for event in family.events)]
+        places.append(list(zip(values, size[:, which].tolist(), strict=True)))
+    _curves(figure, axes, families, places)
+    dress(axes, axis_name(first), f"amplitude of {label(names[which])} ({units(model)[which]})")
+    return figure
+
+
+def _curves(
+    figure: Figure, axes: Any, families: Sequence[Family], places: Sequence[Sequence[tuple[float, float]]]
+) -> None:
+    """Each family as a curve through the places of its points, solid where stable, and a mark at those of its events.
+
+    One place each, the points' first.
+    """
+    shown: dict[str, Any] = {}
+    for k, (family, found) in enumerate(zip(families, places, strict=True)):
+        colour, at = COLOURS[k % len(COLOURS)], dict(zip(map(id, (*family.points, *family.events)), found, strict=True))
+        changes = [event for event in family.events if event.kind == "stability_change"]
+        stretches = runs(family.points)
+        paths = [[at[id(point)] for point in run] for _, run in stretches]
+        for (one, other), (_, (last, first, *_)) in zip(pairwise(paths), stretches[1:], strict=True):
+            for event in (event for event in changes if last.arclength <= event.arclength <= first.arclength):
+                one.append(at[id(event)])
+                other[0] = at[id(event)]
+        for (stable, _), path in zip(stretches, paths, strict=True):
+            style = {"linestyle": "-" if stable else "--", "linewidth": 1.8 if stable else 1.1}
+            axes.plot(*zip(*path, strict=True), color=colour, **style)
+        for event in family.events:
+            face = "white" if event.kind in ("branch_point", "stability_change") else colour
+            size = SIZES.get(event.kind, 5.5)
+            style = {"marker": MARKERS[event.kind], "markersize": size, "markerfacecolor": face, "linestyle": "none"}
+            style["zorder"] = 4.0 - size / 10  # what has the same place as another event stays in sight
+            (line,) = axes.plot(*at[id(event)], color=colour, **style)
+            shown.setdefault(event.kind.replace("_", " "), line)
+    if len(families) > 1:
+        names = [Line2D([], [], color=COLOURS[k % len(COLOURS)]) for k in range(len(families))]
+        axes.legend(names, [family.name for family in families], loc="best", frameon=False)
     if shown:
         figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
-    return figure
 
 
 def multipliers_plane(family: Family) -> Figure:
@@ -274,12 +353,17 @@ def multipliers_plane(family: Family) -> Figure:
 
 def multipliers_along(family: Family) -> Figure:
     """|mu| (logarithmic) and the stability indices along the family, each index as one curve."""
-    figure = new_figure(8.0, 6.4, f"{family.name}: stability along the family")
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    indices = np.stack([point.indices for point in family.points])
+    paired = indices.shape[1] > 0
+    figure = new_figure(8.0, 6.4 if paired else 4.4, f"{family.name}: stability along the family")
+    upper, lower = figure.subplots(2, 1, sharex=True) if paired else (figure.subplots(), None)
     values = family.values("value")
     sizes = np.abs(np.stack([point.floquet_multipliers for point in family.points]))
     upper.semilogy(values, np.maximum(sizes, 1e-300), ".", color=COLOURS[0], markersize=3)
-    indices = np.stack([point.indices for point in family.points])
+    if lower is None:
+        upper.axhline(1.0, color="0.5", linewidth=0.7)
+        dress(upper, axis_name(family), "|multiplier|")
+        return figure
     for k in range(indices.shape[1]):
         lower.plot(values, indices[:, k].real, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
     for level in (-2.0, 2.0):
@@ -295,8 +379,12 @@ def multipliers_along(family: Family) -> Figure:
 
 
 def axis_name(family: Family) -> str:
-    """The parameter with its unit, where that is known."""
-    return f"{family.parameter} ({family.unit})" if family.unit else family.parameter
+    """The parameter with its unit, where that is known: of a forcing's frequency it follows from the period."""
+    turns = family.values("value") * family.values("period") / family.curve.get("cycles", np.inf)
+    frequencies = ((2 * np.pi, "rad/s"), (1.0, "1/s"))
+    driven = next((unit for turn, unit in frequencies if np.allclose(turns, turn, rtol=1e-9, atol=0.0)), "")
+    unit = family.unit or driven
+    return f"{family.parameter} ({unit})" if unit else family.parameter
 
 
 KINDS = {"elliptic": (COLOURS[2], "o", "elliptic"), "marginal": (COLOURS[4], "s", "marginal"),

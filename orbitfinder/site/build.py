@@ -13,10 +13,18 @@ from orbitfinder._runtime import __version__
 from orbitfinder._runtime.caches import Kept
 from orbitfinder.errors import plural
 from orbitfinder.records.family import Family
-from orbitfinder.site.explorers import atlas_data, atlas_values, choices, family_data, family_values
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
 from orbitfinder.site.motion import Simulator, packed
-from orbitfinder.site.orbits import Entry, orbit_data, orbit_values
+from orbitfinder.site.pages import (
+    Entry,
+    atlas_data,
+    atlas_values,
+    choices,
+    family_data,
+    family_values,
+    orbit_data,
+    orbit_values,
+)
 from orbitfinder.site.text import ASSETS, mechanism, number, rendered, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, mark
 

@@ -1,0 +1,280 @@
+"""First-order systems x' = f(t, x, p) and Hamilton's equations, from Python functions of CasADi symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime.arguments import checked
+from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.model import Invariant, Model
+
+Field = Callable[[Any, "Named", "Named"], Any]
+"""(t, x, p) -> x'"""
+Scalar = Callable[["Named", "Named"], Any]
+"""(x, p) -> a number"""
+TAKEN = ("energy", "period")
+
+
+class Named(tuple[Any, ...]):
+    """Symbols in order, which are found by their names too: x[0], x["V"], x.V, and V, m = x."""
+
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, names: Sequence[str], column: Any) -> Named:
+        """The entries of a column of symbols under these names."""
+        made = cls(column[i] for i in range(len(names)))
+        made.names = tuple(names)
+        return made
+
+    def __getitem__(self, key: Any) -> Any:
+        """An entry by its number or its name."""
+        return super().__getitem__(self._place(key) if isinstance(key, str) else key)
+
+    def __getattr__(self, name: str) -> Any:
+        """An entry by its name."""
+        if name.startswith("__") or name == "names":
+            raise AttributeError(name)
+        return self[name]
+
+    def _place(self, name: str) -> int:
+        if name not in self.names:
+            known = ", ".join(self.names) or "none"
+            raise InputError(f"field: unknown name {name!r}{closest(name, self.names)}; known are {known}")
+        return self.names.index(name)
+
+
+@checked
+def ode(
+    field: Field,
+    states: Sequence[str],
+    parameters: Mapping[str, float] | None = None,
+    *,
+    invariants: Mapping[str, Scalar] | Sequence[Invariant] = (),
+    angles: Sequence[str] = (),
+    forcing_period: Callable[[Named], Any] | float | None = None,
+    symmetries: Mapping[str, tuple[int, Mapping[str, int]]] | None = None,
+    system: Mapping[str, Any] | None = None,
+) -> Model:
+    """The Model of a first-order system x' = f(t, x, p).
+
+    `field(t, x, p)` makes the components of x' (an expression each) of CasADi symbols: x and p have the names of
+    `states` and of `parameters` (with their values): `x.V`, `x[0]`, `p.sigma`. `invariants` are first integrals
+    {name: I(x, p)}, each checked by `find_orbit`; an orbit is unfolded by x' = f + s grad I, and the first of them is
+    the energy that files and atlases speak of. `angles` are the components that may turn; `forcing_period(p)`, or a
+    number, is the period of an explicit dependence on time; `symmetries` {name: (sense of time, {component: -1})}.
+    Raises `InputError`.
+    """
+    values = _parameters(parameters)
+    symbols = _Symbols(states, values)
+    rate = ca.vertcat(*_components(field, symbols))
+    _check_rates(rate, symbols, forcing_period)
+    found = invariants
+    if isinstance(found, Mapping):
+        found = [symbols.invariant(name, _expression(name, one, symbols)) for name, one in found.items()]
+    return _model(rate, symbols, found, angles, forcing_period, symmetries, system)
+
+
+@checked
+def hamiltonian(
+    energy: Callable[..., Any],
+    coordinates: Sequence[str],
+    momenta: Sequence[str],
+    parameters: Mapping[str, float] | None = None,
+    *,
+    invariants: Mapping[str, Scalar] | None = None,
+    angles: Sequence[str] = (),
+    forcing_period: Callable[[Named], Any] | float | None = None,
+    symmetries: Mapping[str, tuple[int, Mapping[str, int]]] | None = None,
+    system: Mapping[str, Any] | None = None,
+) -> Model:
+    """The Model of Hamilton's equations q' = dH/dp, p' = -dH/dq, with the state x = (q, p).
+
+    `energy(x, c)` is H of the coordinates and momenta, x, and the `parameters`, c, both by name; of a forced system
+    (`forcing_period`) `energy(t, x, c)`. H is an invariant, as are `invariants` {name: I(x, c)} that commute with it:
+    each is unfolded by grad I and belongs to the symmetry J grad I.
+    Source: V. I. Arnold, Mathematical Methods of Classical Mechanics, section 38. Raises `InputError`.
+    """
+    if len(coordinates) != len(momenta) or not coordinates:
+        raise InputError(f"momenta: {len(momenta)} names for {len(coordinates)} coordinates; give one each")
+    symbols = _Symbols([*coordinates, *momenta], _parameters(parameters))
+    given = (symbols.x, symbols.p) if forcing_period is None else (symbols.t, symbols.x, symbols.p)
+    level = _scalar("energy", energy(*given))
+    rate = symbols.turned(level)
+    _check_rates(rate, symbols, forcing_period)
+    found = [] if forcing_period is not None else [symbols.invariant("energy", level)]
+    for name, one in (invariants or {}).items():
+        expression = _expression(name, one, symbols)
+        _check_commutes(name, expression, rate, symbols)
+        found.append(symbols.invariant(name, expression, symbols.turned(expression)))
+    return _model(rate, symbols, found, angles, forcing_period, symmetries, system, level)
+
+
+class _Symbols:
+    """The symbols t, x (d), p (k) that a system is written in, and an empty v."""
+
+    def __init__(self, states: Sequence[str], values: Mapping[str, float]) -> None:
+        self.names, self.values = tuple(states), dict(values)
+        if not self.names or isinstance(states, str):
+            raise InputError("states: give the names of the components, such as ('x', 'y', 'z')")
+        everything = [*self.names, *self.values, *TAKEN]
+        twice = sorted({name for name in everything if everything.count(name) > 1})
+        if twice:
+            listed = ", ".join(map(repr, twice))
+            raise InputError(f"states, parameters: {listed} would name two things (energy and period are taken)")
+        self.t, self.column, self.v = ca.SX.sym("t"), ca.SX.sym("x", len(self.names)), ca.SX.sym("v", 0)
+        self.numbers = ca.SX.sym("p", len(self.values))
+        self.x, self.p = Named.of(self.names, self.column), Named.of(tuple(self.values), self.numbers)
+
+    def turned(self, expression: ca.SX) -> ca.SX:
+        """J grad of an expression in (q, p): the motion that it generates."""
+        slope, half = ca.gradient(expression, self.column), len(self.names) // 2
+        return ca.densify(ca.vertcat(slope[half:], -slope[:half]))
+
+    def function(self, name: str, expression: ca.SX, *, timed: bool = False) -> ca.Function:
+        """(q, v, p) -> an expression, or (t, q, v, p) -> it."""
+        inputs = [self.column, self.v, self.numbers]
+        return ca.Function(name, [self.t, *inputs] if timed else inputs, [expression])
+
+    def invariant(self, name: str, expression: ca.SX, generator: ca.SX | None = None) -> Invariant:
+        """A first integral, unfolded by its gradient."""
+        slope = ca.densify(ca.gradient(expression, self.column))
+        return Invariant(
+            name,
+            self.function("value", expression),
+            self.function("unfolding", slope),
+            None if generator is None else self.function("generator", generator),
+        )
+
+    def foreign(self, expression: ca.SX) -> str:
+        """Names of what an expression depends on beside t, x and p, joined."""
+        known = ca.vertcat(self.t, self.column, self.numbers)
+        return ", ".join(str(one) for one in ca.symvar(expression) if not ca.depends_on(known, one))
+
+    def signs(self, moved: Mapping[str, int]) -> tuple[int, ...]:
+        """One sign for each component, -1 for those in `moved`."""
+        for name, sign in moved.items():
+            if name not in self.names or sign not in (1, -1):
+                raise InputError(
+                    f"symmetries: {name!r}: {sign!r}{closest(name, self.names)}; give components ("
+                    f"{', '.join(self.names)}) and 1 or -1"
+                )
+        return tuple(int(moved.get(name, 1)) for name in self.names)
+
+
+def _model(
+    rate: ca.SX,
+    symbols: _Symbols,
+    invariants: Iterable[Invariant],
+    angles: Sequence[str],
+    forcing_period: Any,
+    symmetries: Mapping[str, tuple[int, Mapping[str, int]]] | None,
+    system: Mapping[str, Any] | None,
+    level: ca.SX | None = None,
+) -> Model:
+    """The Model of checked rates; `level` is the Hamiltonian that they come from, if they do."""
+    if strange := [name for name in angles if name not in symbols.names]:
+        raise InputError(f"angles: {strange[0]!r} is no component{closest(strange[0], symbols.names)}")
+    invariants = tuple(invariants)
+    first = next((one for one in invariants if one.generator is None), None)
+    energy = ca.SX(np.nan) if first is None else first.value(symbols.column, symbols.v, symbols.numbers)
+    if level is not None:
+        energy = ca.substitute(level, symbols.t, ca.SX(0))
+    clock = None if forcing_period is None else _clock(forcing_period, symbols)
+    return Model(
+        system=dict(system or {"kind": "custom"}),
+        state_names=symbols.names,
+        parameter_names=tuple(symbols.values),
+        parameter_values=np.array(list(symbols.values.values()), float),
+        acceleration=symbols.function("acceleration", ca.SX(0, 1), timed=True),
+        kinetic=symbols.function("kinetic", ca.SX(0)),
+        potential=ca.Function("potential", [symbols.column, symbols.numbers], [energy]),
+        invariants=invariants,
+        angles=tuple(name in angles for name in symbols.names),
+        forcing_period=clock,
+        symmetries=tuple(
+            (name, _sense(name, sense), symbols.signs(moved)) for name, (sense, moved) in (symmetries or {}).items()
+        ),
+        rates=ca.Function("rates", [symbols.t, symbols.column, symbols.numbers], [ca.densify(rate)]),
+        hamiltonian=level is not None,
+    )
+
+
+def _parameters(given: Mapping[str, float] | None) -> dict[str, float]:
+    for name, value in (given or {}).items():
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+            raise InputError(f"parameters.{name}: must be a finite number, got {value!r}; check the value")
+    return {name: float(value) for name, value in (given or {}).items()}
+
+
+def _sense(name: str, sense: int) -> int:
+    if sense not in (1, -1):
+        raise InputError(f"symmetries: {name!r} has the sense of time {sense!r}; give 1, or -1 for time run backwards")
+    return sense
+
+
+def _components(field: Field, symbols: _Symbols) -> list[ca.SX]:
+    """x' as expressions, one for each component. Raises `InputError`."""
+    found = field(symbols.t, symbols.x, symbols.p)
+    parts = ca.vertsplit(ca.vec(found)) if isinstance(found, ca.SX) else list(found)
+    if len(parts) != len(symbols.names):
+        raise InputError(f"field: {len(parts)} rates for {len(symbols.names)} states; give one each, in their order")
+    return [_scalar(f"field: {name}", one) for name, one in zip(symbols.names, parts, strict=True)]
+
+
+def _scalar(name: str, found: Any) -> ca.SX:
+    try:
+        expression = ca.SX(found)
+    except (NotImplementedError, TypeError) as error:
+        raise InputError(f"{name}: expected an expression of CasADi symbols, got {type(found).__name__}") from error
+    if expression.numel() != 1:
+        raise InputError(f"{name}: expected one number, got shape {expression.shape}")
+    return expression
+
+
+def _expression(name: str, one: Scalar, symbols: _Symbols) -> ca.SX:
+    """An invariant's expression. Raises `InputError`."""
+    if name in (*symbols.names, *symbols.values, "period"):
+        raise InputError(f"invariants: {name!r} names something else too; give another name")
+    found = _scalar(f"invariants: {name}", one(symbols.x, symbols.p))
+    if stray := symbols.foreign(found):
+        raise InputError(f"invariants: {name} depends on {stray}; it may depend on x and p only")
+    return found
+
+
+def _check_rates(rate: ca.SX, symbols: _Symbols, forcing_period: Any) -> None:
+    if stray := symbols.foreign(rate):
+        raise InputError(f"field: depends on {stray}; it may depend on t, x and p only")
+    if forcing_period is None and ca.depends_on(rate, symbols.t):
+        raise InputError("field: depends on time; give the period of that, forcing_period=")
+
+
+def _check_commutes(name: str, expression: ca.SX, rate: ca.SX, symbols: _Symbols) -> None:
+    """`InputError` unless dI/dt = 0 at seeded states, to round-off."""
+    slope = ca.gradient(expression, symbols.column)
+    change = ca.Function("change", [symbols.t, symbols.column, symbols.numbers], [ca.dot(slope, rate),
+                         ca.dot(ca.fabs(slope), ca.fabs(rate))])  # fmt: skip
+    random, values = np.random.default_rng(0), np.array(list(symbols.values.values()), float)
+    for _ in range(4):
+        found, size = map(float, change(random.uniform(), random.normal(size=len(symbols.names)), values))
+        if np.isfinite(found) and abs(found) > COMMUTES * size:
+            raise InputError(
+                f"invariants: {name!r} is not conserved, it changes at the rate {found:.3g} of terms as large as "
+                f"{size:.3g}; leave it out"
+            )
+
+
+COMMUTES = 1e-9
+"""Rate of an invariant relative to the terms that it is the sum of."""
+
+
+def _clock(given: Any, symbols: _Symbols) -> ca.Function:
+    """p -> the period of the forcing."""
+    found = _scalar("forcing_period", given(symbols.p) if callable(given) else given)
+    if ca.depends_on(found, ca.vertcat(symbols.t, symbols.column)) or symbols.foreign(found):
+        raise InputError("forcing_period: may depend on the parameters only")
+    return ca.Function("forcing_period", [symbols.numbers], [found])
