@@ -228,7 +228,7 @@ class FindTable(Table):
     symmetry: Annotated[str, AfterValidator(_known_symmetry)] = Field(
         "none",
         description="symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits "
-        "included), brake+reflection, or one that a Python system declares (mirror of restricted_three_body)",
+        "included), brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body)",
     )
     winding: list[int] | None = Field(
         None, description="whole turns of each coordinate in one period, one whole number per coordinate"
