@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -15,8 +16,12 @@ from orbitfinder.errors import ConvergenceError, CountError, InputError
 from orbitfinder.loops.symmetry import NONE, Symmetry, beside, named, related, shifts_of
 from orbitfinder.mechanics.chain import chain_dae
 from orbitfinder.orbits.reduction import held, reduction, steady
+from orbitfinder.problemfile.write import orbit_text
+from orbitfinder.proof.formulation import approach
+from orbitfinder.records.orbit import orbit_to_document
 
 GRAVITY = 9.8
+PROBLEMS = Path(__file__).parents[1] / "problems" / "gallery"
 
 
 def gauss(values) -> float:
@@ -390,3 +395,28 @@ def test_a_turning_eight_in_cartesian_coordinates(eight):
     turn = np.array([[np.cos(by), -np.sin(by)], [np.sin(by), np.cos(by)]])
     np.testing.assert_allclose(there[:6].reshape(3, 2), places @ turn.T, atol=1e-11)
     np.testing.assert_allclose(there[6:].reshape(3, 2), rates @ turn.T, atol=1e-11)
+
+
+def test_a_problem_file_is_written_from_a_relative_orbit(orbit, tmp_path):
+    """What `page` and others offer for download finds the same orbit again."""
+    text = orbit_text(orbit_to_document(orbit))
+    (tmp_path / "again.toml").write_text(text)
+    problem = of.load_problem(tmp_path / "again.toml")
+    assert problem.relative == ("phi",) and problem.count().freedom == 0
+    assert of.find_orbit(problem).period == pytest.approx(orbit.period, rel=1e-12)
+
+
+def test_a_shift_that_is_expected(tmp_path):
+    """[expected] names a shift: a wrong number fails the certificate, one that nothing shifts by is refused."""
+    text = (PROBLEMS / "spherical-pendulum.toml").read_text()
+    path = tmp_path / "wrong.toml"
+    path.write_text(text.replace("4.08286507758991", "4.08286507758"))
+    assert of.find_orbit(of.load_problem(path)).certificate.failures == ("expected_shift_phi",)
+    path.write_text(text.replace("shift = { phi", "shift = { theta"))
+    with pytest.raises(InputError, match=r"expected.shift: 'theta' is not in find.relative"):
+        of.load_problem(path)
+
+
+def test_a_relative_orbit_is_not_proved(orbit):
+    with pytest.raises(InputError, match=r"shift: phi is found with the orbit"):
+        approach(of.systems.spherical_pendulum(), orbit, NONE, None)
