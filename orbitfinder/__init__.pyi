@@ -40,6 +40,7 @@ from .orbits.certify import certify as certify
 from .orbits.find import find_orbit as find_orbit
 from .orbits.refine import Refiner as Refiner
 from .orbits.simulate import simulate as simulate
+from .orbits.sweep import sweep as sweep
 from .problemfile.read import load_problem as load_problem
 from .proof.theorem import prove as prove
 from .records.family import Family as Family

@@ -360,7 +360,8 @@ def test_json_has_null_for_what_is_no_number():
     assert found == {"a": [1.5, None, [None, "x"]], "b": {"c": None}, "d": None}
 
 
-COMPUTING = {"run", "verify", "simulate", "guess", "continue", "search", "prove", "refine", "reproduce", "doctor"}
+COMPUTING = {"run", "verify", "simulate", "guess", "sweep", "continue", "search", "prove", "refine", "reproduce",
+             "doctor"}  # fmt: skip
 
 
 def test_every_computing_command_answers_in_json_and_every_out_has_its_letter():

@@ -160,7 +160,7 @@ GOOD = [0.1, 0.1, 0.0, 0.0]
         (dict(tolerance=np.nan), "tolerance: must be positive and at most 1e-06, got nan"),
         (dict(free=("length7",)), "free: unknown physical parameter 'length7'; this system has length1"),
         (dict(pin=pin(thta1=0.1)), r"pin: unknown quantity 'thta1'.*theta1"),
-        (dict(pin=pin(length1=0.1)), "pin: unknown quantity 'length1'"),
+        (dict(pin=pin(length7=0.1)), "pin: unknown quantity 'length7', did you mean 'length"),
         (dict(pin=pin(energy=-19.6)), "pin: energy -19.6 J cannot be reached, the lowest energy .* is -19.6 J"),
         (dict(pin=pin(energy=-1e3)), "pin: energy -1000 J cannot be reached"),
     ],

@@ -25,14 +25,11 @@ from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Guess, Problem, segments_needed
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.orbits.certify import certified, return_distances
-from orbitfinder.orbits.floquet import analyse, reduce_monodromy
-from orbitfinder.orbits.measure import action, frame, full_period, recorded
+from orbitfinder.orbits.measure import action, marched, whole_period
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
 
 LARGEST_COVER = 30
 LARGEST_UNFOLDING = 1e-8
-SAMPLES = 256
-"""Steps over a period at least, for the loop, its action and its minimal period."""
 COVER = 1e-5
 """A return at T/k nearer than this, relative to the motion's extent, means that the loop was run k times."""
 PERIOD_MARGIN = 1.15
@@ -183,37 +180,17 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
     if np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
         raise ConvergenceError("unfolding does not vanish")
     found = replace(found, nodes=centred(context, problem, found.nodes))
-    nodes, times, states = whole_period(context, problem, found)
+    march = context.equations[NONE.name].march
+    nodes, times, states = whole_period(problem, context.flows[problem.symmetry], march, found)
     if np.ptp(states, axis=0).max() < SMALLEST:
         raise ConvergenceError("equilibrium")
     return ClosedLoop(problem, found, nodes, times, states, action(context.model, times, states))
 
 
-def whole_period(context: Context, problem: Problem, w: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes of one period from those of a part of it; equal times over it and the states there, to round-off."""
-    nodes = full_period(problem, context.flows[problem.symmetry], w.nodes, w.period)
-    march, steps = context.equations[NONE.name].march, max(w.steps, rounded(SAMPLES / len(nodes)))
-    tail = np.append(w.period, np.zeros(march.unfolding))
-    states = march.states(nodes, uniform(1.0, len(nodes), steps), tail)
-    states[::steps] = [*nodes, states[-1]]  # the node, not the end of the segment before it
-    shift = np.concatenate([2 * np.pi * problem.turns, np.zeros(problem.model.degrees_of_freedom)])
-    states[-1] = nodes[0] + shift
-    return nodes, np.linspace(0.0, w.period, len(states)), states
-
-
 def measured(context: Context, loop: ClosedLoop) -> Orbit:
-    """The Orbit of a loop, as `measure` makes it, by the compiled march."""
-    problem, march = loop.problem, context.equations[NONE.name].march
-    period, mesh = loop.w.period, loop.times / loop.times[-1]
-    tail, monodromy = np.append(period, np.zeros(march.unfolding)), np.eye(2 * context.model.degrees_of_freedom)
-    for matrix in march.varied(loop.nodes, mesh, tail).transitions:
-        monodromy = matrix @ monodromy
-    gradients, directions = frame(context.model, loop.nodes[0])
-    floquet = analyse(reduce_monodromy(monodromy, gradients, directions), conservative=True)
-    end = march.ends(loop.nodes[:1], mesh, tail)[0]
-    return recorded(
-        problem, period, end, loop.nodes, loop.times, loop.states, loop.w.unfolding, loop.action, floquet
-    )  # fmt: skip
+    """The Orbit of a loop, by the compiled march."""
+    march = context.equations[NONE.name].march
+    return marched(loop.problem, march, loop.w, (loop.nodes, loop.times, loop.states), loop.action)
 
 
 def centred(context: Context, problem: Problem, nodes: np.ndarray) -> np.ndarray:

@@ -17,8 +17,8 @@ from orbitfinder.atlas.signature import Signature, same_orbit, signature_of
 from orbitfinder.atlas.starts import Target, context_of
 from orbitfinder.errors import ConvergenceError, InputError, OrbitfinderError
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
-from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.orbits.find import find_orbit, without_choice
+from orbitfinder.loops.problem import Guess, Problem, without_choice
+from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.objectives import rank
 from orbitfinder.records.orbit import Orbit
 

@@ -29,12 +29,15 @@ from orbitfinder.cli.options import (
 )
 from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
+from orbitfinder.cli.sweep import sweep
 from orbitfinder.cli.verify import prove, refine, verify
 from orbitfinder.errors import InputError, OrbitfinderError
 
-LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0}
-"""s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46.
-The others go on for as long as they are let."""
+DAY = 86_400.0
+LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0, "sweep": 3600.0, "refine": 3600.0,
+          "prove": DAY, "continue": DAY}  # fmt: skip
+"""s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
+the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
 
 
 class Commands(click.Group):
@@ -45,7 +48,8 @@ class Commands(click.Group):
         for one in cmd.commands.values() if isinstance(cmd, click.Group) else [cmd]:
             options_named(one)
         if not isinstance(cmd, click.Group):
-            cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), "each search" if cmd.name == "run" else ""))
+            parts = {"run": "each search", "sweep": "the sweep"}
+            cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), parts.get(cmd.name or "", "")))
         super().add_command(cmd, name)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
@@ -112,7 +116,7 @@ def cli() -> None:
 
 
 for command in (
-    run, verify, simulate, init, guess, continue_, search, atlas, prove, refine, export, plot, animate, page, reproduce,
-    doctor, completion,
+    run, verify, simulate, init, guess, sweep, continue_, search, atlas, prove, refine, export, plot, animate, page,
+    reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

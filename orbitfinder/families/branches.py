@@ -36,6 +36,7 @@ from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, cor
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, momenta_of, named, turned
 from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.hybrid import SHARE, repeated
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
 
@@ -98,9 +99,13 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     model, symmetry = curve.equations.model, replace(symmetry, relative=curve.equations.symmetry.relative)
     free, held = unknown_parameters(model, settings, momenta_of(symmetry, model))
     place = _repeated(curve, event, symmetry, share)
-    equations = Equations(model, symmetry, free, action=True)
-    place = replace(place, unfolding=np.zeros(equations.march.unfolding))
-    there = replace(curve_at(equations, place, held, _turns(curve, event)), weights=curve.weights.copy())
+    equations = Equations(repeated(model, event.order), symmetry, free, action=True)
+    moving = curve.equations.links.repeated(event.tangent[curve.equations.size + 1 :], event.order, 0.0)
+    again = curve.equations.links.repeated(place.free, event.order)
+    place = replace(place, unfolding=np.zeros(equations.march.unfolding), free=again)
+    there = curve_at(equations, place, held, _turns(curve, event))
+    if not equations.links:
+        there = replace(there, weights=curve.weights.copy())
     matrix, units = scaled(there, at_place(there, place))
     _, sizes, rows = np.linalg.svd(matrix)
     sizes = np.concatenate([sizes, np.zeros(len(rows) - len(sizes))])
@@ -108,7 +113,7 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     kernel = units * rows[-3:][sizes[-3:] < CRITICAL * sizes[-4]]
     heads = np.stack([place.head_of(row) * np.sqrt(there.weights) for row in kernel])
     size = there.equations.size
-    moved = np.concatenate([np.zeros(size), event.tangent[size : size + 1] * event.order, event.tangent[size + 1 :]])
+    moved = np.concatenate([np.zeros(size), event.tangent[size : size + 1] * event.order, moving])
     moved[:size] = _start_moved(curve, event, share)
     own = moved * np.sqrt(there.weights)
     _, _, mixed = np.linalg.svd(np.atleast_2d(np.linalg.lstsq(heads.T, own, rcond=None)[0]))
@@ -186,7 +191,7 @@ def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
 
 def _symmetric(start: Start) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
-    if start.curve.equations.symmetry.relative:
+    if start.curve.equations.links or start.curve.equations.symmetry.relative:
         return start
     try:
         other = reformulated(start, named(symmetry_of(start.curve, start.found), start.curve.equations.model))
@@ -252,7 +257,8 @@ def _moved(start: Start, event: Event) -> np.ndarray:
     """How far energy, period and freed parameters are from the event's."""
     place = start.found.place
     energy = parameter_value(start.curve, place, "energy") - event.energy
-    return np.array([energy, place.period - event.period * event.order, *(place.free - list(event.free.values()))])
+    old = np.array([value for name, value in event.free.items() if not name.startswith(SHARE)])
+    return np.array([energy, place.period - event.period * event.order, *(place.free[: old.size] - old)])
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.hybrid import HybridCheck
 from orbitfinder.records.family import (
     CLOSURE,
     FORMAT,
@@ -112,20 +113,24 @@ def _read(path: str | Path) -> Orbit:
 def parameter_of(origin: Any) -> str:
     """What a family is followed in when nothing is said: the physical parameter that its start has freed, or energy."""
     start = origin.start if isinstance(origin, Branch) else origin
-    return next(iter(start.curve.equations.free), "energy") if isinstance(start, Start) else "energy"
+    return next(iter(start.curve.equations.physical), "energy") if isinstance(start, Start) else "energy"
 
 
 def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
     """What the family's orbits are checked with, its equations compiled where that pays for a dozen certificates."""
     if not settings.certify:
         return None
-    prepare(curve.equations.model, EFFORT)
-    return ClosureCheck(curve.equations.model)
+    model = curve.equations.model
+    if model.hybrid is not None:
+        return HybridCheck(model)
+    prepare(model, EFFORT)
+    return ClosureCheck(model)
 
 
 def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     """`InputError` unless every point of a journal without digests still closes, by independent means."""
-    check = ClosureCheck(curve.equations.model)
+    model = curve.equations.model
+    check = ClosureCheck(model) if model.hybrid is None else HybridCheck(model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
         turns = turned(curve.equations.model, np.array(winding(curve)), point.shift)
@@ -142,7 +147,7 @@ def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings,
         return begin(origin, settings, model=model)
     start = origin.start if isinstance(origin, Branch) else origin
     free, _ = unknown_parameters(start.curve.equations.model, settings)
-    if free != start.curve.equations.free:
+    if free != start.curve.equations.physical:
         raise InputError(
             f"parameter: {settings.parameter!r} on a branch of a family in {parameter_of(start)}; leave it out, or "
             "continue one of the branch's orbits (FAMILY.json#K) in it"

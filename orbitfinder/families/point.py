@@ -14,8 +14,10 @@ from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import shifting, turned
+from orbitfinder.mechanics.hybrid import SHARE
 from orbitfinder.orbits.closure import carried
 from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.hybrid import crossed_early
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
 
@@ -73,6 +75,8 @@ def make_point(
     Raises `ConvergenceError` when the independent closure is above what double precision can hold.
     """
     p, place = curve.equations, found.place
+    if p.links and (early := crossed_early(p, place, found.march.states)):
+        raise ConvergenceError(f"the cycle of events changes: {early}")
     about = about or spectrum(curve, found)
     units = extents(found.march.states)
     parts = list(found.march.transitions * units / units[:, None])
@@ -91,7 +95,7 @@ def make_point(
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",
-        system=system_at(p.model.system, free),
+        system=system_at(p.model.system, {k: v for k, v in free.items() if not k.startswith(SHARE)}),
         winding=winding(curve),
         shift=shift,
         nodes=place.nodes[:1],

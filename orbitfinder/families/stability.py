@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.loops.continued import Curve, Solution
-from orbitfinder.orbits.floquet import Floquet, analyse, complement, generated, reciprocal_pairs, symplectic_unit
+from orbitfinder.orbits.floquet import AREA, Floquet, analyse, complement, generated, reciprocal_pairs, symplectic_unit
 
 UNRESOLVED = 1e7
 """The reciprocal of a multiplier beyond this is taken from it, not from the eigenvalue solver."""
@@ -46,7 +46,8 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     root_map, root = _root_map(curve, found)
     basis = complement(*_frame(curve, found))
     reduced = np.asarray(basis.T @ root_map @ basis)
-    conservative = p.symplectic
+    area = abs(np.linalg.det(reduced)) if p.links and reduced.size else 1.0
+    conservative = p.symplectic and abs(area - 1.0) < AREA  # resets need not keep areas
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
     indices = analyse(reduced, conservative).indices
@@ -86,9 +87,23 @@ def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
     """The matrix of which the monodromy is a power, and that power, from the horizon's matrix by the symmetry."""
     size = curve.equations.size
     matrix = np.eye(size)
-    for transition in found.march.transitions:
+    for transition in _transitions(curve, found):
         matrix = transition @ matrix
     return curve.equations.symmetry.root(matrix, lambda other: _inverse(curve, found, matrix) @ other, size)
+
+
+def _transitions(curve: Curve, found: Solution) -> np.ndarray:
+    """The state-transition matrices of all segments, through the events where there are some."""
+    p, place = curve.equations, found.place
+    if not p.links:
+        return found.march.transitions
+    arcs = p.links.count
+    shares = p.links.shares(place.free) * arcs  # rates are in arcs' own periods
+    late = np.vstack([arc.rates(end[None], place.tail) for arc, end in
+                      zip(p.march.arcs, found.march.ends[p.links.ends(len(place.nodes))], strict=True)])  # fmt: skip
+    starts = place.nodes[:: len(place.nodes) // arcs]
+    early = np.vstack([arc.rates(x[None], place.tail) for arc, x in zip(p.march.arcs, starts, strict=True)])
+    return p.links.saltated(place, found.march, late / shares[:, None], np.roll(early / shares[:, None], -1, axis=0))
 
 
 def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:

@@ -13,11 +13,11 @@ from scipy.interpolate import CubicHermiteSpline
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.families.point import FamilySettings, length, parameter_value, span
-from orbitfinder.integrate.march import uniform
+from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
-from orbitfinder.loops.mesh import remeshed, settled
+from orbitfinder.loops.mesh import arc_states, remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem, clock, pinned
 from orbitfinder.loops.symmetry import (
     NONE,
@@ -36,6 +36,7 @@ from orbitfinder.loops.symmetry import (
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit, natural_pin
+from orbitfinder.orbits.hybrid import first_unknowns
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import read_as
 
@@ -74,7 +75,7 @@ def begin(
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
-    if symmetry == "auto" and not problem.relative:
+    if symmetry == "auto" and problem.model.hybrid is None and not problem.relative:
         wanted = symmetry_of(start.curve, start.found)
     return reformulated(start, related(named(wanted, problem.model), problem.model, problem.relative))
 
@@ -143,7 +144,9 @@ def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str)
     old, place = base.curve, base.found.place
     model = old.equations.model
     equations = Equations(model, old.equations.symmetry, free, action=True)
-    place = replace(place, free=equations.numbers)
+    shares = dict(zip(old.equations.free, place.free, strict=True))
+    numbers = [shares.get(name, value) for name, value in zip(equations.free, equations.numbers, strict=True)]
+    place = replace(place, free=np.array(numbers))
     curve = replace(curve_at(equations, place, held), constant=old.constant)
     return corrected(curve, place, _own_aim(curve, place, name))
 
@@ -152,6 +155,8 @@ def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     equations = Equations(problem.model, problem.boundary, free, action=True)
     fraction, state = equations.symmetry.fraction, np.asarray(problem.guess.state, float)
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
+    if equations.links:
+        place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
     momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
     curve = curve_at(equations, place, momenta, problem.turns, {one.name: one.value for one in problem.pin})
     pin = next((one for one in pins if one.name not in momenta), None)
@@ -181,9 +186,11 @@ def curve_at(
     The constants are multiples of pi: a symmetric motion may be symmetric about an upright link.
     """
     model, symmetry = equations.model, equations.symmetry
-    states = _looked_at(equations, place)
-    whole = None if symmetry.maps else turns
-    constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], states[-1], whole)
+    steps, states = _looked_at(equations, place)
+    whole, end = None if symmetry.maps else turns, states[-1]
+    if equations.links:
+        end = equations.links.passed(place, equations.ends(replace(place, mesh=steps)))[0][-1]
+    constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, whole)
     values = equations.quantities_at(place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
@@ -192,12 +199,12 @@ def curve_at(
     return make_curve(equations, constant, place, fixed, length(model.angles, states))
 
 
-def _looked_at(equations: Equations, place: Unknowns) -> np.ndarray:
-    """States along a place, by as few steps as reach its end: near a pole 40 are too few."""
+def _looked_at(equations: Equations, place: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    """A mesh over a place and the states on it, by as few steps as reach its end: near a pole 40 are too few."""
     for count in LOOKS:
         try:
             steps = uniform(equations.symmetry.fraction, len(place.nodes), count)
-            return equations.march.states(place.nodes, steps, place.tail)
+            return steps, equations.march.states(place.nodes, steps, place.tail)
         except IntegrationError:
             if count == LOOKS[-1]:
                 raise
@@ -312,12 +319,31 @@ def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmet
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
     """Times (s) and states at equal times over the whole period, unfolded by the formulation's symmetry."""
     p, place = curve.equations, found.place
+    if p.links:
+        return _linked_samples(curve, found, count)
     each, edges = -(-count // len(place.nodes)), place.edges
     mesh = np.concatenate([[0.0], *[np.linspace(a, b, each + 1)[1:] for a, b in pairwise(edges)]])
     mesh, states = p.symmetry.whole(mesh, p.march.states(place.nodes, mesh, place.tail), curve.constant)
     times = np.linspace(0.0, place.period, count + 1)
     moments = mesh * place.period
     return times, CubicHermiteSpline(moments, states, p.march.rates(states, place.tail, moments))(times)
+
+
+def _linked_samples(curve: Curve, found: Solution, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a hybrid orbit; at an event the state after it."""
+    p, place = curve.equations, found.place
+    arcs = p.links.count
+    steps = (place.mesh.size - 1) // arcs
+    ends = place.period * np.cumsum(p.links.shares(place.free))
+    begins, pieces = np.concatenate([[0.0], ends[:-1]]), []
+    times = np.linspace(0.0, place.period, count + 1)
+    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        states = arc_states(found, arcs, k)
+        mesh = place.mesh[k * steps : (k + 1) * steps + 1] * arcs - k
+        slopes = p.march.arcs[k].rates(states, place.tail) * place.period / arcs
+        own = times[(times >= begin) & ((times < end) if k < arcs - 1 else (times <= place.period))]
+        pieces.append(CubicHermiteSpline(mesh, states, slopes)((own - begin) / (end - begin)))
+    return times, np.vstack(pieces)
 
 
 def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:

@@ -8,6 +8,7 @@ each: uniform or graded, so that neighbouring orbits are integrated alike and a 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,7 +41,24 @@ class Varied:
     integral: float
 
 
-class March:
+class Refining:
+    """Ends that are confirmed by steps of half the length."""
+
+    def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
+        raise NotImplementedError
+
+    def refined_ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh."""
+
+        def path(times: int) -> tuple[np.ndarray, np.ndarray]:
+            finer = divided(mesh, times)
+            return self.ends(nodes, finer, tail), finer
+
+        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0]))
+
+
+class March(Refining):
     """Integrates the segments of a loop; each kind of step is compiled when it is first needed.
 
     `field(t, x, s, free)` is dx/dt (d), `forced` says whether t matters; `integrand`, of the same arguments, is carried
@@ -53,6 +71,11 @@ class March:
         self.field, self.forced, self.integrand = field, forced, integrand
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
         self._lanes = Lanes(alone)
+
+    @property
+    def arcs(self) -> tuple[March, ...]:
+        """The marches of the arcs: itself."""
+        return (self,)
 
     @property
     def columns(self) -> int:
@@ -159,20 +182,95 @@ class March:
         scale = (units[:, None] / units[None, :]).ravel()  # columns first: entry (i, j) stands at j size + i
         return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
 
-    def refined_ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh."""
-
-        def path(times: int) -> tuple[np.ndarray, np.ndarray]:
-            finer = divided(mesh, times)
-            return self.ends(nodes, finer, tail), finer
-
-        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0]))
-
     def _clock(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """The times (N) at which the segments begin, 0 where they do not matter."""
         if not self.forced:
             return np.zeros(len(nodes))
         return np.asarray(tail[0] * mesh[: -1 : (mesh.size - 1) // len(nodes)])
+
+
+class Marches(Refining):
+    """Marches over arcs one after another, each of an equal share of the segments and of the steps.
+
+    The mesh counts arcs and not time: arc k of K is from k / K to (k + 1) / K. States at the mesh are those that steps
+    begin with.
+    """
+
+    def __init__(self, arcs: Sequence[March]) -> None:
+        self.arcs, first = tuple(arcs), arcs[0]
+        self.forced, self.size, self.unfolding, self.free = False, first.size, first.unfolding, first.free
+
+    @property
+    def columns(self) -> int:
+        """Columns of Y: the state's, the unfolding's, the freed parameters'."""
+        return self.arcs[0].columns
+
+    def build(self) -> None:
+        """Derive and compile now what integrates states and derivatives, not at first use."""
+        for one in self.arcs:
+            one.build()
+
+    def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
+        return np.vstack([one.ends(own, part, tail) for one, own, part in self._each(nodes, mesh)])
+
+    def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """States (M + 1 x d) at the mesh."""
+        return _one_after_another([one.states(own, part, tail) for one, own, part in self._each(nodes, mesh)])
+
+    def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
+        """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
+        found = [one.varied(own, part, tail, states) for one, own, part in self._each(nodes, mesh)]
+        along = _one_after_another([one.states for one in found]) if states else nodes
+        ends, transitions, columns = (
+            np.concatenate([getattr(one, name) for one in found]) for name in ("ends", "transitions", "columns")
+        )
+        return Varied(ends, transitions, columns, along, sum(one.integral for one in found))
+
+    def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
+        """dx/dt (k x d) at states (k x d) that are shared out evenly among the arcs, in periods of its own for each."""
+        del times
+        each = max(1, len(states) // len(self.arcs))
+        cuts = [each * k for k in range(1, len(self.arcs))]
+        return np.vstack(
+            [one.rates(own, tail) for one, own in zip(self.arcs, np.split(states, cuts), strict=True) if len(own)]
+        )
+
+    def at(self, function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
+        """Any function of one place, its outputs as CasADi has them (rows x columns)."""
+        return self.arcs[0].at(function, *arguments)
+
+    def step_errors(self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, asked: np.ndarray) -> np.ndarray:
+        """Estimated error of each step `asked` for, relative to the size of the motion."""
+        arc = asked * len(self.arcs) // (mesh.size - 1)
+        return np.concatenate(
+            [
+                one.step_errors(states, mesh, tail, asked[arc == k])
+                for k, one in enumerate(self.arcs)
+                if np.any(arc == k)
+            ]
+        )
+
+    def variation_errors(
+        self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
+    ) -> np.ndarray:
+        """Estimated error of the state-transition matrix of each step `asked` for, the state in `units` (d)."""
+        arc = asked * len(self.arcs) // (mesh.size - 1)
+        return np.concatenate([
+            one.variation_errors(states, mesh, tail, units, asked[arc == k])
+            for k, one in enumerate(self.arcs) if np.any(arc == k)
+        ])  # fmt: skip
+
+    def _each(self, nodes: np.ndarray, mesh: np.ndarray) -> Iterator[tuple[March, np.ndarray, np.ndarray]]:
+        count = len(self.arcs)
+        steps = (mesh.size - 1) // count
+        for k, (one, own) in enumerate(zip(self.arcs, np.split(nodes, count), strict=True)):
+            yield one, own, mesh[k * steps : (k + 1) * steps + 1]
+
+
+def _one_after_another(pieces: Sequence[np.ndarray]) -> np.ndarray:
+    """States at the mesh from those of each arc; where one ends and the next begins, the beginning."""
+    return np.vstack([*(piece[:-1] for piece in pieces), pieces[-1][-1:]])
 
 
 def uniform(fraction: float, segments: int, steps: int) -> np.ndarray:

@@ -3,7 +3,8 @@
     dx_{k+1} = Phi_k dx_k + C_k dy + d_k        k = 0 .. N-2, d_k the defect behind segment k
     F dx_0 + L (Phi_{N-1} dx_{N-1} + C_{N-1} dy) + G dy = -r
 
-with dy the change of (period, unfolding, freed parameters) and r the closing rows. Eliminating the nodes costs N small
+with dy the change of (period, unfolding, freed parameters) and r the closing rows. Rows at the inner ends of segments
+(guards) come after those. Eliminating the nodes costs N small
 products and one small solve. The product of all Phi_k loses the contracting directions where it is very large; beyond
 `LARGEST_PRODUCT` the whole matrix is solved instead.
 """
@@ -29,15 +30,23 @@ Solver = Callable[[np.ndarray], np.ndarray]
 """Rows (defects, closing rows) -> the step over w (nodes, tail) that would remove them"""
 
 
+Inner = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Segments (g), and the derivatives of a row of each by its node (g x d) and by y (g x m)"""
+
+
 @dataclass(frozen=True)
 class Linearised:
-    """Phi_k (N x d x d), C_k (N x d x m), and the closing rows' derivatives F, L (r x d), G (r x m)."""
+    """Phi_k (N x d x d), C_k (N x d x m), and the closing rows' derivatives F, L (r x d), G (r x m).
+
+    `inner` are rows (g) of one segment each (its number), by that segment's node (g x d) and by y (g x m).
+    """
 
     transitions: np.ndarray
     columns: np.ndarray
     first: np.ndarray
     last: np.ndarray
     tail: np.ndarray
+    inner: Inner | None = None
 
     def matrix(self) -> np.ndarray:
         """The derivatives of all rows by w."""
@@ -52,29 +61,45 @@ class Linearised:
         matrix[cut:, cut:total] = self.last @ self.transitions[-1]
         matrix[cut:, :size] += self.first
         matrix[cut:, total:] = self.last @ self.columns[-1] + self.tail
-        return matrix
+        return matrix if self.inner is None else np.vstack([matrix, self._inner_matrix(total + extra)])
+
+    def _inner_matrix(self, width: int) -> np.ndarray:
+        assert self.inner is not None
+        size, rows = self.transitions.shape[1], np.zeros((len(self.inner[0]), width))
+        for row, k, slope, by_tail in zip(rows, *self.inner, strict=True):
+            row[k * size : (k + 1) * size] = slope
+            row[width - by_tail.size :] = by_tail
+        return rows
 
 
 def eliminated(system: Linearised) -> Solver:
     """Newton's step for any residual at this linearisation."""
     count, size, _ = system.transitions.shape
     product, columns = np.eye(size), np.zeros((size, system.tail.shape[1]))
-    for transition, own in zip(system.transitions, system.columns, strict=True):
+    places, slopes, by_tail = system.inner or (np.zeros(0, int), np.zeros((0, size)), np.zeros((0, columns.shape[1])))
+    inner = np.zeros((len(places), size + columns.shape[1]))
+    for k, (transition, own) in enumerate(zip(system.transitions, system.columns, strict=True)):
+        for j in np.flatnonzero(places == k):
+            inner[j] = np.concatenate([slopes[j] @ product, slopes[j] @ columns + by_tail[j]])
         product, columns = transition @ product, transition @ columns + own
     if not np.abs(product).max() <= LARGEST_PRODUCT:
         whole = system.matrix()
         return lambda rows: -np.linalg.lstsq(whole, rows, rcond=CUTOFF)[0]
     matrix = np.hstack([system.first + system.last @ product, system.last @ columns + system.tail])
+    matrix = np.vstack([matrix, inner]) if len(inner) else matrix
 
     def solve(rows: np.ndarray) -> np.ndarray:
         defects, closing = rows[: (count - 1) * size].reshape(-1, size), rows[(count - 1) * size :]
-        carried = np.zeros(size)
-        for transition, defect in zip(system.transitions, defects, strict=False):
-            carried = transition @ carried + defect
-        if count > 1:
-            carried = system.transitions[-1] @ carried
+        carried, closing = np.zeros(size), closing.copy()
+        for k, transition in enumerate(system.transitions):
+            for j in np.flatnonzero(places == k):
+                closing[len(system.tail) + j] += slopes[j] @ carried
+            carried = transition @ carried
+            if k < count - 1:
+                carried += defects[k]
         # not pinv: outside `one_thread` OpenBLAS gives it threads, on a busy machine 100 ms where lstsq takes 0.2
-        change = -np.linalg.lstsq(matrix, closing + system.last @ carried, rcond=CUTOFF)[0]
+        closing[: len(system.tail)] += system.last @ carried
+        change = -np.linalg.lstsq(matrix, closing, rcond=CUTOFF)[0]
         nodes, tail = [change[:size]], change[size:]
         for transition, own, defect in zip(system.transitions, system.columns, defects, strict=False):
             nodes.append(transition @ nodes[-1] + own @ tail + defect)

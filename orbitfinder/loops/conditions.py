@@ -18,17 +18,18 @@ from orbitfinder.mechanics.model import Model, constraint_of
 
 @dataclass(frozen=True)
 class Pin:
-    """One prescribed number: `energy` (J), `period` (s), another invariant, or a state component at t = 0."""
+    """One prescribed number: `energy` (J), `period` (s), another invariant, a state component at t = 0, a parameter."""
 
     name: str
     value: float
 
 
 def pin(**quantities: float) -> tuple[Pin, ...]:
-    """Pins by name: `pin(energy=-38.35)`, `pin(period=1.7)`, `pin(theta1=0.1)`.
+    """Pins by name: `pin(energy=-38.35)`, `pin(period=1.7)`, `pin(theta1=0.1)`, `pin(energy=-11, stiffness=30)`.
 
-    One pin selects one orbit of a family; more than one is right only with freed physical
-    parameters or further invariants, and `Problem.count()` says so. Raises `InputError`.
+    A physical parameter may be pinned beside the others: that is its value. Of the others, one pin selects one orbit
+    of a family; more than one is right only with freed physical parameters or further invariants, and
+    `Problem.count()` says so. Raises `InputError`.
     """
     pins = tuple(Pin(name, float(value)) for name, value in quantities.items())
     for one in pins:
@@ -50,7 +51,7 @@ def constrained_brake_rows(model: Model, start: Any, end: Any, parameters: Any, 
 
 
 def quantity(model: Model, name: str, state: Any, period: Any, parameters: Any) -> Any:
-    """What pins and bounds name: the period, an invariant, the energy, or a state component at t = 0."""
+    """What pins and bounds name: the period, an invariant, the energy, a state component at t = 0, a parameter."""
     n = model.degrees_of_freedom
     if name == "period":
         return period
@@ -59,12 +60,24 @@ def quantity(model: Model, name: str, state: Any, period: Any, parameters: Any) 
             return invariant.value(state[:n], state[n:], parameters)
     if name == "energy":
         return model.kinetic(state[:n], state[n:], parameters) + model.potential(state[:n], parameters)
+    if name in model.parameter_names and name not in model.state_names:
+        return parameters[model.parameter_index(name)]
     return state[model.state_index(name)]
+
+
+def quantities(model: Model) -> list[str]:
+    """What pins may name beside physical parameters."""
+    return ["energy", "period", *(one.name for one in model.invariants), *model.state_names]
+
+
+def is_parameter(model: Model, name: str) -> bool:
+    """True for the name of a physical parameter that names nothing else."""
+    return name in model.parameter_names and name not in quantities(model)
 
 
 def check_pin(model: Model, one: Pin) -> None:
     """`InputError` when a pin names nothing of this model or an energy that it cannot have."""
-    known = ["energy", "period", *(i.name for i in model.invariants), *model.state_names]
+    known = [*quantities(model), *model.parameter_names]
     if one.name not in known:
         names = ", ".join(dict.fromkeys(known))
         raise InputError(f"pin: unknown quantity {one.name!r}{closest(one.name, known)}; use one of {names}")

@@ -72,7 +72,8 @@ def _row_units(curve: Curve, w: Unknowns, aim: Condition) -> np.ndarray:
     unit, (first, last) = head[: curve.equations.size], curve.equations.boundary
     boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
     units = [np.tile(unit, len(w.nodes) - 1), boundary, np.linalg.norm(curve.normals * unit, axis=1)]
-    units.append(np.linalg.norm(curve.slopes(w, (*curve.conditions, aim)) * head, axis=1))
+    named = np.linalg.norm(curve.slopes(w, (*curve.conditions, aim)) * head, axis=1)
+    units += [named[:-1], curve.equations.links.units(w, unit), named[-1:]]
     return np.asarray(np.maximum(np.concatenate(units), 1e-300))
 
 

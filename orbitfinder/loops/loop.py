@@ -25,10 +25,14 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
-from orbitfinder.integrate.march import March, Varied
-from orbitfinder.loops.condensed import Linearised
+from orbitfinder.integrate.evaluate import Buffered
+from orbitfinder.integrate.march import March, Marches, Varied
+from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
+from orbitfinder.mechanics.hybrid import SHARE, Transition, share
 from orbitfinder.mechanics.model import Model, vector_field
+
+NONE_SUCH = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -137,14 +141,40 @@ class Equations:
     alone: bool = False
     given: InitVar[March | None] = None
     """what integrates the motion, where it is there already"""
-    march: March = field(init=False)
+    march: March | Marches = field(init=False)
 
     def __post_init__(self, given: March | None) -> None:
-        if given is None:
-            flow = vector_field(self.model, self.free, self.symmetry.unfolded(self.model))
-            rate = _action_rate(self.model, flow, self.free) if self.action else None
-            given = March(flow, self.model.forced, rate, self.alone)
-        object.__setattr__(self, "march", given)
+        if self.model.hybrid is not None:
+            shares = [one for one in self.model.parameter_names if one.startswith(SHARE) and one not in self.free]
+            object.__setattr__(self, "free", (*self.free, *shares))
+            arcs = [self._marched(arc.model, k) for k, (arc, _) in enumerate(self.model.hybrid.arcs)]
+            object.__setattr__(self, "march", Marches(arcs))
+        else:
+            object.__setattr__(self, "march", given or self._marched(self.model))
+
+    def _marched(self, model: Model, arc: int | None = None) -> March:
+        """What integrates the loop, or one of its arcs in periods of its own."""
+        flow = vector_field(model, self.free, self.symmetry.unfolded(model))
+        rate = _action_rate(model, flow, self.free) if self.action else None
+        if arc is not None:
+            flow, rate = self._paced(flow, arc), None if rate is None else self._paced(rate, arc)
+        return March(flow, model.forced, rate, self.alone)
+
+    def _paced(self, function: ca.Function, arc: int) -> ca.Function:
+        """A rate in arc k of K, of which a period of the mesh lasts K shares of the period."""
+        inputs = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+        pace = self.links.count * share(self.model, arc, self.model.parameters(self.free, inputs[3]))
+        return ca.Function(function.name(), inputs, [pace * function(*inputs)])
+
+    @cached_property
+    def links(self) -> Links:
+        """What leads from each arc of a hybrid system to the next."""
+        return Links(self.model, self.free)
+
+    @property
+    def physical(self) -> tuple[str, ...]:
+        """The freed parameters that are not durations of arcs."""
+        return tuple(name for name in self.free if not name.startswith(SHARE))
 
     @property
     def size(self) -> int:
@@ -190,6 +220,24 @@ class Equations:
     def _generators(self) -> tuple[ca.Function, ...]:
         return self.symmetry.generators(self.model)
 
+    def heights(self, one: Transition, states: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A guard's values in its direction at states (k x d), and whether its crossing there would be an event."""
+        found = self._height(one)(states.T, np.tile(free[:, None], (1, len(states)))).full()
+        return found[0], found[1] > 0
+
+    def _height(self, one: Transition) -> ca.Function:
+        if one.name not in self._watched:
+            x, chosen = ca.MX.sym("x", self.size), ca.MX.sym("free", len(self.free))
+            p = self.model.parameters(self.free, chosen)
+            allowed = ca.MX(1) if one.allowed is None else one.allowed(x, p)
+            rows = ca.vertcat(one.direction * one.guard(x, p), allowed)
+            self._watched[one.name] = ca.Function("height", [x, chosen], [rows])
+        return self._watched[one.name]
+
+    @cached_property
+    def _watched(self) -> dict[str, ca.Function]:
+        return {}
+
     @property
     def numbers(self) -> np.ndarray:
         """The model's own values of the freed parameters."""
@@ -218,15 +266,100 @@ class Equations:
         return self.march.ends(w.nodes, w.mesh, w.tail)
 
     def phases(self, w: Unknowns) -> np.ndarray:
-        """Unit normals (k x d) of the hyperplanes through w that fix time and other shifts."""
+        """Unit normals (k x d) of the hyperplanes through w that fix time and other shifts; guards fix time too."""
         x, found = w.nodes[0], []
-        if not (self.symmetry.reverses or self.model.forced):
+        if not (self.symmetry.reverses or self.model.forced or self.model.hybrid):
             found.append(self.march.rates(x[None], w.tail)[0])
         n, values = self.model.degrees_of_freedom, self.model.parameter_values
         q, v = x[:n], x[n:]
         found += [one(q, v, values).full().ravel() for one in self._generators]
         rows = np.asarray(found).reshape(len(found), self.size)
         return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
+
+
+class Links:
+    """The resets x+ = R(x-, p) and guards g(x-, p) at the ends of a hybrid system's arcs, with derivatives.
+
+    None of a smooth one.
+    """
+
+    def __init__(self, model: Model, free: tuple[str, ...]) -> None:
+        arcs = () if model.hybrid is None else model.hybrid.arcs
+        self.count = max(1, len(arcs))
+        self._parts = [Buffered(_link(model, one, free, True)) for _, one in arcs]
+        self._passes = [Buffered(_link(model, one, free, False)) for _, one in arcs]
+
+    def __bool__(self) -> bool:
+        return bool(self._parts)
+
+    def shares(self, free: np.ndarray) -> np.ndarray:
+        """The shares of the period that the arcs take (K), from the freed parameters."""
+        last = free[free.size - (self.count - 1) :]
+        return np.append(last, 1.0 - last.sum())
+
+    def repeated(self, free: np.ndarray, times: int, total: float = 1.0) -> np.ndarray:
+        """Freed parameters of the cycle gone through so many times; with `total` 0, their changes."""
+        if not self:
+            return free
+        physical, last = np.split(free, [free.size - (self.count - 1)])
+        shares = np.append(last, total - last.sum()) / times
+        return np.concatenate([physical, np.tile(shares, times)[:-1]])
+
+    def ends(self, segments: int) -> np.ndarray:
+        """The numbers of the segments that end arcs."""
+        return (np.arange(self.count) + 1) * (segments // self.count) - 1
+
+    def units(self, w: Unknowns, unit: np.ndarray) -> np.ndarray:
+        """What the guards (K) are measured in, states being measured in `unit` (d)."""
+        if not self:
+            return NONE_SUCH
+        return np.array([np.linalg.norm(parts[4] * unit) for parts in self.at(w, w.nodes)])
+
+    def at(self, w: Unknowns, ends: np.ndarray) -> list[list[np.ndarray]]:
+        """(R, g, dR/dx, dR/dfree, dg/dx, dg/dfree) of each arc."""
+        places = self.ends(len(ends))
+        return [[value.T for value in one(ends[k], w.free)] for one, k in zip(self._parts, places, strict=True)]
+
+    def passed(self, w: Unknowns, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The ends with those of arcs reset, and the guards (K)."""
+        after, guards = ends.copy(), np.empty(self.count)
+        for k, (one, place) in enumerate(zip(self._passes, self.ends(len(ends)), strict=True)):
+            reset, guard = one(ends[place], w.free)
+            after[place], guards[k] = reset, guard.item()
+        return after, guards
+
+    def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, Inner]:
+        """Transitions and columns through the resets, and the guards' rows (`Linearised.inner`)."""
+        transitions, columns, places = path.transitions.copy(), path.columns.copy(), self.ends(len(path.ends))
+        slopes, tails, last = [], [], columns.shape[2] - w.free.size
+        for k, (_, _, by_x, by_free, guard_by_x, guard_by_free) in zip(places, self.at(w, path.ends), strict=True):
+            slopes.append((guard_by_x @ path.transitions[k]).ravel())
+            tails.append((guard_by_x @ path.columns[k]).ravel())
+            tails[-1][last:] += guard_by_free.ravel()
+            transitions[k], columns[k] = by_x @ transitions[k], by_x @ columns[k]
+            columns[k][:, last:] += by_free
+        return transitions, columns, (places, np.array(slopes), np.array(tails))
+
+    def saltated(self, w: Unknowns, path: Varied, late: np.ndarray, early: np.ndarray) -> np.ndarray:
+        """The transitions (N x d x d) with each event's own time eliminated, by the rates before and after (K x d).
+
+        S = DR + (f+ - DR f-) grad g / (grad g . f-). Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of
+        Non-Smooth Mechanical Systems (2004), section 7.
+        """
+        found = path.transitions.copy()
+        each = zip(self.ends(len(found)), self.at(w, path.ends), late, early, strict=True)
+        for k, (_, _, by_x, _, slope, _), before, after in each:
+            found[k] = (by_x + np.outer(after - by_x @ before, slope) / (slope @ before).item()) @ found[k]
+        return found
+
+
+def _link(model: Model, one: Transition, free: tuple[str, ...], varied: bool) -> ca.Function:
+    """(R, g) and, where asked for, their derivatives by state and freed parameters."""
+    x, chosen = ca.MX.sym("x", len(model.state_names)), ca.MX.sym("free", len(free))
+    p = model.parameters(free, chosen)
+    after, guard = one.reset(x, p), one.guard(x, p)
+    slopes = [ca.jacobian(value, by) for value in (after, guard) for by in (x, chosen)] if varied else []
+    return ca.Function("link", [x, chosen], [after, guard, *map(ca.densify, slopes)])
 
 
 @dataclass(frozen=True)
@@ -262,9 +395,12 @@ class Loop:
     def rows(self, w: Unknowns, ends: np.ndarray) -> np.ndarray:
         """The residual, segments ending at `ends` (N x d)."""
         first, last = self.equations.boundary
+        links, guards = self.equations.links, NONE_SUCH
+        if links:
+            ends, guards = links.passed(w, ends)
         closing = first @ w.nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant)
         rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self.normals @ (w.nodes[0] - self.reference)]
-        return np.concatenate([*rows, self.values(w, self.conditions)])
+        return np.concatenate([*rows, self.values(w, self.conditions), guards])
 
     def stated(self, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, ends: Sequence[ca.MX]) -> ca.MX:
         """The same rows as an expression of CasADi."""
@@ -293,12 +429,17 @@ class Loop:
         if len(slopes):
             tail[before:, 0] = slopes[:, size]
             tail[before:, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
+        links, transitions, columns = self.equations.links, path.transitions, path.columns
+        inner: Inner | None = None
+        if links:
+            transitions, columns, inner = links.varied(w, path)
         return Linearised(
-            path.transitions,
-            path.columns,
+            transitions,
+            columns,
             np.vstack([first, self.normals.reshape(-1, size), slopes[:, :size]]),
             np.vstack([last, np.zeros((more, size))]),
             tail,
+            inner,
         )
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:

@@ -88,6 +88,8 @@ def remeshed(curve: Curve, found: Solution) -> Unknowns:
     Nodes are interpolated and must be corrected again.
     """
     place, states = found.place, found.march.states
+    if curve.equations.links:
+        return _remeshed_arcs(curve, found)
     density = _spread(np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
     least = 2 if curve.equations.symmetry.fraction == 1.0 else 1  # so that two processors share a whole period
@@ -100,6 +102,35 @@ def remeshed(curve: Curve, found: Solution) -> Unknowns:
     slopes = curve.equations.march.rates(states, place.tail, place.mesh * place.period) * place.period
     nodes = CubicHermiteSpline(place.mesh, states, slopes)(mesh[:-1:each])
     return replace(place, nodes=np.vstack([place.nodes[:1], nodes[1:]]), mesh=mesh)
+
+
+def _remeshed_arcs(curve: Curve, found: Solution) -> Unknowns:
+    """The same arc by arc of a hybrid orbit, of which each has as many segments and steps as the others."""
+    place, arcs = found.place, curve.equations.links.count
+    density = np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15).reshape(arcs, -1)
+    density = np.array([_spread(one) for one in density])
+    growth = np.log(np.maximum(_growths(curve, found), 1.5)).reshape(arcs, -1).sum(axis=1).max()
+    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
+    if not density.sum() < MOST_STEPS:
+        raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
+    each, steps = _rounded(density.sum(axis=1).max() / count), density.shape[1]
+    meshes, nodes = [], []
+    for k, own in enumerate(density):
+        edges, states = place.mesh[k * steps : (k + 1) * steps + 1], arc_states(found, arcs, k)
+        work = np.concatenate([[0.0], np.cumsum(own)])
+        mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, edges)
+        slopes = curve.equations.march.arcs[k].rates(states, place.tail) * place.period
+        nodes.append(CubicHermiteSpline(edges, states, slopes)(mesh[:-1:each]))
+        nodes[-1][0] = states[0]
+        meshes.append(mesh[:-1])
+    return replace(place, nodes=np.vstack(nodes), mesh=np.append(np.concatenate(meshes), place.mesh[-1]))
+
+
+def arc_states(found: Solution, arcs: int, k: int) -> np.ndarray:
+    """States at the mesh in arc k, the last of them before its event."""
+    steps = (found.place.mesh.size - 1) // arcs
+    end = found.march.ends[(k + 1) * (len(found.march.ends) // arcs) - 1]
+    return np.vstack([found.march.states[k * steps : (k + 1) * steps], end])
 
 
 def _rounded(steps: float) -> int:

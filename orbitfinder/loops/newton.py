@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import Solver, eliminated
@@ -38,6 +39,28 @@ class NewtonSettings:
     most_doublings: int = 7
     converged: float = 1e-8
     """a larger residual at the end is a failure"""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
+
+    `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment;
+    `marches` and `jacobians` are what it took.
+    """
+
+    __repr__ = brief("state", "period")
+
+    state: np.ndarray
+    period: float
+    nodes: np.ndarray
+    unfolding: np.ndarray
+    free: np.ndarray
+    turns: np.ndarray
+    residual: float
+    steps: int
+    marches: int
+    jacobians: int
 
 
 class Newton:

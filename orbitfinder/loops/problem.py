@@ -12,9 +12,18 @@ from orbitfinder._runtime.arguments import check, check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import CountError, InputError, closest
 from orbitfinder.integrate.idas import check_consistent
-from orbitfinder.loops.conditions import Constraint, Expression, Pin, check_bounds, check_constraint, check_pin
+from orbitfinder.loops.conditions import (
+    Constraint,
+    Expression,
+    Pin,
+    check_bounds,
+    check_constraint,
+    check_pin,
+    is_parameter,
+)
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
+from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.model import Model, counted
 
@@ -32,7 +41,8 @@ class Guess:
     """A starting point: state (2n) at t = 0 and period T in s; optionally a whole trajectory.
 
     `times` (k, from 0 to T) and `states` (k x 2n) give the trajectory when there is one;
-    without it the start is simulated from `state`. Raises `InputError`.
+    without it the start is simulated from `state`. `free` says where freed physical parameters start, which is
+    otherwise at the model's own values. Raises `InputError`.
     """
 
     __repr__ = brief("state", "period", "times")
@@ -41,6 +51,7 @@ class Guess:
     period: float
     times: np.ndarray | None = None
     states: np.ndarray | None = None
+    free: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check("guess.state", "Sequence[float]", self.state)
@@ -82,8 +93,8 @@ class Problem:
     `winding` the whole turns of each coordinate in one period; `relative` the cyclic coordinates (or conserved momenta
     of other shifts) along which the orbit need not come back; `segments` the shooting intervals of the
     horizon (None: chosen from the instability of the guess); `tolerance` the closure that the certificate
-    asks for; `free` physical parameters the solver may change; `expected` {"period": (value, tolerance)} that the
-    result must agree with.
+    asks for; `free` physical parameters the solver may change (one that is pinned and not free has that value);
+    `expected` {"period": (value, tolerance)} that the result must agree with.
 
     What the count leaves free is chosen by `objective`: "nearest" to the guess, "min_instability",
     "max_amplitude" or "min_peak_rate" (of `coordinate`, default the one that moves most), or a callable
@@ -118,7 +129,19 @@ class Problem:
         object.__setattr__(self, "model", knowing(self.model, self.symmetry))
         if self.model.constraint is not None and self.model.constraint.lift is not None:
             self._lift(self.model.degrees_of_freedom // 3)
+        self._settle()
         _check(self)
+
+    def _settle(self) -> None:
+        """Guessed values of freed parameters, and pins of others, become the model's."""
+        check_guessed(self.guess, self.free)
+        pinned = {one.name: one.value for one in self.pin if is_parameter(self.model, one.name)}
+        fixed = {name: value for name, value in pinned.items() if name not in self.free}
+        values = {**{name: float(value) for name, value in self.guess.free.items()}, **pinned}
+        if values:
+            object.__setattr__(self, "model", with_parameters(self.model, values))
+            object.__setattr__(self, "guess", replace(self.guess, free={}))
+            object.__setattr__(self, "pin", tuple(one for one in self.pin if one.name not in fixed))
 
     def _lift(self, links: int) -> None:
         """Link angles and rates, and the turns of links, become those of the redundant coordinates."""
@@ -155,11 +178,13 @@ class Problem:
         intervals = segments or self.segments or 1
         size, symmetry = len(self.model.state_names), self.boundary
         unfolded = symmetry.unfolded(self.model)
+        arcs = 0 if self.model.hybrid is None else len(self.model.hybrid.cycle)
         others = sum(one.generator is not None for one in unfolded)
         equations = {
             "defects": size * (intervals - 1),
             "boundary": size - len(self.relative),
-            "phase conditions": int(not symmetry.reverses and not self.model.forced) + others,
+            "phase conditions": int(not symmetry.reverses and not self.model.forced and not self.model.hybrid) + others,
+            "guards": arcs,
             "forcing period": int(self.model.forced),
             "pins": len(self.pin),
             "constraints": sum(one.rows for one in self.constraints if one.equation),
@@ -169,6 +194,7 @@ class Problem:
             "period": 1,
             "unfolding": len(unfolded),
             "freed parameters": len(self.free),
+            "durations of arcs": max(0, arcs - 1),
         }
         return Count(equations, unknowns)
 
@@ -205,6 +231,33 @@ class Problem:
                 "min_instability give the range of periods in bounds to choose among separate orbits"
             )
         return count
+
+
+def check_guessed(guess: Guess, free: tuple[str, ...]) -> None:
+    """`InputError` for guessed values of physical parameters that are not free, or no numbers."""
+    for name, value in guess.free.items():
+        if name not in free:
+            raise InputError(f"guess.free: {name!r} is not free to change; add it to free, or pin it")
+        if not np.isfinite(value):
+            raise InputError(f"guess.free: {name} must be finite, got {value}; give a number")
+
+
+def without_choice(problem: Problem) -> Problem:
+    """The same Problem with nothing left to choose: no freed parameters, objective, bounds, constraints or pins."""
+    return replace(
+        problem, free=(), pin=(), objective="nearest", coordinate=None, bounds={}, constraints=(), phase_condition=None
+    )
+
+
+def at_forcing_period(problem: Problem) -> Problem:
+    """The Problem with its guess's period moved to the multiple of the forcing's that it must have."""
+    clock = problem.model.forcing_period
+    if clock is None:
+        return problem
+    period = problem.forcing_cycles * float(clock(problem.model.parameter_values))
+    guess = problem.guess
+    times = None if guess.times is None else guess.times * (period / guess.period)
+    return replace(problem, guess=replace(guess, period=period, times=times))
 
 
 def _check(problem: Problem) -> None:

@@ -15,8 +15,10 @@ from typing import Any
 
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain, chain_dae
+from orbitfinder.mechanics.hybrid import SHARE, at_numbers, with_cycle
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
+from orbitfinder.mechanics.machines import MACHINES
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import system_at
 
@@ -91,7 +93,7 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
     if module != BUILT_IN:
         described = {"kind": "python", "module": module, "function": name, "arguments": dict(arguments)}
         model = replace(model, system=described)
-    return model
+    return with_cycle(model, system["cycle"]) if "cycle" in system else model
 
 
 def module_file(module: str, folder: Path) -> Path | None:
@@ -104,10 +106,11 @@ def module_file(module: str, folder: Path) -> Path | None:
 
 
 def _built_in(name: str) -> Callable[..., Any]:
-    if name not in FUNCTIONS:
-        known = ", ".join(FUNCTIONS)
-        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, FUNCTIONS)}; it has {known}")
-    return FUNCTIONS[name]
+    functions = FUNCTIONS | MACHINES
+    if name not in functions:
+        known = ", ".join(functions)
+        raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, functions)}; it has {known}")
+    return functions[name]
 
 
 def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]:
@@ -142,7 +145,7 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
-    system = system_at(model.system, values)
+    system = system_at(model.system, {k: v for k, v in values.items() if not k.startswith(SHARE)})
     if model.system.get("kind") in REBUILDABLE:
         return build_model(system)
-    return replace(model, parameter_values=numbers, system=system)
+    return replace(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))

@@ -199,10 +199,10 @@ def _reversals(symmetries: Mapping[str, Sequence[int]], count: int) -> tuple[tup
         if len(signs) != count or not set(signs) <= {1, -1} or len(set(signs)) < min(count, 2):
             raise InputError(
                 f"symmetries: {name!r} is {list(signs)}; give 1 or -1 for each of {count} coordinates, not all alike "
-                "(those are brake and reversal, which need no declaration)"
+                "(those need no declaration)"
             )
-        if not name.replace("-", "_").isidentifier() or name in ("none", "brake", "reflection", "reversal"):
-            raise InputError(f"symmetries: {name!r} is no name for one of its own; use letters, digits, - and _")
+        if not name.replace("-", "_").isidentifier():
+            raise InputError(f"symmetries: {name!r} is no name; use letters, digits, - and _")
     return tuple((name, -1, tuple(int(sign) for sign in signs)) for name, signs in symmetries.items())
 
 

@@ -122,6 +122,8 @@ class Model:
     symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
     """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
     constraint: HolonomicConstraint | None = None
+    hybrid: Any = None
+    """modes, transitions and the cycle of a hybrid system, see `mechanics.hybrid`"""
     rates: ca.Function | None = None
     hamiltonian: bool = False
 

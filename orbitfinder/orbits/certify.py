@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from orbitfinder.errors import InputError, IntegrationError
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.loops.symmetry import knowing, recognise, shifts_of, symmetries_of, symplectic, turned
+from orbitfinder.loops.symmetry import NONE, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Invariant, Model, counted, wrapped
+from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents, shift_along
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
+from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, second_gap
 from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import SHIFT, Certificate, Check, Orbit, digest, orbit_to_document
@@ -62,6 +64,8 @@ class Tolerances:
     constraint: float = 1e-11
     native_closure: float = 1e-7
     multipliers: float = 1e-6
+    transversal: float = 1e-4
+    holds: float = 1e-9
 
 
 @one_thread()
@@ -79,6 +83,8 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     turns = turned(model, whole, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
         return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
+    if model.hybrid is not None:
+        return _hybrid_certificate(orbit, model, turns, allowed)
     cycles, pictured = model.forcing_cycles(orbit.period), _pictured(orbit)
     covers = [k for k in COVERS if cycles % k == 0 and not np.any(whole % k)]
     shares = _shares(covers)
@@ -122,6 +128,79 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         *_expected_checks(orbit, model),
     ]  # fmt: skip
     return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+
+
+def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances) -> Certificate:
+    """The certificate of a hybrid orbit: its automaton simulated, all guards watched, from the state alone."""
+    assert model.hybrid is not None
+    try:
+        evidence = gather_hybrid(model, orbit.state, orbit.period, turns)
+        second = second_gap(model, orbit.state, orbit.period, turns, evidence.extents)
+    except (ConvergenceError, IntegrationError) as error:
+        return Certificate((Check("events", float("inf"), 0.0, False, str(error)),))
+    found, scale = evidence.closes, min(evidence.closes.amplification, LARGEST_SCALE)
+    bound, lasted = min(orbit.tolerance, allowed.closure) * scale, abs(evidence.period / orbit.period - 1)
+    events = ", ".join(str(arc.ended_by) for arc in evidence.arcs)
+    reached = np.array([arc.after for arc in evidence.arcs])
+    checks = [
+        Check("events", 0.0, 0.0, True, f"as simulated by DOP853, all guards watched: {events}"),
+        _at_most("closure", found.gap, bound, f"errors grow {found.amplification:.3g} times"),
+        _at_most("distance", found.distance, allowed.distance, "of the true orbit, in extents of the motion"),
+        _at_most("second_closure", second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
+        _at_most("recorded_period", lasted, bound, "time of the last event / recorded period - 1"),
+        _at_most("energy_drift", evidence.drift, allowed.energy_drift + found.gap, "in arcs without forces"),
+        _at_most("energy_balance", evidence.balance, allowed.energy_drift + found.gap, "energy lost in impacts"),
+        _cycle_check(evidence.arcs, orbit, reached, evidence.extents, allowed.cover),
+        _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, "extent of the motion"),
+        _at_least("transversal", evidence.transversal, allowed.transversal, "least rate of a guard, relative"),
+        *(_at_least(f"holds: {name}", least, -allowed.holds, "least value along the motion") for name, least in
+          held(evidence.arcs)),
+        _at_most("trivial_multipliers", evidence.trivial, allowed.trivial, "flow and gradients are kept"),
+        _at_most("unfolding", orbit.period * max(map(abs, orbit.unfolding), default=0.0),
+                 allowed.unfolding + 10 * found.gap, "back at 0, per period") if any(orbit.unfolding) else None,
+        *_hybrid_record_checks(orbit, evidence, model, allowed, scale),
+        *_expected_checks(orbit, model),
+        *(Check("ignored", 0.0, 0.0, True, text) for text in model.hybrid.ignored),
+    ]  # fmt: skip
+    return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+
+
+def _cycle_check(
+    arcs: Sequence[Arc], orbit: Orbit, reached: np.ndarray, units: np.ndarray, tolerance: float
+) -> Check | None:
+    """The recorded cycle is gone through once: no earlier event brings the motion back to its beginning."""
+    names = [arc.ended_by for arc in arcs]
+    count = len(names)
+    shorter = [k for k in range(1, count) if count % k == 0 and names[:k] * (count // k) == names]
+    if not shorter:
+        return None
+    turned = 2 * np.pi * np.array(shorter)[:, None] / count * np.asarray(orbit.winding)
+    back = reached[np.array(shorter) - 1] - orbit.state
+    back[:, : turned.shape[1]] -= turned
+    far = np.abs(back / units).max(axis=1)
+    return _at_least("minimal_cycle", far.min(), tolerance, f"nearest early return after {shorter[int(far.argmin())]}")
+
+
+def _hybrid_record_checks(
+    orbit: Orbit, evidence: HybridEvidence, model: Model, allowed: Tolerances, scale: float
+) -> list[Check]:
+    """What the record of a hybrid orbit claims against what was recomputed."""
+    off = abs(orbit.closure - evidence.closure) / float(evidence.extents.max())
+    found = energy(model, orbit.state)
+    bulk = max(abs(evidence.action), 1e-300)
+    checks = [
+        _at_most("energy", abs(orbit.energy - found) / max(abs(found), 1e-300), allowed.record, RECORDED)
+        if np.isfinite(found) or np.isfinite(orbit.energy)
+        else None,
+        _at_most("action", abs(orbit.action - evidence.action) / bulk, allowed.record, RECORDED),
+        _at_most("recorded_closure", off, min(orbit.tolerance, allowed.closure) * scale, RECORDED),
+        _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
+        _same("stability", orbit.stability, evidence.floquet.stability),
+        _same("symmetry", orbit.symmetry, NONE.name),
+    ]
+    if orbit.record is not None:
+        checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
+    return [check for check in checks if check]
 
 
 def certified(orbit: Orbit, model: Model) -> Orbit:
@@ -172,8 +251,12 @@ def _moving(model: Model, orbit: Orbit) -> str:
 
 def _motion(evidence: Evidence, model: Model) -> float:
     """Extent of the coordinates, of angles or of others, relative to their size."""
+    return _extent(evidence.states, model)
+
+
+def _extent(states: np.ndarray, model: Model) -> float:
     n = model.degrees_of_freedom
-    places, angular = evidence.states[:, :n], model.angular
+    places, angular = states[:, :n], model.angular
     groups = [places[:, angular], places[:, ~angular]]
     return max(float(np.ptp(group, axis=0).max() / max(np.abs(group).max(), 1e-300)) for group in groups if group.size)
 

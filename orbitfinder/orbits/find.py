@@ -28,11 +28,13 @@ from orbitfinder.loops.polish import polish, segment, tail_of
 from orbitfinder.loops.problem import (
     Guess,
     Problem,
+    at_forcing_period,
     boundary_constants,
     clocked,
     guessed_nodes,
     segments_for,
     whole_turns,
+    without_choice,
 )
 from orbitfinder.loops.shooting import Shooting, far_end, transcribe, units_of
 from orbitfinder.loops.symmetry import off_centre
@@ -40,10 +42,12 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import between, extents_of, gap
+from orbitfinder.orbits.hybrid import hybrid_orbit
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen
 from orbitfinder.orbits.reduction import steady
+from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
@@ -84,17 +88,6 @@ def check_invariants(problem: Problem) -> None:
                 f"{problem.guess.period:.4g} s along the guess's motion; leave it out of invariants=, or look for a "
                 "force that changes it"
             )
-
-
-def at_forcing_period(problem: Problem) -> Problem:
-    """The Problem with its guess's period moved to the multiple of the forcing's that it must have."""
-    clock = problem.model.forcing_period
-    if clock is None:
-        return problem
-    period = problem.forcing_cycles * float(clock(problem.model.parameter_values))
-    guess = problem.guess
-    times = None if guess.times is None else guess.times * (period / guess.period)
-    return replace(problem, guess=replace(guess, period=period, times=times))
 
 
 def at_section(problem: Problem, flow: Flow) -> Problem:
@@ -207,6 +200,8 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     if settings.with_certificate:
         _certifiable(problem.model)
     hint(degrees_taken_for_radians(problem))
+    if problem.model.hybrid is not None:
+        return _found_hybrid(problem, settings, began)
     if suits(problem):
         return find_long_chain(problem, settings, progress)
     check_invariants(problem)
@@ -236,6 +231,18 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit
+
+
+def _found_hybrid(problem: Problem, settings: SolveSettings, began: float) -> Orbit:
+    """The orbit of a hybrid system, by Newton's method from its guess simulated."""
+    refiner = Refiner(problem)
+    refined = refiner.refine()
+    solved = problem if not problem.free else replace(
+        problem, free=(), pin=(),
+        model=with_parameters(problem.model, dict(zip(problem.free, refined.free, strict=False))),
+    )  # fmt: skip
+    orbit = replace(hybrid_orbit(solved, refined), provenance=provenance(problem, settings, began))
+    return certified(orbit, solved.model) if settings.with_certificate else orbit
 
 
 def _certifiable(model: Model) -> None:
@@ -367,7 +374,8 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
     settled = without_choice(replace(problem, model=model, guess=Guess(nodes[0], period), segments=len(nodes)))
     if model.invariants:
         natural = natural_pin(settled, nodes[0])
-        given = problem.pin[: len(natural)] if len(problem.pin) >= len(natural) else ()
+        kept = tuple(one for one in problem.pin if one.name not in problem.free)
+        given = kept[: len(natural)] if len(kept) >= len(natural) else ()
         settled = replace(settled, pin=given or _held(problem, natural, period))
     held = transcribe(settled, nodes, None if problem.free else shooting.flow)
     return held, polish(held, held.vector(replace(held.guess, unfolding=found.unfolding)))
@@ -387,13 +395,6 @@ def _held(problem: Problem, natural: tuple[Pin, ...], period: float) -> tuple[Pi
     if held in problem.bounds.get("period", ()):
         return (Pin("period", held), *natural[1:])
     return tuple(Pin(one.name, _snapped(problem, one.name, one.value)) for one in natural)
-
-
-def without_choice(problem: Problem) -> Problem:
-    """The same Problem with nothing left to choose: no freed parameters, objective, bounds, constraints or pins."""
-    return replace(
-        problem, free=(), pin=(), objective="nearest", coordinate=None, bounds={}, constraints=(), phase_condition=None
-    )
 
 
 def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:

@@ -16,6 +16,9 @@ ERROR_FLOOR = 1e-8
 STABILITIES = ("elliptic", "unstable", "marginal", "asymptotically stable")
 """The verdicts."""
 
+AREA = 1e-6
+"""How near to 1 the product of a hybrid orbit's multipliers is where its resets keep areas, as its modes do"""
+
 
 @dataclass(frozen=True)
 class Floquet:

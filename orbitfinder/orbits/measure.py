@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -13,19 +14,60 @@ from scipy.integrate import trapezoid
 from orbitfinder._runtime import __version__
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, action_rate, invariant_gradients, with_action
+from orbitfinder.integrate.march import March, Marches, rounded, uniform
 from orbitfinder.loops.ipopt import SolveSettings
+from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
 from orbitfinder.loops.problem import Problem, boundary_constants
 from orbitfinder.loops.symmetry import recognise, symplectic, turned
 from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
-from orbitfinder.orbits.closure import gap, shift_along
+from orbitfinder.orbits.closure import gap, shift, shift_along
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
 
+SAMPLES = 256
+"""Steps over a period at least, for the loop, its action and its minimal period."""
 RESOLVED = 1e-6
 """Relative difference that every other sample may make to the action: with all of them it is then some 1e-12"""
+
+
+def whole_period(
+    problem: Problem, flow: Flow, march: March | Marches, w: Unknowns, samples: int = SAMPLES
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes of one period from those of w; equal times over it and the states there, to round-off.
+
+    `march` is that of the equations without symmetry, `samples` how many states there are at least.
+    """
+    nodes = full_period(problem, flow, w.nodes, w.period)
+    steps = max(w.steps, rounded(samples / len(nodes)))
+    states = march.states(nodes, uniform(1.0, len(nodes), steps), _untouched(march, w))
+    states[::steps] = [*nodes, states[-1]]  # the node, not the end of the segment before it
+    states[-1] = nodes[0] + shift(shift_of(problem, nodes[0], states[-1])[1], nodes.shape[1])
+    return nodes, np.linspace(0.0, w.period, len(states)), states
+
+
+def marched(
+    problem: Problem,
+    march: March | Marches,
+    w: Unknowns,
+    whole: tuple[np.ndarray, np.ndarray, np.ndarray],
+    action: float,
+) -> Orbit:
+    """The Orbit (without certificate) of what `whole_period` found, by the march that found it."""
+    nodes, times, states = whole
+    mesh, tail, monodromy = times / times[-1], _untouched(march, w), np.eye(len(nodes[0]))
+    for matrix in march.varied(nodes, mesh, tail).transitions:
+        monodromy = matrix @ monodromy
+    end = march.ends(nodes[:1], mesh, tail)[0]
+    floquet = reduced(problem.model, nodes[0], monodromy)
+    return recorded(problem, w.period, end, nodes, times, states, w.unfolding, action, floquet)
+
+
+def _untouched(march: March | Marches, w: Unknowns) -> np.ndarray:
+    """The parameters (T, s, free) of a flow without unfolding."""
+    return np.concatenate([[w.period], np.zeros(march.unfolding), w.free])
 
 
 def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfolding: np.ndarray) -> Orbit:
@@ -132,13 +174,18 @@ def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> F
     count, monodromy = len(nodes), np.eye(nodes.shape[1])
     for k, node in enumerate(nodes):
         monodromy = transition(flow, node, period / count, k * period / count)[1] @ monodromy
-    gradients, directions = frame(model, nodes[0])
-    if flow.units:
-        units = np.asarray(flow.units)
-        monodromy = monodromy * units / units[:, None]
-        gradients, directions = gradients * units, directions / units
+    return reduced(model, nodes[0], monodromy, flow.units)
+
+
+def reduced(model: Model, state: np.ndarray, monodromy: np.ndarray, units: Sequence[float] = ()) -> Floquet:
+    """Floquet multipliers without the trivial ones, from the monodromy at a state; `units` (2n) to measure it in."""
+    gradients, directions = frame(model, state)
+    if len(units):
+        sizes = np.asarray(units)
+        monodromy = monodromy * sizes / sizes[:, None]
+        gradients, directions = gradients * sizes, directions / sizes
     if model.constraint is not None:
-        basis = tangent_space(model, nodes[0])
+        basis = tangent_space(model, state)
         monodromy, gradients, directions = basis.T @ monodromy @ basis, gradients @ basis, directions @ basis
     return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=symplectic(model))
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,37 +20,30 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.newton import Newton, NewtonSettings
-from orbitfinder.loops.problem import Guess, Problem, guessed_nodes, loop_of, segments_needed
+from orbitfinder.loops.newton import Newton, NewtonSettings, Refined
+from orbitfinder.loops.problem import (
+    Guess,
+    Problem,
+    at_forcing_period,
+    check_guessed,
+    guessed_nodes,
+    loop_of,
+    segments_needed,
+    without_choice,
+)
+from orbitfinder.loops.symmetry import NONE
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.find import at_forcing_period
-from orbitfinder.orbits.measure import measure
+from orbitfinder.orbits.hybrid import first_unknowns, hybrid_orbit
+from orbitfinder.orbits.measure import RESOLVED, SAMPLES, action, marched, whole_period
 from orbitfinder.records.orbit import Orbit
 
 STANDSTILL = 1e-6
 """Largest rate at the start times the period, below which the motion is none."""
 
-
-@dataclass(frozen=True)
-class Refined:
-    """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
-
-    `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment;
-    `marches` and `jacobians` are what it took.
-    """
-
-    __repr__ = brief("state", "period")
-
-    state: np.ndarray
-    period: float
-    nodes: np.ndarray
-    unfolding: np.ndarray
-    free: np.ndarray
-    turns: np.ndarray
-    residual: float
-    steps: int
-    marches: int
-    jacobians: int
+MOST_SAMPLES = 6
+"""Times that the samples of a period are doubled, at most, for the action"""
 
 
 class Refiner:
@@ -67,16 +61,22 @@ class Refiner:
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        self.flow = build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
+        hybrid = problem.model.hybrid is not None
+        self.flow = (
+            None if hybrid else build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
+        )
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
         fraction = problem.boundary.fraction
         whole = max(4, int(np.ceil(chosen.steps_per_period * fraction)))
-        self.segments = problem.segments or self._segments(whole)
-        self._steps = max(4, -(-whole // self.segments))
+        arcs = self.equations.links.count
+        self.segments = problem.segments or (1 if hybrid else self._segments(whole))
+        self._steps = max(4, -(-whole // (arcs * self.segments)))
+        self._first = self._simulated(problem.guess) if hybrid else None
 
     def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None) -> Refined:
-        """The orbit near a guess (default: the problem's) at the pins (default: the problem's).
+        """The orbit near a guess (default: the problem's) at the pins (default: the problem's). A physical parameter
+        that is freed and pinned is changed by its pin.
 
         Raises `ConvergenceError` when Newton's method does not converge from there (find_orbit reaches farther),
         `IntegrationError` when the motion cannot be integrated. Threads that share a Refiner take turns.
@@ -85,9 +85,10 @@ class Refiner:
             return self._refined(guess, pin)
 
     def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None) -> Refined:
-        w = self._start(_checked(guess or self.problem.guess, self.equations.size))
+        pins = _pins(self.problem, pin)
+        w = self._start(_checked(guess or self.problem.guess, self.problem), pins)
         path = self.equations.varied(w)
-        loop = loop_of(self.problem, self.equations, w, path.ends[-1], _pins(self.problem, pin))
+        loop = loop_of(self.problem, self.equations, w, path.ends[-1], pins)
         newton = Newton(loop, self.settings)
         w, residual = newton.solve(w, path)
         if not residual < self.settings.converged:
@@ -104,13 +105,42 @@ class Refiner:
         )  # fmt: skip
 
     def orbit(self, refined: Refined, with_certificate: bool = True) -> Orbit:
-        """The Orbit of a refined one, measured and certified (tenths of a second). No freed parameters."""
+        """The Orbit of a refined one, measured and certified (hundredths of a second); freed parameters, at which it
+        was found, become those of its system."""
+        with self._alone:
+            orbit, model = self._measured(refined)
+        return certified(orbit, model) if with_certificate else orbit
+
+    def _measured(self, refined: Refined) -> tuple[Orbit, Model]:
+        """The Orbit (without certificate) and its Model."""
+        if self.flow is None:
+            return self._hybrid(refined), self.problem.model
+        values = {name: float(one) for name, one in zip(self.problem.free, refined.free, strict=True)}
+        turns, model = tuple(int(k) for k in refined.turns), with_parameters(self.problem.model, values)
+        guess = Guess(refined.state, refined.period)
+        problem = replace(without_choice(self.problem), model=model, guess=guess, winding=turns)
+        mesh = uniform(problem.boundary.fraction, len(refined.nodes), refined.steps)
+        w = Unknowns(refined.nodes, refined.period, refined.unfolding, refined.free, mesh)
+        flow, march = replace(self.flow, model=model), self._whole.march
+        for samples in SAMPLES * 2 ** np.arange(MOST_SAMPLES):
+            whole = whole_period(problem, flow, march, w, int(samples))
+            times, states = whole[1:]
+            found = action(model, times, states)
+            if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
+                break
+        return marched(problem, march, w, whole, found), model
+
+    def _hybrid(self, refined: Refined) -> Orbit:
+        """The Orbit (without certificate) of a motion with impacts, which carries no freed parameters."""
         if refined.free.size:
             raise InputError("free: an Orbit carries no freed parameters; put their values into the model")
-        turns = tuple(int(k) for k in refined.turns)
-        problem = replace(self.problem, guess=Guess(refined.state, refined.period), winding=turns)
-        orbit = measure(problem, self.flow, refined.nodes, refined.period, refined.unfolding)
-        return certified(orbit, problem.model) if with_certificate else orbit
+        return hybrid_orbit(self.problem, refined)
+
+    @cached_property
+    def _whole(self) -> Equations:
+        """The equations over whole periods."""
+        plain = not self.problem.boundary.maps
+        return self.equations if plain else Equations(self.problem.model, NONE, self.problem.free)
 
     def _segments(self, steps: int) -> int:
         """As many segments as the guess's motion needs."""
@@ -124,16 +154,29 @@ class Refiner:
         except IntegrationError:
             return most
 
-    def _start(self, guess: Guess) -> Unknowns:
-        """The unknowns of a guess: sampled from its trajectory, else simulated from its state."""
+    def _start(self, guess: Guess, pins: Sequence[Pin]) -> Unknowns:
+        """The unknowns of a guess: sampled from its trajectory, else simulated from its state.
+
+        Freed parameters start where they are pinned, else where the guess says, else at the model's own values.
+        """
+        if self._first is not None:
+            return self._first if guess is self.problem.guess else self._simulated(guess)
+        own = zip(self.problem.free, self.equations.numbers, strict=True)
+        known = {**dict(own), **guess.free, **{one.name: one.value for one in pins}}
+        free = np.array([known[name] for name in self.problem.free], float)
         state, fraction = np.asarray(guess.state, float), self.problem.boundary.fraction
         mesh = uniform(fraction, self.segments, self._steps)
         if guess.times is not None and guess.states is not None:
-            return self.equations.unknowns(guessed_nodes(guess, mesh[: -1 : self._steps]), guess.period, mesh)
-        w = self.equations.unknowns(state[None], guess.period, mesh)
+            nodes = guessed_nodes(guess, mesh[: -1 : self._steps])
+            return self.equations.unknowns(nodes, guess.period, mesh, free)
+        w = self.equations.unknowns(state[None], guess.period, mesh, free)
         if self.segments == 1:
             return w
         return replace(w, nodes=self.equations.march.states(w.nodes, w.mesh, w.tail)[: -1 : self._steps])
+
+    def _simulated(self, guess: Guess) -> Unknowns:
+        """The unknowns of a hybrid guess: its cycle simulated."""
+        return first_unknowns(self.equations, guess, self.segments, self._steps)
 
     def _rates(self, w: Unknowns) -> float:
         """Largest component of T f at the nodes: 0 at an equilibrium."""
@@ -167,7 +210,9 @@ def _check_square(problem: Problem) -> None:
         raise CountError(f"pin: {count} leave {count.freedom} to choose; warm refinement needs as many pins")
 
 
-def _checked(guess: Guess, size: int) -> Guess:
+def _checked(guess: Guess, problem: Problem) -> Guess:
+    size = len(problem.model.state_names)
+    check_guessed(guess, problem.free)
     state = np.asarray(guess.state, float)
     if state.shape != (size,) or not np.all(np.isfinite(state)):
         raise InputError(f"guess.state: need {size} finite numbers, got {state.tolist()}")

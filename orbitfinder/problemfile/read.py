@@ -10,7 +10,7 @@ import runpy
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +135,8 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
     model = build_model(table.system.model_dump(exclude_none=True), source.parent if trust else None)
     problem = None
     if table.guess is not None:
-        problem = _problem(name, model, guess_from_table(table.guess, model, source.parent), table)
+        guess = replace(guess_from_table(table.guess, model, source.parent), free=table.guess.free)
+        problem = _problem(name, model, guess, table)
         problem.check_count()
     return ProblemFile(
         path=source,

@@ -176,6 +176,10 @@ class GuessTable(Table):
         description="largest angle (or coordinate) of the mode in rad (or m), positive; goes with mode; "
         "for a list of modes a list, entries may be negative",
     )
+    free: dict[str, float] = Field(
+        {},
+        description="where freed physical parameters start, such as { length3 = 1.2 }; the system's own when left out",
+    )
     csv: str | None = Field(
         None,
         description="trajectory over one period, a CSV file in the problem file's folder "
@@ -222,8 +226,8 @@ class FindTable(Table):
     pin: dict[str, float] | None = Field(
         None,
         description="the number that selects one orbit of its family: energy in J (potential zero at the fixed "
-        "joint), period in s, or a state component at t = 0 such as theta1; "
-        "when left out, the orbit nearest to the guess",
+        "joint), period in s, or a state component at t = 0 such as theta1, and beside it values of physical "
+        "parameters; when left out, the orbit nearest to the guess",
     )
     symmetry: Annotated[str, AfterValidator(_known_symmetry)] = Field(
         "none",

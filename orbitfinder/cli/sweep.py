@@ -1,0 +1,103 @@
+"""The command `sweep`: the orbit of a problem file at many values of its parameters, as a table and as orbits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+
+from orbitfinder._runtime import interrupt
+from orbitfinder.cli.console import display
+from orbitfinder.cli.options import FILES, compile_option, finish, json_option, out_option, text, trust_option
+from orbitfinder.errors import InputError
+
+if TYPE_CHECKING:
+    from orbitfinder.orbits.sweep import Row
+
+MOST_VALUES = 1_000_000
+
+
+@click.command()
+@click.argument("file", type=FILES, metavar="FILE")
+@click.option(
+    "--parameter", "given", multiple=True, required=True, metavar="NAME=FROM:TO:COUNT",
+    help="A physical parameter, or what the problem pins, and its values; or NAME=V,V,...; several change together.",
+)  # fmt: skip
+@click.option("--workers", default=1, show_default=True, type=click.IntRange(1, 256), help="Processes side by side.")
+@out_option("Folder for DIR/<name>/sweep.csv, sweep.json and orbits.", default="sweeps", show_default=True)
+@click.option("--orbits/--no-orbits", default=True, show_default=True, help="Write each orbit too, DIR/<name>/K/.")
+@compile_option
+@trust_option()
+@json_option
+def sweep(
+    file: Path, given: tuple[str, ...], workers: int, out: Path, orbits: bool, limit: float | None, trust: bool
+) -> None:
+    """Find the orbit of a problem FILE at each value of a parameter, starting from the one at the value before.
+
+    Writes a table with a line a value: certified with its numbers, or the reason why not. Exit code 0: all certified.
+
+    \b
+    Examples:
+      orbitfinder sweep problems/gallery/spring-pendulum-swing.toml --parameter stiffness=26:34:100
+      orbitfinder sweep problems/examples/double-mode-2.toml --parameter energy=-19,-18.5,-18 --no-orbits
+    """
+    from orbitfinder.atlas.export import as_csv
+    from orbitfinder.cli.jobs import check_writable
+    from orbitfinder.orbits.sweep import sweep as swept
+    from orbitfinder.problemfile.read import load_problem_file
+    from orbitfinder.records.orbit import save_orbit
+    from orbitfinder.records.reading import finite, write_atomically, write_json
+
+    values = dict(parameter(one) for one in given)
+    if len(values) < len(given):
+        raise InputError("--parameter: the same name twice; give each once")
+    loaded = load_problem_file(file, trust)
+    folder = out / loaded.wanted.name
+    check_writable(folder)
+    with display() as shown:
+
+        def report(row: Row, done: int, total: int) -> None:
+            interrupt.check()
+            place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
+            shown.say(f"{done} of {total}: {place}, {said(row)}")
+
+        found = swept(loaded.wanted, values, workers=workers, limit=limit, progress=report,
+                      folder=file.parent.resolve() if trust else None)  # fmt: skip
+    records = found.records
+    written = [folder / "sweep.csv", write_json(folder / "sweep.json", finite(records))]
+    write_atomically(written[0], as_csv(list(records[0]), records))
+    if orbits:
+        written += [save_orbit(one, folder / one.name / "orbit.json") for one in found.orbits]
+    for row in found.rows:
+        if not row.certified:
+            text(", ".join(f"{name} = {value:.9g}" for name, value in row.values.items()) + f": {row.reason}")
+    text(f"{written[0]}: {found.certified} of {len(records)} certified, {found.seconds:.1f} s")
+    document = {"name": loaded.wanted.name, "rows": records, "written": [str(one) for one in written]}
+    finish("sweep", document, found.certified == len(records))
+
+
+def said(row: Row) -> str:
+    """What became of a value, in a few words."""
+    if row.orbit is None or not row.certified:
+        return row.reason
+    return f"period {row.orbit.period:.9g} s, {row.orbit.stability}"
+
+
+def parameter(given: str) -> tuple[str, list[float]]:
+    """The name and values of NAME=FROM:TO:COUNT or NAME=V,V,... Raises `InputError`."""
+    name, equals, numbers = given.partition("=")
+    try:
+        if numbers.count(":") == 2:
+            first, last, count = numbers.split(":")
+            if not 1 <= int(count) <= MOST_VALUES:
+                raise ValueError(f"{count} values, give 1 to {MOST_VALUES}")
+            return name.strip(), [float(x) for x in np.linspace(float(first), float(last), int(count))]
+        if not equals:
+            raise ValueError("no =")
+        return name.strip(), [float(word) for word in numbers.split(",")]
+    except ValueError as error:
+        raise InputError(
+            f"--parameter: {given[:60]!r} names no values ({error}); give NAME=FROM:TO:COUNT or NAME=V,V,..."
+        ) from error

@@ -1,0 +1,359 @@
+"""Hybrid systems: smooth modes, guards that end them, resets that begin the next.
+
+All modes share one state x (d), its names and the parameters p; what a mode does not use stands still in it. Time does
+not occur: a forcing is a clock among the states. In mode m the motion is that of its Model until a transition's guard
+g(x, p) crosses 0 in its direction where `allowed` is positive; then x+ = R(x-, p).
+
+Source: R. Goebel, R. Sanfelice, A. Teel, "Hybrid dynamical systems", IEEE Control Systems 29 (2009) 28-93; of impacts
+B. Brogliato, Nonsmooth Mechanics (2016), section 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime.notebook import brief
+from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.factorise import LinearBalances, eliminated
+from orbitfinder.mechanics.first_order import Named
+from orbitfinder.mechanics.model import Model
+
+SHARE = "share_"
+"""What the name of the parameter begins with that says how much of the period an arc takes"""
+
+
+Expression = Callable[[Named, Named], Any]
+"""(x, p) -> an expression of the state and the parameters, which have names: x.theta, p.slope"""
+
+
+def changed(state: Named, /, **values: Any) -> Any:
+    """The state with some of its components changed, by name."""
+    for name in values:
+        state[name]
+    return ca.vertcat(*(values.get(name, state[name]) for name in state.names))
+
+
+@dataclass(frozen=True)
+class Transition:
+    """From mode `source` to mode `target` where guard(x, p) crosses 0, falling (`direction` -1) or rising (+1).
+
+    `reset` gives x+ (default: x itself). Crossings at which `allowed` is not positive are no events, and `ignored` says
+    why: it is printed with every certificate. `impulse` is the normal impulse, which must not be negative; `lost` the
+    energy lost. Each is a function (x, p) of state and parameters by name; a built system has CasADi functions in
+    their place.
+    """
+
+    __repr__ = brief("name", "source", "target")
+
+    name: str
+    source: str
+    target: str
+    guard: Any
+    reset: Any = None
+    direction: int = -1
+    allowed: Any = None
+    ignored: str = ""
+    impulse: Any = None
+    lost: Any = None
+    slope: Any = None
+    """the guard's gradient (1 x d), made when the system is built"""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A smooth mode: its Model, and what must not become negative in it (`holds`: name -> expression), such as a
+    contact force or the height of what is in the air."""
+
+    __repr__ = brief("name")
+
+    name: str
+    model: Model
+    holds: Mapping[str, Any] = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class Hybrid:
+    """What makes a Model hybrid: its modes, its transitions, and the transitions of one period in their order.
+
+    The cycle begins in the `source` of its first transition; arc k is the motion before transition k.
+    """
+
+    __repr__ = brief("cycle")
+
+    modes: tuple[Mode, ...]
+    transitions: tuple[Transition, ...]
+    cycle: tuple[str, ...]
+    given: tuple[tuple[Mode, ...], tuple[Transition, ...], tuple[str, ...]] = ((), (), ())
+    """modes, transitions and what is conserved, as they were given"""
+
+    def mode(self, name: str) -> Mode:
+        """A mode by its name."""
+        return next(one for one in self.modes if one.name == name)
+
+    def transition(self, name: str) -> Transition:
+        """A transition by its name; `InputError` names the known ones."""
+        found = next((one for one in self.transitions if one.name == name), None)
+        if found is None:
+            known = [one.name for one in self.transitions]
+            raise InputError(f"cycle: unknown transition {name!r}{closest(name, known)}; it has {', '.join(known)}")
+        return found
+
+    def leaving(self, mode: str) -> tuple[Transition, ...]:
+        """The transitions that end a mode."""
+        return tuple(one for one in self.transitions if one.source == mode)
+
+    @property
+    def arcs(self) -> tuple[tuple[Mode, Transition], ...]:
+        """The modes of one period with the transitions that end them."""
+        found = [self.transition(name) for name in self.cycle]
+        return tuple((self.mode(one.source), one) for one in found)
+
+    @property
+    def ignored(self) -> tuple[str, ...]:
+        """What guards ignore on purpose."""
+        return tuple(f"{one.name}: {one.ignored}" for one in self.transitions if one.allowed is not None)
+
+
+@dataclass(frozen=True)
+class Impact:
+    """An impact of a mechanism: M (v+ - v-) = J^T P with J v+ = -e J v-, J the contact's Jacobian.
+
+    Each is a function (x, p): `gap` (the first contact's), `after` (x+), `impulse` (P of the first, positive
+    where it pushes), `lost` (energy, J).
+    """
+
+    __repr__ = brief()
+
+    gap: Expression
+    after: Expression
+    impulse: Expression
+    lost: Expression
+
+
+def impact(model: Model, contact: Expression, restitution: float | Expression | Sequence[float] = 0.0) -> Impact:
+    """The impact of a mechanism at contacts: gaps(q, p) (m), the first along the normal, others held (no slip).
+
+    `restitution` e of each row: 0 is plastic, 1 elastic; a number, m numbers or a function (x, p). Raises
+    `InputError`.
+    """
+    if model.constraint is not None:
+        raise InputError("impact: needs a system of coordinates and velocities with a mass matrix; write the reset")
+
+    n = model.degrees_of_freedom
+    x, p, velocity = ca.SX.sym("x", 2 * n), ca.SX.sym("p", len(model.parameter_names)), ca.SX.sym("v", n)
+    here = Named.of(model.state_names, x), Named.of(model.parameter_names, p)
+    gaps = ca.vertcat(*_listed(contact(*here)))
+    wanted = restitution(*here) if callable(restitution) else restitution
+    e = ca.vertcat(*wanted) if isinstance(wanted, Sequence) else ca.repmat(ca.SX(wanted), gaps.numel(), 1)
+    if e.numel() != gaps.numel():
+        raise InputError(f"restitution: {e.numel()} numbers for {gaps.numel()} contacts; give one, or one each")
+    mass = ca.hessian(model.kinetic(x[:n], velocity, p), velocity)[0]
+    jacobian = ca.jacobian(gaps, x[:n])
+    balances = LinearBalances(mass, -mass @ x[n:], jacobian.T, jacobian, -e * (jacobian @ x[n:]))
+    after = eliminated(balances, [x, p], True)(x, p)
+    lost = model.kinetic(x[:n], x[n:], p) - model.kinetic(x[:n], after[:n], p)
+    whole = ca.Function("impact", [x, p], [gaps[0], ca.vertcat(x[:n], after[:n]), after[n], lost])
+    return Impact(*(lambda x, p, k=k: whole(ca.vertcat(*x), ca.vertcat(*p))[k] for k in range(4)))  # type: ignore[misc]
+
+
+def _listed(found: Any) -> list[Any]:
+    return list(found) if isinstance(found, (list, tuple)) else [found]
+
+
+def hybrid(
+    modes: Mapping[str, Model] | Sequence[Mode],
+    transitions: Sequence[Transition],
+    cycle: Sequence[str],
+    *,
+    conserved: Sequence[str] = (),
+    system: Mapping[str, Any] | None = None,
+) -> Model:
+    """The Model of a hybrid system whose orbits go through the transitions of `cycle`.
+
+    Its parameters are those of the modes and, for each arc but the last, its share of the period (`share_1`, ...),
+    which solvers find. `conserved` names invariants of all modes that the resets keep too. Raises `InputError` where
+    modes differ in states or parameters, or the cycle does not fit together.
+    """
+    named = tuple(Mode(name, model) for name, model in modes.items()) if isinstance(modes, Mapping) else tuple(modes)
+    _check_modes(named)
+    named = tuple(replace(one, model=_conserving(one, conserved)) for one in named)
+    first = named[0].model
+    parts = Hybrid(named, tuple(transitions), tuple(cycle))
+    _check_cycle(parts)
+    count = len(cycle)
+    names = (*first.parameter_names, *(f"{SHARE}{k + 1}" for k in range(count - 1)))
+    values = np.concatenate([first.parameter_values, np.full(count - 1, 1.0 / count)])
+    begins = parts.arcs[0][0].model
+    whole = replace(begins, parameter_names=names, parameter_values=values)
+    built = Hybrid(
+        tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), tuple(cycle),
+        (named, tuple(transitions), tuple(conserved)),
+    )  # fmt: skip
+    return replace(
+        built.arcs[0][0].model, parameter_names=names, parameter_values=values, hybrid=built,
+        system=dict(system or {"kind": "custom"}),
+    )  # fmt: skip
+
+
+def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
+    """The same hybrid system at the same values of its parameters, its orbits going through another cycle.
+
+    Raises `InputError` for a system that is not hybrid, or a cycle that it cannot go through.
+    """
+    if model.hybrid is None:
+        raise InputError("cycle: the system is not hybrid, its motion has no events; leave the cycle out")
+    if tuple(cycle) == model.hybrid.cycle:
+        return model
+    modes, transitions, conserved = model.hybrid.given
+    made = hybrid(modes, transitions, cycle, conserved=conserved, system=dict(model.system) | {"cycle": list(cycle)})
+    kept = len(modes[0].model.parameter_names)
+    numbers = np.append(model.parameter_values[:kept], made.parameter_values[kept:])
+    return replace(made, parameter_values=numbers, hybrid=at_numbers(made.hybrid, numbers))
+
+
+def repeated(model: Model, times: int) -> Model:
+    """The same system, the cycle of a hybrid one gone through so many times."""
+    return model if model.hybrid is None else with_cycle(model, model.hybrid.cycle * times)
+
+
+def _conserving(mode: Mode, names: Sequence[str]) -> Model:
+    """The mode's Model with those invariants only that the whole cycle keeps."""
+    found = {one.name: one for one in mode.model.invariants}
+    for name in names:
+        if name not in found:
+            raise InputError(
+                f"conserved: mode {mode.name} does not conserve {name!r}{closest(name, found)}; it conserves "
+                f"{', '.join(found) or 'nothing'}"
+            )
+    return replace(mode.model, invariants=tuple(found[name] for name in names))
+
+
+def at_numbers(parts: Hybrid | None, numbers: np.ndarray) -> Hybrid | None:
+    """The same modes at other values of the parameters."""
+    if parts is None:
+        return None
+    modes = (replace(one, model=replace(one.model, parameter_values=numbers)) for one in parts.modes)
+    return replace(parts, modes=tuple(modes))
+
+
+def share(model: Model, arc: int, p: Any) -> Any:
+    """The share of the period that an arc takes."""
+    assert model.hybrid is not None
+    count = len(model.hybrid.cycle)
+    last = len(model.parameter_names)
+    shares = p[last - (count - 1) :] if count > 1 else p[:0]
+    return shares[arc] if arc < count - 1 else 1 - ca.sum1(shares) if count > 1 else 1
+
+
+def _mode(mode: Mode, whole: Model) -> Mode:
+    """A mode whose functions take the whole system's parameters."""
+    kept = len(mode.model.parameter_names)
+    model = replace(
+        widened(mode.model, len(whole.parameter_names), kept),
+        parameter_names=whole.parameter_names,
+        parameter_values=whole.parameter_values,
+    )
+    return Mode(mode.name, model, {name: _function("holds", one, model) for name, one in (mode.holds or {}).items()})
+
+
+def widened(model: Model, count: int, kept: int) -> Model:
+    """A Model whose functions take `count` parameters and use the first `kept`."""
+    if count == kept:
+        return model
+
+    def wide(function: ca.Function | None) -> ca.Function | None:
+        if function is None:
+            return None
+        symbols = function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+        more = type(symbols[0]).sym("p", count)
+        return ca.Function(function.name(), [*symbols[:-1], more], function.call([*symbols[:-1], more[:kept]]))
+
+    functions = {name: wide(value) for name, value in vars(model).items() if isinstance(value, ca.Function)}
+    invariants = tuple(
+        replace(one, value=wide(one.value), unfolding=wide(one.unfolding), generator=wide(one.generator))
+        for one in model.invariants
+    )
+    return replace(model, **functions, invariants=invariants)  # type: ignore[arg-type]
+
+
+def _transition(one: Transition, model: Model) -> Transition:
+    guard, reset = _function("guard", one.guard, model), _function("reset", one.reset or _unchanged, model)
+    if guard.numel_out(0) != 1:
+        raise InputError(f"transition {one.name}: guard gives {guard.numel_out(0)} numbers; give one")
+    size = len(model.state_names)
+    if reset.size_out(0) != (size, 1):
+        raise InputError(f"transition {one.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
+    others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost")}
+    made = {name: None if value is None else _function(name, value, model) for name, value in others.items()}
+    return replace(one, guard=guard, reset=reset, slope=_gradient(guard), **made)  # type: ignore[arg-type]
+
+
+def _gradient(guard: ca.Function) -> ca.Function:
+    x, p = (guard.sx_in if guard.is_a("SXFunction") else guard.mx_in)()
+    return ca.Function("slope", [x, p], [ca.densify(ca.jacobian(guard(x, p), x))])
+
+
+def _unchanged(x: Named, _: Named) -> Any:
+    return ca.vertcat(*x)
+
+
+def _function(name: str, expression: Expression, model: Model) -> ca.Function:
+    """A CasADi function of (x, p), of SX where it can be: its derivatives are then cheapest."""
+
+    def made(symbol: Any) -> ca.Function:
+        x, p = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))
+        found = expression(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
+        return ca.Function(name, [x, p], [ca.densify(type(x)(ca.vertcat(*_listed(found))))])
+
+    if isinstance(expression, ca.Function):
+        return expression
+    try:
+        return made(ca.SX.sym if model.scalar else ca.MX.sym)
+    except NotImplementedError:  # it calls functions of matrices
+        return made(ca.MX.sym)
+
+
+def _check_modes(modes: Sequence[Mode]) -> None:
+    if not modes:
+        raise InputError("modes: none given; give at least one, {name: Model}")
+    first = modes[0].model
+    for one in modes:
+        if one.model.state_names != first.state_names:
+            raise InputError(
+                f"modes: {one.name} has states {', '.join(one.model.state_names)}, {modes[0].name} has "
+                f"{', '.join(first.state_names)}; give all modes the same, what a mode does not use stands still"
+            )
+        if one.model.parameter_names != first.parameter_names or not np.array_equal(
+            one.model.parameter_values, first.parameter_values
+        ):
+            raise InputError(f"modes: {one.name} and {modes[0].name} differ in parameters; give all modes the same")
+        if one.model.forced:
+            raise InputError(f"modes: {one.name} depends on time; make the clock a state (an angle with a rate of 1)")
+
+
+def _check_cycle(parts: Hybrid) -> None:
+    names = [one.name for one in parts.modes]
+    for one in parts.transitions:
+        for which in (one.source, one.target):
+            if which not in names:
+                raise InputError(f"transition {one.name}: unknown mode {which!r}{closest(which, names)}")
+        if one.direction not in (-1, 1):
+            raise InputError(
+                f"transition {one.name}: direction must be -1 (falling) or 1 (rising), got {one.direction}"
+            )
+        if one.allowed is not None and not one.ignored:
+            raise InputError(f"transition {one.name}: ignored must say in words what `allowed` leaves out on purpose")
+    if not parts.cycle:
+        raise InputError("cycle: no transition; name those of one period in their order")
+    found = [parts.transition(name) for name in parts.cycle]
+    for one, following in zip(found, [*found[1:], found[0]], strict=True):
+        if one.target != following.source:
+            raise InputError(
+                f"cycle: {one.name} leads to {one.target}, {following.name} starts from {following.source}; they do "
+                "not follow each other"
+            )

@@ -1,0 +1,318 @@
+"""Orbits of hybrid systems: the guess simulated to begin with, and the evidence of an independent simulation.
+
+Found by Newton's method on the Loop, in which an arc's duration is an unknown and its guard a row; certified by the
+automaton itself, which watches all guards and does not know where an arc should end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.integrate.automaton import Arc, Automaton
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate
+from orbitfinder.integrate.equations import invariant_gradients
+from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.newton import Refined
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import NONE
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.hybrid import Hybrid
+from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
+from orbitfinder.orbits.evidence import CHECKED, ClosureCheck
+from orbitfinder.orbits.floquet import AREA, Floquet, analyse, reduce_monodromy
+from orbitfinder.records.orbit import Orbit
+
+PIECES = 4
+"""Pieces of an arc whose variations are integrated one by one"""
+PATIENCE = 20.0
+"""Periods of the guess after which its simulation is given up"""
+
+
+def cycle_from(
+    model: Model, state: np.ndarray, settings: ReferenceSettings = TIGHTEST, longest: float = np.inf
+) -> list[Arc]:
+    """One cycle of a hybrid Model simulated from a state, for `longest` s at most.
+
+    Raises `ConvergenceError` where its events are not the cycle's.
+    """
+    hybrid: Hybrid = model.hybrid
+    found = list(Automaton(model, settings).arcs(state, hybrid.arcs[0][0].name, longest, len(hybrid.cycle)))
+    events = tuple(arc.ended_by for arc in found)
+    if events != hybrid.cycle:
+        named = ", ".join(one or "no event" for one in events)
+        raise ConvergenceError(
+            f"the motion from the guess goes through {named} where the cycle asks for {', '.join(hybrid.cycle)}; start "
+            "nearer, or ask for the cycle that it goes through"
+        )
+    return found
+
+
+def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int) -> Unknowns:
+    """The unknowns of a guess: its cycle simulated, `segments` and `steps` of each in every arc."""
+    arcs = cycle_from(equations.model, np.asarray(guess.state, float), longest=PATIENCE * guess.period)
+    durations = np.array([arc.duration for arc in arcs])
+    period = float(durations.sum())
+    nodes = [_sampled(arc, segments) for arc in arcs]
+    free = equations.numbers.copy()
+    last = free.size - (len(arcs) - 1)
+    free[last:] = durations[:-1] / period
+    mesh = np.linspace(0.0, 1.0, len(arcs) * segments * steps + 1)
+    return equations.unknowns(np.vstack(nodes), period, mesh, free)
+
+
+def _sampled(arc: Arc, segments: int) -> np.ndarray:
+    moments = arc.times[0] + arc.duration * np.arange(segments) / segments
+    return np.stack([np.interp(moments, arc.times, column) for column in arc.states.T], axis=1)
+
+
+@dataclass(frozen=True)
+class HybridEvidence:
+    """What the simulated automaton says of a state: its arcs, the gap, the multipliers, what must hold.
+
+    `pieces` are state-transition matrices in extents, events included; `trivial` how far the flow and the invariants'
+    gradients are from being kept; `transversal` the least rate at which a guard is crossed, relative.
+    """
+
+    arcs: tuple[Arc, ...]
+    period: float
+    end: np.ndarray
+    closes: Closure
+    closure: float
+    action: float
+    drift: float
+    balance: float
+    extents: np.ndarray
+    trivial: float
+    transversal: float
+    floquet: Floquet
+    monodromy: np.ndarray
+
+    @property
+    def states(self) -> np.ndarray:
+        """All sampled states (k x d), those before and after each event."""
+        return np.vstack([arc.states for arc in self.arcs])
+
+    @property
+    def times(self) -> np.ndarray:
+        """Their times (k), those of events twice."""
+        return np.concatenate([arc.times for arc in self.arcs])
+
+
+def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndarray) -> HybridEvidence:
+    """The evidence of a state at the beginning of the cycle, of which the period is told.
+
+    Raises `ConvergenceError`, `IntegrationError`.
+    """
+    arcs = cycle_from(model, state, longest=PATIENCE * period)
+    period, end = float(arcs[-1].times[-1]), arcs[-1].after
+    states = np.vstack([arc.states for arc in arcs])
+    units = extents_of(model, states, period)
+    sizes = np.maximum(np.abs(states).max(axis=0) / units, 1.0)
+    pieces, action = _variations(model, arcs)
+    scaled = [piece * units / units[:, None] for piece in pieces]
+    whole = np.eye(units.size)
+    for piece in scaled:
+        whole = piece @ whole
+    automaton = Automaton(model)
+    rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
+    slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
+    found = closes((end - state - shift(turns, units.size)) / units, scaled, sizes, rate * period)
+    size = max(1.0, float(np.abs(whole).max()))
+    kept = [_off(whole @ rate, rate), *(_off(row @ whole, row) for row in slopes)]
+    drift, balance = _energies(model, arcs)
+    return HybridEvidence(
+        arcs=tuple(arcs),
+        period=period,
+        end=end,
+        closes=found,
+        closure=gap(state, end, turns),
+        action=action,
+        drift=drift,
+        balance=balance,
+        extents=units,
+        trivial=max(kept) / size,
+        transversal=min(abs(arc.slope) for arc in arcs),
+        floquet=multipliers(whole, slopes, rate[None]),
+        monodromy=whole * units[:, None] / units,
+    )
+
+
+def hybrid_orbit(problem: Problem, refined: Refined) -> Orbit:
+    """The Orbit (without certificate) of a refined one."""
+    model, turns = problem.model, np.asarray(refined.turns, int)
+    found = gather_hybrid(model, refined.state, refined.period, turns)
+    return Orbit(
+        name=problem.name,
+        title=problem.title,
+        source=problem.source,
+        system=model.system,
+        state=refined.state,
+        period=refined.period,
+        energy=energy(model, refined.state),
+        action=found.action,
+        closure=found.closure,
+        symmetry=NONE.name,
+        winding=tuple(int(k) for k in turns),
+        floquet_multipliers=found.floquet.multipliers,
+        pair_defect=found.floquet.pair_defect,
+        stability=found.floquet.stability,
+        unfolding=tuple(float(s) for s in refined.unfolding),
+        nodes=refined.state[None],
+        times=found.times,
+        samples=found.states,
+        tolerance=problem.tolerance,
+        expected=problem.expected,
+    )
+
+
+def multipliers(monodromy: np.ndarray, gradients: np.ndarray, directions: np.ndarray) -> Floquet:
+    """The multipliers of a hybrid orbit; they come in reciprocal pairs only where the resets keep areas too."""
+    reduced = reduce_monodromy(monodromy, gradients, directions)
+    area = abs(float(np.linalg.det(reduced))) if reduced.size else 1.0
+    return analyse(reduced, conservative=bool(len(gradients)) and abs(area - 1.0) < AREA)
+
+
+def second_gap(model: Model, state: np.ndarray, period: float, turns: np.ndarray, units: np.ndarray) -> float:
+    """The gap in `units` of the automaton simulated at a second tolerance; infinite where it takes another way."""
+    try:
+        arcs = cycle_from(model, state, SECOND, PATIENCE * period)
+    except (ConvergenceError, IntegrationError):
+        return float("inf")
+    return gap(state, arcs[-1].after, turns, units)
+
+
+def _off(found: np.ndarray, wanted: np.ndarray) -> float:
+    return float(np.abs(found - wanted).max() / max(float(np.abs(wanted).max()), 1e-300))
+
+
+def _variations(model: Model, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
+    """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
+    automaton, found, action = Automaton(model), list[np.ndarray](), 0.0
+    modes = [one.mode for one in arcs]
+    for arc, following in zip(arcs, [*modes[1:], modes[0]], strict=True):
+        field, x, size = automaton.varied(arc.mode), arc.states[0], arc.states.shape[1]
+        edges = np.linspace(0.0, arc.duration, PIECES + 1)
+        for begin, finish in pairwise(edges):
+            start = np.concatenate([x, np.eye(size).ravel(), [0.0]])
+            end = integrate(field, start, np.array([begin, finish]), TIGHTEST)[-1]
+            x = end[:size]
+            found.append(end[size:-1].reshape(size, size).T)
+            action += float(end[-1])
+        found[-1] = automaton.saltation(arc, following) @ found[-1]
+    return found, action
+
+
+def _energies(model: Model, arcs: Sequence[Arc]) -> tuple[float, float]:
+    """The largest drift of the energy in an arc without forces, and the largest error of the energy lost in an impact,
+    both relative to the energy exchanged."""
+    drift = balance = 0.0
+    exchanged = 1e-300
+    for arc in arcs:
+        exchanged = max(exchanged, *(_kinetic(model, arc.mode, x) for x in arc.states))
+    for arc in arcs:
+        own = model.hybrid.mode(arc.mode).model
+        if own.forces is not None or own.rates is not None:
+            continue
+        values = np.array([energy(own, x) for x in arc.states])
+        drift = max(drift, float(np.abs(values - values[0]).max()) / exchanged)
+        if arc.lost is not None:
+            target = model.hybrid.transition(str(arc.ended_by)).target
+            lost = _kinetic(model, arc.mode, arc.states[-1]) - _kinetic(model, target, arc.after)
+            balance = max(balance, abs(lost - arc.lost) / exchanged)
+    return drift, balance
+
+
+def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
+    own = model.hybrid.mode(mode).model
+    n = own.degrees_of_freedom
+    return float(own.kinetic(x[:n], x[n:], own.parameter_values))
+
+
+class HybridCheck(ClosureCheck):
+    """The closure of a family's hybrid orbits: DOP853 over each arc for the time that it takes, its guard, its reset.
+
+    What the automaton asks besides, that no guard is crossed earlier, is asked of the family's own mesh.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._model, self._at, self._automaton = model, dict[str, float](), Automaton(model)
+
+    def __call__(
+        self,
+        state: np.ndarray,
+        period: float,
+        turns: np.ndarray,
+        allowed: float = 0.0,
+        free: Mapping[str, float] | None = None,
+        units: np.ndarray | float = 1.0,
+    ) -> float:
+        """The largest gap round the loop in `units` (d), or miss of a guard in periods."""
+        del allowed
+        self._set(free)
+        parts = self._automaton.hybrid
+        found, x, shares = 0.0, np.asarray(state, float), shares_of(self._automaton.model)
+        for (mode, one), share in zip(parts.arcs, shares, strict=True):
+            x = integrate(self._automaton.field(mode.name), x, np.array([0.0, share * period]), CHECKED)[-1]
+            rate = self._automaton.rate(one, x)
+            miss = float(self._automaton.value(one.guard, x)[0])
+            found = max(found, abs(miss / (rate * period)) if rate else np.inf)
+            x = self._automaton.value(one.reset, x)
+        return max(found, gap(np.asarray(state, float), x, turns, units))
+
+    def ends(self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
+        """Where each piece of an orbit ends (N x d), through the event that it ends with if it does."""
+        self._set(free)
+        arcs = self._automaton.hybrid.arcs
+        each, found = len(nodes) // len(arcs), []
+        for k, (node, duration) in enumerate(zip(nodes, durations, strict=True)):
+            mode, one = arcs[k // each]
+            field, share = self._automaton.field(mode.name), shares_of(self._automaton.model)[k // each]
+            x = integrate(field, node, np.array([0.0, duration * share * len(arcs)]), CHECKED)[-1]
+            found.append(x if (k + 1) % each else self._automaton.value(one.reset, x))
+        return np.stack(found)
+
+    def _set(self, free: Mapping[str, float] | None) -> None:
+        if self._at != dict(free or {}):
+            self._at = dict(free or {})
+            self._automaton = Automaton(with_parameters(self._model, self._at))
+
+
+def shares_of(model: Model) -> np.ndarray:
+    """The shares of the period that a hybrid Model's arcs take, by its parameters."""
+    count = len(model.hybrid.cycle)
+    last = model.parameter_values[len(model.parameter_values) - (count - 1) :]
+    return np.append(last, 1.0 - last.sum())
+
+
+def crossed_early(equations: Equations, w: Unknowns, states: np.ndarray) -> str:
+    """What the motion of a loop crosses before the event that its cycle asks for, in words; empty where nothing.
+
+    `states` (M + 1 x d) are those at the mesh.
+    """
+    hybrid: Hybrid = equations.model.hybrid
+    steps = (len(states) - 1) // len(hybrid.cycle)
+    for k, (mode, ends) in enumerate(hybrid.arcs):
+        own = states[k * steps + 1 : (k + 1) * steps]  # neither the reset state nor the end
+        for one in hybrid.leaving(mode.name):
+            heights, allowed = equations.heights(one, own, w.free)
+            if np.any((heights[:-1] < 0) & (heights[1:] >= 0) & allowed[1:]):
+                return f"{one.name} comes before {ends.name} in mode {mode.name}"
+    return ""
+
+
+def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:
+    """What must not be negative: in modes along the motion, and impulses at events, each with its least value."""
+    least: dict[str, float] = {}
+    for arc in arcs:
+        pairs: list[tuple[str, Any]] = [*arc.margins, (f"impulse of {arc.ended_by}", arc.impulse)]
+        for name, value in pairs:
+            if value is not None:
+                least[name] = min(least.get(name, np.inf), float(value))
+    yield from least.items()

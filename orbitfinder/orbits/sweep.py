@@ -1,0 +1,333 @@
+"""`sweep(problem, k=values)`: an orbit for each value of a parameter, certified or with the reason why not.
+
+The problem's own orbit is found once. From there the values are visited outwards, each from the orbit before it, moved
+on along the line through the two last ones; where Newton's method does not converge, or leads elsewhere, the step is
+halved. Nothing is found anew: what is not reached lies beyond a fold or where the orbit ends.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime import limit as limited
+from orbitfinder._runtime import processes
+from orbitfinder._runtime.notebook import brief
+from orbitfinder.errors import (
+    ConvergenceError,
+    InputError,
+    IntegrationError,
+    LimitError,
+    OrbitfinderError,
+    closest,
+    shortened,
+)
+from orbitfinder.integrate.evaluate import one_thread
+from orbitfinder.loops.conditions import Pin, check_pin, is_parameter
+from orbitfinder.loops.newton import Refined
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.refine import Refiner
+from orbitfinder.records.orbit import Orbit
+
+LIMIT = 3600.0
+"""Seconds after which a sweep stops unless told otherwise."""
+MOST_HALVINGS = 8
+"""Of the step to one value; nearer to a fold than that the value is given up."""
+MOST_STEPS = 200
+"""To one value."""
+ELSEWHERE = 0.1
+"""A period or state farther than this from what was expected, relative to the motion, is another orbit's."""
+NUMBERS = ("period", "energy", "action", "symmetry", "stability", "closure")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One value of a sweep: the parameters, the orbit there where one was reached, and what is wrong with it."""
+
+    __repr__ = brief("values", "certified", "reason")
+
+    values: Mapping[str, float]
+    orbit: Orbit | None = None
+    reason: str = ""
+
+    @property
+    def certified(self) -> bool:
+        """True for an orbit with its certificate."""
+        return self.orbit is not None and not self.reason
+
+    def record(self, names: Sequence[str]) -> dict[str, Any]:
+        """The row as plain values by name, None where there is no orbit; `names` are those of the state."""
+        found: dict[str, Any] = dict.fromkeys((*NUMBERS, "instability", *names))
+        if self.orbit is not None:
+            found = {name: getattr(self.orbit, name) for name in NUMBERS}
+            found["instability"] = float(np.abs(self.orbit.floquet_multipliers).max(initial=1.0))
+            found |= {name: float(x) for name, x in zip(names, self.orbit.state, strict=True)}
+        return {**self.values, "certified": self.certified, "reason": self.reason, **found}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The rows of a sweep in the order of their values; `records` is a table, `pandas.DataFrame(sweep.records)`."""
+
+    __repr__ = brief("parameters", "certified", "seconds")
+
+    parameters: tuple[str, ...]
+    rows: tuple[Row, ...]
+    state_names: tuple[str, ...]
+    seconds: float
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """A dict a row: parameters, whether certified, the reason why not, numbers, instability, the state."""
+        return [row.record(self.state_names) for row in self.rows]
+
+    @property
+    def certified(self) -> int:
+        """How many rows have a certified orbit."""
+        return sum(row.certified for row in self.rows)
+
+    @property
+    def orbits(self) -> tuple[Orbit, ...]:
+        """The certified orbits."""
+        return tuple(row.orbit for row in self.rows if row.orbit is not None and not row.reason)
+
+
+Progress = Callable[[Row, int, int], None]
+"""Told of each row, how many there are by now and how many there will be."""
+
+
+def sweep(
+    problem: Problem, values: Mapping[str, Sequence[float]] | None = None, *, workers: int = 1,
+    limit: float | None = LIMIT, folder: str | Path | None = None, progress: Progress | None = None,
+    **named: Sequence[float],
+) -> Sweep:  # fmt: skip
+    """The orbits of a Problem at other values of its parameters, each certified or with its reason.
+
+    `sweep(problem, stiffness=numpy.linspace(20, 40, 100))` changes a physical parameter, `energy=` or `period=` what
+    the problem pins; several of equal lengths change together. `values` is the same as a mapping. The problem's pins
+    must leave nothing to choose. `workers` processes share the values (`folder`: of a trusted module that makes the
+    system); after `limit` s what is missing is left out with that reason. Raises `InputError`, `CountError`, and
+    `ConvergenceError` when there is no orbit at the problem's own values.
+    """
+    began, table = time.monotonic(), _table(problem, {**(values or {}), **named})
+    if not 1 <= workers <= 256:
+        raise InputError(f"workers: must be between 1 and 256, got {workers}")
+    found: dict[int, Row] = {}
+    study = _Study(problem, tuple(table), np.array(list(table.values())).T)
+    try:
+        with limited.limited(limit):
+            rows = study.rows() if workers == 1 else _shared(study, min(workers, len(study.values)), folder)
+            for k, row in rows:
+                found[k] = row
+                limited.note(f"{len(found)} of {len(study.values)} values are done")
+                if progress:
+                    progress(row, len(found), len(study.values))
+    except LimitError as error:
+        late = {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in found}
+        found |= late
+    ordered = tuple(found[k] for k in sorted(found))
+    return Sweep(study.names, ordered, problem.model.state_names, time.monotonic() - began)
+
+
+def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
+    """The values of each parameter, of equal lengths. Raises `InputError`."""
+    if not given:
+        raise InputError("values: missing; name a parameter and its values, such as sweep(problem, stiffness=[20, 30])")
+    found = {}
+    pinned = [one.name for one in problem.pin]
+    for name, numbers in given.items():
+        known = [*pinned, *problem.model.parameter_names]
+        if name not in pinned and not is_parameter(problem.model, name):
+            raise InputError(
+                f"{name}: neither a physical parameter of this system nor pinned by the problem"
+                f"{closest(name, known)}; use one of {', '.join(known)}"
+            )
+        if name in problem.free and name not in pinned:
+            raise InputError(f"{name}: free, so that the solver chooses it; leave it out of free to give its values")
+        try:
+            found[name] = [float(one) for one in numbers]
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{name}: must be a list of numbers, got {shortened(numbers)}") from error
+        if not found[name] or not np.all(np.isfinite(found[name])):
+            raise InputError(f"{name}: must be finite numbers, at least one, got {shortened(numbers)}")
+    if len({len(numbers) for numbers in found.values()}) > 1:
+        sizes = ", ".join(f"{len(numbers)} of {name}" for name, numbers in found.items())
+        raise InputError(f"values: {sizes}; parameters that change together need equally many")
+    return found
+
+
+class _Study:
+    """A problem whose parameters `names` go through `values` (k x p), walked outwards from its own orbit."""
+
+    def __init__(self, problem: Problem, names: tuple[str, ...], values: np.ndarray) -> None:
+        self.problem, self.names, self.values = problem, names, values
+        model, pinned = problem.model, {one.name: one.value for one in problem.pin}
+        own = {name: float(model.parameter_values[model.parameter_index(name)]) for name in names if name not in pinned}
+        self.own = np.array([pinned.get(name, own.get(name)) for name in names], float)
+        self._free = (*problem.free, *(name for name in own if name not in problem.free))
+        self._pin = (*problem.pin, *(Pin(name, value) for name, value in own.items()))
+        self._here: tuple[np.ndarray, Refined] | None = None
+        self._before: tuple[np.ndarray, Refined] | None = None
+
+    def named(self, k: int) -> dict[str, float]:
+        """The k-th values by name."""
+        return dict(zip(self.names, map(float, self.values[k]), strict=True))
+
+    @cached_property
+    def base(self) -> Problem:
+        """The problem at its own orbit, everything that is swept freed and pinned."""
+        wanted = replace(self.problem, free=self._free, pin=self._pin, expected={})  # those are of its own values
+        wanted.check_count()
+        if wanted.count().freedom:
+            raise InputError("pin: missing; a sweep needs to know what is held, pin the energy, the period or a state")
+        orbit = find_orbit(replace(self.problem, expected={}))
+        guess = Guess(orbit.state, orbit.period, free=orbit.provenance.get("free", {}))
+        return replace(wanted, guess=guess, winding=orbit.winding)
+
+    @cached_property
+    def refiner(self) -> Refiner:
+        """Everything that is built once."""
+        return Refiner(self.base)
+
+    def rows(self) -> Iterator[tuple[int, Row]]:
+        """Rows by number, those of values below the problem's own after those above."""
+        assert self.refiner  # whatever is wrong with the problem is no value's fault
+        scale = np.abs(self.values - self.own).max(axis=0)
+        along = ((self.values - self.own) / np.where(scale > 0, scale, 1.0)).sum(axis=1)
+        order = np.argsort(along, kind="stable")
+        for side in (order[along[order] >= 0], order[along[order] < 0][::-1]):
+            self._here = self._before = None
+            for k in side:
+                yield int(k), self._row(int(k))
+
+    def _row(self, k: int) -> Row:
+        limited.check()
+        try:
+            orbit = self.refiner.orbit(self._reached(self.values[k]))
+        except (ConvergenceError, IntegrationError, InputError) as error:
+            return Row(self.named(k), None, str(error))
+        orbit = replace(orbit, name=f"{self.problem.name}-{k + 1:04d}")
+        failed = ", ".join(orbit.certificate.failures) if orbit.certificate else "no certificate"
+        return Row(self.named(k), orbit, failed and f"not certified: {failed}")
+
+    def _reached(self, target: np.ndarray) -> Refined:
+        """The orbit at a value, by steps from the one before it."""
+        if self._here is None:
+            self._here = (self.own, self._at(self.own, None))
+        goals = [target]
+        for _ in range(MOST_STEPS):
+            if np.array_equal(self._here[0], target):
+                return self._here[1]
+            try:
+                found = self._at(goals[-1], self._predicted(goals[-1]))
+            except (ConvergenceError, IntegrationError) as error:
+                if len(goals) > MOST_HALVINGS:
+                    break
+                reason, middle = error, (self._here[0] + goals[-1]) / 2
+                goals.append(middle)
+                continue
+            self._before, self._here = self._here, (goals.pop(), found)
+            goals = goals or [target]
+        place = ", ".join(f"{name} = {x:.6g}" for name, x in zip(self.names, self._here[0], strict=True))
+        raise ConvergenceError(
+            f"not reached: from {place} on, {reason}; a fold or the end of the orbit lies between, which continue shows"
+        )
+
+    def _predicted(self, goal: np.ndarray) -> Guess:
+        """The nodes and the period on the line through the two last orbits."""
+        assert self._here is not None
+        place, here = self._here
+        nodes, period, free = here.nodes, here.period, here.free
+        if self._before is not None and self._before[1].nodes.shape == nodes.shape:
+            past, before = self._before
+            share = float(np.linalg.norm(goal - place) / max(float(np.linalg.norm(place - past)), 1e-300))
+            share *= 1.0 if (goal - place) @ (place - past) > 0 else -1.0
+            if abs(share) <= 2.0:
+                nodes = nodes + share * (nodes - before.nodes)
+                period, free = period + share * (period - before.period), free + share * (free - before.free)
+        times = np.arange(len(nodes)) * (period * self.base.boundary.fraction / len(nodes))
+        return Guess(nodes[0], period, times, nodes, dict(zip(self.refiner.problem.free, free, strict=True)))
+
+    def _at(self, values: np.ndarray, guess: Guess | None) -> Refined:
+        """The orbit at values near a guess; `ConvergenceError` for another one."""
+        pins = {one.name: one.value for one in self._pin} | dict(zip(self.names, map(float, values), strict=True))
+        asked = [Pin(name, value) for name, value in pins.items()]
+        for one in asked:
+            check_pin(self.base.model, one)
+        found = self.refiner.refine(guess, asked)
+        if guess is None or guess.states is None:
+            return found
+        if max(_away(guess.states, found.nodes, guess.period), abs(found.period / guess.period - 1)) > ELSEWHERE:
+            raise ConvergenceError("Newton's method leads to another orbit")
+        return found
+
+
+def _away(expected: np.ndarray, found: np.ndarray, period: float) -> float:
+    """How far nodes (N x d) are from those expected, coordinates by their size, rates by that of either in a period."""
+    moved, size = np.abs(found - expected).max(axis=0), np.abs(expected).max(axis=0)
+    if size.size % 2:
+        return float(moved.max() / max(size.max(), 1e-300))
+    (moved, rushed), (places, rates) = np.split(moved, 2), np.split(size, 2)
+    speed = max(rates.max(), places.max() * 2 * np.pi / period, 1e-300)
+    return float(max(moved.max() / max(places.max(), 1e-300), rushed.max() / speed))
+
+
+def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[tuple[int, Row]]:
+    """The rows by spawned processes, each with a run of neighbouring values."""
+    base, order = study.base, np.argsort(study.values[:, 0], kind="stable")
+    plain = (dict(base.model.system), None if folder is None else Path(folder))
+    build_model(*plain)  # or no process can
+    orders = np.array_split(order, workers)
+    hands = {}
+    for part in orders:
+        wanted = (plain, _described(study), study.names, study.values[part], limited.left())
+        hands[processes.hired(_serve, wanted)] = part
+    try:
+        while hands:
+            for hand in processes.ready(hands):
+                answer = hand.answer()
+                if isinstance(answer, tuple):
+                    yield int(hands[hand][answer[0]]), answer[1]
+                    continue
+                hands.pop(hand)
+                processes.dismissed([hand])
+                if isinstance(answer, BaseException):
+                    raise answer
+                if answer != DONE:
+                    raise OrbitfinderError("sweep: a process died; run it again with workers=1 to see where")
+    finally:
+        processes.dismissed(hands)
+
+
+DONE = "done"
+
+
+def _described(study: _Study) -> dict[str, Any]:
+    """What a process needs besides the system: the problem at its own orbit, as plain values."""
+    base, problem = study.base, study.problem
+    names = ("symmetry", "segments", "tolerance", "name", "title", "source")
+    return {
+        "guess": Guess(base.guess.state, base.guess.period), "pin": problem.pin, "winding": base.winding,
+        "free": problem.free, **{name: getattr(problem, name) for name in names},
+    }  # fmt: skip
+
+
+def _serve(pipe: Connection, wanted: tuple[Any, ...]) -> None:
+    """The life of a worker: its rows, one message each, then `DONE` or what went wrong."""
+    plain, described, names, values, left = wanted
+    try:
+        with one_thread(), limited.limited(left if np.isfinite(left) else None):
+            for answer in _Study(Problem(build_model(*plain), **described), names, values).rows():
+                pipe.send(answer)
+        pipe.send(DONE)
+    except OrbitfinderError as error:
+        pipe.send(error)

@@ -1,0 +1,375 @@
+"""Hybrid orbits: references at 140 bits, closed forms, planted failures, saltation, the simulator, families."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import orbitfinder as of
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.integrate.automaton import Automaton
+from orbitfinder.loops.condensed import eliminated
+from orbitfinder.loops.loop import Equations, Loop
+from orbitfinder.loops.symmetry import NONE
+from orbitfinder.mechanics.hybrid import Mode, Transition, changed, hybrid, impact, with_cycle
+from orbitfinder.mechanics.machines import (
+    bouncing_ball,
+    compass_gait,
+    impact_oscillator,
+    rimless_wheel,
+    rocking_block,
+    simplest_walker,
+    slip_runner,
+    vertical_hopper,
+)
+from orbitfinder.orbits.hybrid import HybridCheck, cycle_from, first_unknowns, gather_hybrid
+
+REFERENCE = {
+    one["id"]: one["values"]
+    for one in json.loads((Path(__file__).parent / "data" / "hybrid.json").read_text())["entries"]
+}
+
+
+def number(entry, name):
+    return float(REFERENCE[entry][name])
+
+
+def pair(text):
+    """A complex pair written "a +- b i"."""
+    real, imaginary = text.split(",")[0].replace(" i", "").split(" +- ")
+    return complex(float(real), float(imaginary))
+
+
+@pytest.fixture(scope="module")
+def walker():
+    """The long gait of the simplest walker, from a guess rounded to two digits."""
+    return of.find_orbit(of.Problem(simplest_walker(0.009), of.Guess([0.20, 0.40, -0.20, -0.02], 3.9)))
+
+
+def falling(restitution=0.5, **parts):
+    """A ball on level ground."""
+    symbols = of.Symbols(q := ca.SX.sym("q"), v := ca.SX.sym("v"))
+    model = of.lagrange(v**2 / 2, q, symbols, names=["y"])
+    bounce = Transition("bounce", "air", "air", guard=lambda x, p: x.y,
+                        reset=lambda x, p: changed(x, y=0, ydot=-restitution * x.ydot), **parts)  # fmt: skip
+    return hybrid({"air": model}, [bounce], ["bounce"])
+
+
+def test_simplest_walker_long(walker):
+    assert walker.certificate.passed
+    assert walker.state[0] == pytest.approx(number("walker-long", "theta"), abs=1e-12)
+    assert walker.state[2] == pytest.approx(number("walker-long", "thetadot"), abs=1e-12)
+    assert walker.period == pytest.approx(number("walker-long", "T"), abs=1e-11)
+    found = walker.floquet_multipliers
+    assert abs(found[np.argmax(found.imag)] - pair(REFERENCE["walker-long"]["multipliers"])) < 1e-10
+    assert walker.stability == "asymptotically stable"
+    assert any(one.name == "ignored" and "mid-stance" in one.note for one in walker.certificate.checks)
+
+
+def test_simplest_walker_short():
+    """The other gait, unstable, whose period tends to pi."""
+    orbit = of.find_orbit(of.Problem(simplest_walker(0.009), of.Guess([0.19, 0.38, -0.20, -0.01], 3.1)))
+    assert orbit.certificate.passed and orbit.stability == "unstable"
+    assert orbit.period < 3.2
+
+
+def test_compass_gait():
+    wanted = REFERENCE["compass-3deg"]
+    model = compass_gait(slope=np.deg2rad(3.0))
+    orbit = of.find_orbit(of.Problem(model, of.Guess([0.22, -0.32, -1.09, -0.38], 0.73)))
+    assert orbit.certificate.passed
+    named = [float(wanted[name]) for name in ("th_s", "th_ns", "dth_s", "dth_ns")]
+    assert orbit.state == pytest.approx(named, abs=1e-12)
+    assert orbit.period == pytest.approx(float(wanted["T"]), abs=1e-12)
+    found = orbit.floquet_multipliers
+    assert abs(found[np.argmax(found.imag)] - pair(wanted["multipliers"])) < 1e-10
+    assert np.min(np.abs(found - 0.1315726240771768)) < 1e-10
+    names = [one.name for one in orbit.certificate.checks]
+    assert {"holds: ground force", "holds: impulse of strike", "energy_balance"} <= set(names)
+
+
+def test_rimless_wheel_in_closed_form():
+    orbit = of.find_orbit(of.Problem(rimless_wheel(), of.Guess([0.08 - np.pi / 8, 1.2], 1.0)))
+    assert orbit.certificate.passed
+    assert orbit.state[1] == pytest.approx(number("rimless", "omega_plus"), abs=1e-12)
+    assert orbit.period == pytest.approx(number("rimless", "T"), abs=1e-12)
+    assert orbit.floquet_multipliers == pytest.approx([0.5], abs=1e-11)
+
+
+def test_bouncing_ball_in_closed_form():
+    orbit = of.find_orbit(of.Problem(bouncing_ball(), of.Guess([0.008, 0.49, 0.8], 1.0), winding=(0, 0, 1)))
+    assert orbit.certificate.passed and np.isnan(orbit.energy)
+    assert orbit.state[1:] == pytest.approx([0.5, number("bouncing-ball-table", "A0p012_phase")], abs=1e-12)
+    found = orbit.floquet_multipliers
+    assert found.sum() == pytest.approx(number("bouncing-ball-table", "trace_A0p012"), abs=1e-11)
+    assert found.prod() == pytest.approx(number("bouncing-ball-table", "det"), abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    "stiffness, gravity, speed, name", [(100, 9.81, 2, "T_w10_v2_g981"), (40, 1, 1, "T_k40_v1_g1")]
+)
+def test_hopper_in_closed_form(stiffness, gravity, speed, name):
+    model = vertical_hopper(stiffness=float(stiffness), gravity=float(gravity))
+    guess = of.Guess([0.0, -0.95 * speed], 1.0)
+    orbit = of.find_orbit(of.Problem(model, guess, pin=of.pin(ydot=-float(speed))))
+    assert orbit.certificate.passed and orbit.period == pytest.approx(number("hopper", name), abs=1e-12)
+
+
+@pytest.mark.parametrize("height, name", [(0.1, "T_phi0_0p1"), (0.2, "T_phi0_0p2"), (0.29, "T_phi0_0p29")])
+def test_rocking_block_against_quadrature(height, name):
+    """Elastic: by its energy, the period is that of the fall from a height."""
+    speed = np.sqrt(2 * 0.75 * (np.cos(0.3 - height) - np.cos(0.3)))
+    orbit = of.find_orbit(of.Problem(rocking_block(), of.Guess([0.0, speed], 5.0), pin=of.pin(phidot=float(speed))))
+    assert orbit.certificate.passed and orbit.stability == "elliptic"
+    assert orbit.period == pytest.approx(number("rocking-block", name), abs=2e-11)
+
+
+def test_runner_keeps_its_energy_through_three_arcs():
+    energy = 80 * 9.81 * 1.02 + 40 * 25.0
+    problem = of.Problem(slip_runner(attack=0.35), of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=of.pin(energy=energy))
+    count = problem.count()
+    assert count.freedom == 0 and count.unknowns["durations of arcs"] == 2 and count.equations["guards"] == 3
+    orbit = of.find_orbit(problem)
+    assert orbit.certificate.passed and orbit.energy == pytest.approx(energy, rel=1e-13)
+    assert orbit.floquet_multipliers.size == 2 and orbit.stability == "unstable"
+
+
+def test_multipliers_are_those_of_the_return_map(walker):
+    """The saltation matrices' product against differences of the simulated return map."""
+    model = simplest_walker(0.009)
+    found = gather_hybrid(model, walker.state, walker.period, np.zeros(2, int))
+    step, columns = 1e-6, []
+    for unit in np.eye(4):
+        ends = [cycle_from(model, walker.state + sign * step * unit)[-1].after for sign in (1, -1)]
+        columns.append((ends[0] - ends[1]) / (2 * step))
+    mapped = np.linalg.eigvals(np.array(columns).T)
+    wanted = found.floquet.multipliers[np.abs(found.floquet.multipliers) > 1e-6]
+    for one in wanted:
+        assert np.min(np.abs(mapped - one)) < 1e-7
+
+
+def test_rows_have_the_derivatives_they_say(walker):
+    """The Jacobian of a hybrid loop of three arcs, freed parameter and durations included, against differences."""
+    model = slip_runner(attack=0.35)
+    equations = Equations(model, NONE, ("stiffness",))
+    assert equations.free == ("stiffness", "share_1", "share_2") and equations.physical == ("stiffness",)
+    w = first_unknowns(equations, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), 2, 24)
+    loop = Loop(equations, np.zeros(4)).through(w)
+    path = equations.varied(w)
+    system = loop.linearised(w, path)
+    matrix, rows = system.matrix(), loop.rows(w, path.ends)
+    for k in range(matrix.shape[1]):
+        h = 1e-6 * max(1.0, 1e4 * (k == matrix.shape[1] - 3))  # the stiffness
+        step = np.zeros(matrix.shape[1])
+        step[k] = h
+        ends = [loop.rows(one, equations.ends(one)) for one in (w.moved(step), w.moved(-step))]
+        assert np.allclose(matrix[:, k], (ends[0] - ends[1]) / (2 * h), atol=1e-5 * max(1, np.abs(matrix[:, k]).max()))
+    square = np.vstack([matrix, w.spread(np.eye(4 + 1 + 3)[5])])  # the stiffness held
+    direct = -np.linalg.lstsq(square, np.append(rows, 0.0), rcond=None)[0]
+    assert np.allclose(matrix @ direct, -rows, atol=1e-8 * np.abs(rows).max())
+    assert np.allclose(matrix @ eliminated(system)(rows), -rows, atol=1e-7 * np.abs(rows).max())
+
+
+def test_period_doublings_of_the_walker(walker):
+    """To period 2 and 4: located, certified, switched to; the slopes are those of the paper's cascade."""
+    family = of.follow_family(walker, "slope", until=0.0165)
+    (doubling,) = [one for one in family.events if one.kind == "period_doubling"]
+    assert doubling.certified and doubling.free["slope"] == pytest.approx(0.0150884379411168, abs=1e-11)
+    settings = of.FamilySettings(parameter="slope", directions="away", points=16)
+    second = of.follow_family(of.switch_branch(family, doubling), settings=settings)
+    assert second.points[0].period == pytest.approx(2 * doubling.period, rel=1e-2)
+    again = [one for one in second.events if one.kind == "period_doubling"]
+    assert again[0].certified and again[0].free["slope"] == pytest.approx(0.01766937486, abs=1e-9)
+    assert dict(second.points[0].system)["cycle"] == ["strike", "strike"]
+
+
+def test_a_family_ends_where_its_cycle_changes():
+    """Of a runner that no longer leaves the ground before its apex; named by the event that comes first."""
+    check = HybridCheck(model := slip_runner(attack=0.35))
+    orbit = of.find_orbit(
+        of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=of.pin(energy=80 * 9.81 * 1.02 + 1000.0))
+    )
+    arcs = cycle_from(model, orbit.state)
+    lasted = np.array([arc.duration for arc in arcs]) / orbit.period
+    free = {"share_1": float(lasted[0]), "share_2": float(lasted[1])}
+    assert check(orbit.state, orbit.period, np.zeros(2, int), free=free) < 1e-12
+    assert check(orbit.state, orbit.period * (1 + 1e-6), np.zeros(2, int), free=free) > 1e-8
+
+
+def test_saved_loaded_and_still_true(walker, tmp_path):
+    file = of.save_orbit(walker, tmp_path / "orbit.json")
+    again = of.load_orbit(file)
+    assert of.certify(again).passed and again.period == walker.period
+
+
+def failing(orbit, model, *names):
+    certificate = of.certify(orbit, model)
+    assert not certificate.passed and set(names) <= set(certificate.failures), certificate.failures
+
+
+def test_planted_another_state(walker):
+    failing(replace(walker, state=walker.state + np.array([1e-7, 2e-7, 0, 0])), simplest_walker(0.009), "closure")
+
+
+def test_planted_another_period(walker):
+    failing(replace(walker, period=walker.period * (1 + 1e-9)), simplest_walker(0.009), "recorded_period")
+
+
+def test_planted_doubled_cycle(walker):
+    twice = with_cycle(simplest_walker(0.009), ["strike", "strike"])
+    doubled = replace(walker, period=2 * walker.period, system=twice.system)
+    failing(doubled, twice, "minimal_cycle")
+
+
+def test_planted_wrong_reset(walker):
+    """The walker's orbit under an impact that keeps a little more speed."""
+    model = simplest_walker(0.009)
+    (mode,), (strike,), _ = model.hybrid.given
+    other = replace(strike, reset=lambda x, p: 1.0001 * ca.vertcat(*_listed(strike.reset(x, p))))
+    failing(walker, hybrid([mode], [other], ["strike"], system=model.system), "closure")
+
+
+def _listed(column):
+    return [column[k] for k in range(4)]
+
+
+def test_planted_step_through_the_ground():
+    """A block that is let through its side: what its mode holds is broken."""
+    model = rocking_block()
+    (mode,), (bounce,), kept = model.hybrid.given
+    deep = replace(bounce, guard=lambda x, p: x.phi + 0.05)
+    through = hybrid([mode], [deep], ["bounce"], conserved=kept, system=model.system)
+    orbit = of.find_orbit(of.Problem(through, of.Guess([-0.05, 0.2], 3.0), pin=of.pin(phidot=0.2)))
+    failing(orbit, through, "holds: gap")
+
+
+def test_planted_impulse_of_the_wrong_sign():
+    """An impact that pulls, with everything else in order."""
+    model = rocking_block()
+    (mode,), (bounce,), kept = model.hybrid.given
+    pulling = replace(bounce, impulse=lambda x, p: x.phidot)
+    orbit = of.find_orbit(of.Problem(model, of.Guess([0.0, 0.2], 2.4), pin=of.pin(phidot=0.2)))
+    failing(
+        orbit, hybrid([mode], [pulling], ["bounce"], conserved=kept, system=model.system), "holds: impulse of bounce"
+    )
+
+
+def test_planted_energy_balance():
+    model = rimless_wheel()
+    (mode,), (strike,), _ = model.hybrid.given
+    orbit = of.find_orbit(of.Problem(model, of.Guess([0.08 - np.pi / 8, 1.2], 1.0)))
+    more = replace(strike, lost=lambda x, p: 1.01 * strike.lost(x, p))
+    failing(orbit, hybrid([mode], [more], ["strike"], system=model.system), "energy_balance")
+
+
+def test_planted_skipped_guard():
+    """A runner told to fly from apex to apex touches the ground instead."""
+    model = with_cycle(slip_runner(attack=0.35), ["apex"])
+    with pytest.raises(ConvergenceError, match="goes through touchdown where the cycle asks for apex"):
+        of.find_orbit(of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=of.pin(energy=1800.0)))
+
+
+def test_planted_grazing():
+    """A guard that the motion only just reaches is no transversal event."""
+    symbols = of.Symbols(q := ca.SX.sym("q"), v := ca.SX.sym("v"))
+    model = of.lagrange(v**2 / 2, q**2 / 2, symbols, names=["x"])
+    touch = Transition("touch", "free", "free", guard=lambda x, p: x.x - np.sqrt(1 - 1e-10), direction=1,
+                       reset=lambda x, p: changed(x, x=-x.x))  # fmt: skip
+    grazing = hybrid({"free": model}, [touch], ["touch"], conserved=["energy"])
+    orbit = of.find_orbit(of.Problem(grazing, of.Guess([-np.sqrt(1 - 1e-10), 1e-5], 3.1), pin=of.pin(energy=0.5)))
+    failing(orbit, grazing, "transversal")
+
+
+def test_elastic_impact_keeps_energy_and_plastic_holds():
+    """A double pendulum's tip against a wall: M (v+ - v-) = J^T P, J v+ = -e J v-, energy lost = P^2-work."""
+    model, state = of.chain(2), np.array([0.3, -0.7, 1.1, 2.3])
+
+    def wall(x, p):
+        return ca.sin(x[0]) + ca.sin(x[1]) - 0.2
+
+    q, v = state[:2], state[2:]
+    jacobian = np.array([np.cos(q)])
+    mass = np.array(
+        ca.Function("m", [s := ca.SX.sym("v", 2)], [ca.hessian(model.kinetic(q, s, model.parameter_values), s)[0]])(v)
+    )
+    for e in (0.0, 0.5, 1.0):
+        found = impact(model, wall, e)
+        built = hybrid({"free": model}, [Transition("hit", "free", "free", guard=found.gap, reset=found.after,
+                                                    impulse=found.impulse, lost=found.lost)], ["hit"])  # fmt: skip
+        hit, p = built.hybrid.transition("hit"), built.parameter_values
+        after = hit.reset(state, p).full().ravel()[2:]
+        impulse = float(hit.impulse(state, p))
+        assert jacobian @ after == pytest.approx(-e * jacobian @ v, abs=1e-13)
+        assert mass @ (after - v) == pytest.approx(jacobian[0] * impulse, abs=1e-13)
+        lost = v @ mass @ v / 2 - after @ mass @ after / 2
+        assert float(hit.lost(state, p)) == pytest.approx(lost, abs=1e-12)
+        assert lost == pytest.approx(0.0, abs=1e-12) if e == 1 else lost > 0
+
+
+def test_zeno_is_named():
+    with pytest.raises(IntegrationError, match="Zeno: events bounce .* accumulate at t = 4"):
+        list(Automaton(falling()).arcs(np.array([0.0, 1.0]), "air", 100.0))
+
+
+def test_events_are_located_to_round_off():
+    """Elastic bounces: y = v t - t^2 / 2, so that they are 2 v apart, each as fast as the last."""
+    arcs = list(Automaton(falling(1.0)).arcs(np.array([0.0, 1.0]), "air", events=20))
+    assert [arc.ended_by for arc in arcs] == ["bounce"] * 20
+    assert np.cumsum([arc.duration for arc in arcs]) == pytest.approx(2.0 * np.arange(1, 21), abs=2e-13)
+
+
+def test_time_ends_between_events():
+    *_, last = Automaton(falling(1.0)).arcs(np.array([0.0, 1.0]), "air", 3.0)
+    assert last.ended_by is None and last.times[-1] == pytest.approx(3.0) and last.after[0] == pytest.approx(0.5)
+
+
+def test_simultaneous_events_are_named():
+    symbols = of.Symbols(q := ca.SX.sym("q", 2), v := ca.SX.sym("v", 2))
+    model = of.lagrange(ca.sumsqr(v) / 2, q[0] + q[1], symbols, names=["a", "b"])
+    both = [Transition(name, "air", "air", guard=lambda x, p, name=name: x[name]) for name in ("a", "b")]
+    box = hybrid({"air": model}, both, ["a"])
+    with pytest.raises(IntegrationError, match="events a and b are simultaneous at t = 2"):
+        list(Automaton(box).arcs(np.array([0.0, 0.0, 1.0, 1.0]), "air", 10.0))
+
+
+def test_an_oscillator_that_hits_once_in_two_periods_is_another_orbit():
+    model = impact_oscillator(frequency=2.8)
+    one = of.find_orbit(of.Problem(model, of.Guess([0.0, -1.0, 1.0], 2.24), winding=(0, 0, 1)))
+    assert one.certificate.passed and one.period == pytest.approx(2 * np.pi / 2.8, abs=1e-12)
+    wrong = replace(one, winding=(0, 0, 2))
+    failing(wrong, model, "closure")
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"cycle": []}, "cycle: no transition"),
+        ({"cycle": ["bonce"]}, "unknown transition 'bonce', did you mean 'bounce'"),
+        ({"source": "water"}, "transition bounce: unknown mode 'water'"),
+        ({"direction": 0}, "direction must be -1"),
+        ({"allowed": lambda x, p: x.y}, "ignored must say in words"),
+        ({"guard": lambda x, p: ca.vertcat(x.y, x.ydot)}, "guard gives 2 numbers"),
+        ({"reset": lambda x, p: x.y}, "reset gives 1 numbers for 2 states"),
+        ({"guard": lambda x, p: x.z}, "unknown name 'z'"),
+        ({"conserved": ["momentum"]}, "mode air does not conserve 'momentum'"),
+    ],
+)
+def test_what_does_not_fit_is_said(change, message):
+    symbols = of.Symbols(q := ca.SX.sym("q"), v := ca.SX.sym("v"))
+    model = of.lagrange(v**2 / 2, q, symbols, names=["y"])
+    cycle, conserved = change.pop("cycle", ["bounce"]), change.pop("conserved", [])
+    given = {"name": "bounce", "source": "air", "target": "air", "guard": lambda x, p: x.y} | change
+    with pytest.raises(InputError, match=message):
+        hybrid([Mode("air", model)], [Transition(**given)], cycle, conserved=conserved)
+
+
+def test_modes_share_states_and_parameters():
+    symbols = of.Symbols(q := ca.SX.sym("q"), v := ca.SX.sym("v"))
+    one, other = (of.lagrange(v**2 / 2, q, symbols, names=[name]) for name in ("y", "z"))
+    with pytest.raises(InputError, match="modes: b has states z, zdot, a has y, ydot"):
+        hybrid({"a": one, "b": other}, [Transition("up", "a", "b", guard=lambda x, p: x[0])], ["up"])
+    with pytest.raises(InputError, match="the system is not hybrid"):
+        with_cycle(of.chain(1), ["up"])
