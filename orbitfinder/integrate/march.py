@@ -17,7 +17,7 @@ import numpy as np
 
 from orbitfinder.errors import IntegrationError
 from orbitfinder.integrate.compiled import compiled
-from orbitfinder.integrate.lanes import STAGES, Lanes
+from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import agree, refined, step_of, variational_field
 
 EFFORT = 3.0
