@@ -87,11 +87,7 @@ def make_point(
     closure = 0.0 if check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
-    defect = closure
-    if check is not None and grown > PIECEWISE:
-        defect, growth = piecewise_defect(curve, found, check, free)
-        if not defect <= CLOSURE * growth:
-            raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
+    defect = closure if check is None or grown <= PIECEWISE else checked_pieces(curve, found, check, free)
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",
@@ -123,6 +119,14 @@ def make_point(
         tangent=along,
         **where,
     )
+
+
+def checked_pieces(curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:
+    """The largest gap between the pieces of an orbit. Raises `ConvergenceError` when they do not fit."""
+    defect, growth = piecewise_defect(curve, found, check, free)
+    if not defect <= CLOSURE * growth:
+        raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
+    return defect
 
 
 def piecewise_defect(
