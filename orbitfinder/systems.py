@@ -22,6 +22,7 @@ from orbitfinder.mechanics.library import (
     spring_pendulum,
     swinging_spring,
     three_bodies,
+    turning_three_bodies,
     van_der_pol,
     vibrated_pendulum,
 )
@@ -48,6 +49,7 @@ __all__ = [
     "spring_pendulum",
     "swinging_spring",
     "three_bodies",
+    "turning_three_bodies",
     "van_der_pol",
     "vibrated_pendulum",
 ]

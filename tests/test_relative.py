@@ -351,7 +351,9 @@ def eight():
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     state = [np.hypot(*apart), angle, 0.0, 0.0, 0.0, 0.0, *(turn @ (1.5 * third))]
     pins = of.pin(energy=EIGHT["energy"], momentum_phi=0.0)
-    return of.find_orbit(of.Problem(of.systems.three_bodies(), of.Guess(state, 6.3259), pins, relative=("phi",)))
+    return of.find_orbit(
+        of.Problem(of.systems.turning_three_bodies(), of.Guess(state, 6.3259), pins, relative=("phi",))
+    )
 
 
 def test_the_figure_eight_does_not_turn(eight):

@@ -14,6 +14,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.scales import with_scales
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,7 @@ def lagrange(
     centres: ca.SX | None = None,
     system: Mapping[str, Any] | None = None,
     symmetries: Mapping[str, Sequence[int]] | None = None,
+    scales: Mapping[str, float] | None = None,
 ) -> Model:
     """Model of a system given by its kinetic and potential energy (CasADi SX expressions).
 
@@ -169,8 +171,10 @@ def lagrange(
     coordinates; pass `invariants=()` or your own to override (find_orbit checks their drift).
     `symmetries` declare reversals (q_i, t) -> (s_i q_i, -t) by name, as {"mirror": (1, -1)}: orbits that have one are
     labelled, found over half a period and searched for; the equations are tried when one is asked for.
-    `names` are the coordinates' names (rates get a trailing "dot"). Raises `InputError` when an
-    energy is not a scalar, depends on a foreign symbol, or T is not quadratic in all velocities.
+    `names` are the coordinates' names (rates get a trailing "dot"); `scales` gives sizes to measure in,
+    of coordinates and parameters by name or `length` of all coordinates that are no angles, where no
+    motion shows them yet (modes, searches). Raises `InputError` when an energy is not a scalar, depends
+    on a foreign symbol, or T is not quadratic in all velocities.
     """
     labels, turning = coordinate_names(names, symbols), coordinate_angles(angles, symbols)
     arguments = symbols.arguments
@@ -179,7 +183,7 @@ def lagrange(
     terms = take_apart(ca.SX(kinetic), ca.SX(potential), forces, arguments)
     lagrangian = terms.kinetic if terms.gyroscopic is None else terms.kinetic + terms.gyroscopic
     matrix, bias = mass_matrix_and_bias(lagrangian, terms.potential, q, v, terms.forces)
-    return mechanical_model(
+    model = mechanical_model(
         acceleration_function(matrix, bias, arguments),
         terms,
         symbols,
@@ -191,6 +195,7 @@ def lagrange(
         centres=polyline("centres", centres, [q, p]),
         symmetries=_reversals(symmetries or {}, q.numel()),
     )
+    return with_scales(model, scales)
 
 
 def _reversals(symmetries: Mapping[str, Sequence[int]], count: int) -> tuple[tuple[str, int, tuple[int, ...]], ...]:
