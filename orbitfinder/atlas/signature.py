@@ -27,6 +27,8 @@ LOOP_SAMPLES = 512
 """States that a signature keeps of its loop."""
 AGREEMENT = 1e-7
 """Energy, period and action of one orbit found twice differ by less than this, relative."""
+LEAST = 1e-3
+"""Share of how far angles move, a radian for each length, that other coordinates count as at least, and vice versa."""
 DISTANCE = 5e-3
 """Loops of one orbit lie over each other to this, relative to the motion's extent; interpolated rates err by 1e-3."""
 PHASE_STEPS = 4
@@ -130,14 +132,23 @@ def images(loop: np.ndarray, n: int) -> Iterator[np.ndarray]:
 
 def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
     """One scale (2n) for angles, at most pi, one for other coordinates, and likewise for rates; of a first-order state
-    each component's own."""
+    each component's own.
+
+    What hardly moves beside the others is measured in `LEAST` of what they move, a radian for each of their lengths or
+    the other way round, and its rate by the clock of what does.
+    """
     n, turning = len(angles), np.asarray(angles, bool)
     if n == loop.shape[1]:
         return alone(np.ptp(loop, axis=0))
     sizes = np.concatenate([np.ptp(loop[:, :n], axis=0), np.abs(loop[:, n:]).max(axis=0)])
-    for group in (turning, ~turning):
-        for half in (sizes[:n], sizes[n:]):
-            half[group] = max(float(half[group].max(initial=0.0)), 1e-300)
+    lengths = float(np.abs(loop[:, :n])[:, ~turning].max(initial=0.0))
+    bent, stretched = (float(sizes[:n][group].max(initial=0.0)) for group in (turning, ~turning))
+    beside = LEAST * min(stretched / max(lengths, 1e-300), 1.0), LEAST * lengths * min(bent, 1.0)
+    for group, least in ((turning, beside[0]), (~turning, beside[1])):
+        for half, floor in ((sizes[:n], least), (sizes[n:], 0.0)):
+            half[group] = max(float(half[group].max(initial=0.0)), floor, 1e-300)
+    clock = float(np.max(sizes[n:] / sizes[:n]))
+    sizes[n:] = np.maximum(sizes[n:], LEAST * clock * sizes[:n])
     return np.concatenate([np.where(turning, np.minimum(sizes[:n], np.pi), sizes[:n]), sizes[n:]])
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.exports.source import FORTRAN, Source, dense_states, fortran_number, straight_line
+from orbitfinder.loops.symmetry import turned
 
 UNFOLDING, ENERGY, PERIOD, FIRST = 1, 2, 11, 15
 """Places in PAR: the first unfolding, the energy (for output), the period (AUTO's rule), physical parameters."""
@@ -141,7 +142,8 @@ def _boundary(source: Source) -> str:
         body, extent = straight_line(along, FORTRAN, ["x", "p"], ["along"])
         work = max(work, extent)
         lines += [*body, f"FI({k}) = dot_product(along, U - UOLD)"]
-    turns = [2 * np.pi * k for k in source.orbit.winding] + [0.0] * (size - n)
+    turned_by = turned(source.model, np.array(source.orbit.winding), source.orbit.shift)
+    turns = [2 * np.pi * float(k) for k in turned_by] + [0.0] * (size - n)
     loop = [f"FB({i}) = U1({i}) - U0({i}) - ({fortran_number(turn)})" for i, turn in enumerate(turns, start=1)]
     return BOUNDARY.format(loop=_parameters_in_par(loop), work=work, size=size, phases=_parameters_in_par(lines))
 

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.point import FamilySettings, extent, parameter_value, unknowns_of, winding
+from orbitfinder.families.point import FamilySettings, extent, parameter_value, shift_at, unknowns_of, winding
 from orbitfinder.families.run import parameter_slopes
 from orbitfinder.families.start import (
     Start,
@@ -34,7 +34,7 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.symmetry import Symmetry, called, involutions, named
+from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import SHARE, repeated
 from orbitfinder.mechanics.model import Model
@@ -102,9 +102,10 @@ def _known(start: Start, found: list[Start], cover: Cover, event: Event) -> bool
 
 def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Cover:
     """The q-fold orbit in a formulation and the kernel of its Jacobian without the family's own tangent."""
-    free, held = unknown_parameters(curve.equations.model, settings)
+    model, symmetry = curve.equations.model, replace(symmetry, relative=curve.equations.symmetry.relative)
+    free, held = unknown_parameters(model, settings, momenta_of(symmetry, model))
     place = _repeated(curve, event, symmetry, share)
-    equations = Equations(repeated(curve.equations.model, event.order), symmetry, free, action=True)
+    equations = Equations(repeated(model, event.order), symmetry, free, action=True)
     moving = curve.equations.links.repeated(event.tangent[curve.equations.size + 1 :], event.order, 0.0)
     again = curve.equations.links.repeated(place.free, event.order)
     place = replace(place, unfolding=np.zeros(equations.march.unfolding), free=again)
@@ -160,7 +161,8 @@ def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> U
     first = int(np.argmin(np.abs(mesh - share)))
     laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
     times = (laps + mesh[index] - mesh[first]) / event.order
-    turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(curve.equations.size - n)])
+    turns = turned(curve.equations.model, np.array(winding(curve)), shift_at(curve, base.place))
+    turn = np.concatenate([2 * np.pi * turns, np.zeros(curve.equations.size - n)])
     nodes = (states[index] + laps[:, None] * turn)[:-1:each]
     nodes[0, n:][symmetry.held(n)[n:]] = 0.0
     return Unknowns(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
@@ -195,7 +197,7 @@ def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
 
 def _symmetric(start: Start) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
-    if start.curve.equations.links:
+    if start.curve.equations.links or start.curve.equations.symmetry.relative:
         return start
     try:
         other = reformulated(start, named(symmetry_of(start.curve, start.found), start.curve.equations.model))

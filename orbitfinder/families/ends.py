@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.optimize import brentq
 
@@ -12,7 +14,7 @@ from orbitfinder.families.run import Interval, Run, Step
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct, distance
 from orbitfinder.loops.loop import Condition, Unknowns
-from orbitfinder.loops.symmetry import NONE, half_period_gaps, involutions, recognise
+from orbitfinder.loops.symmetry import NONE, beside, half_period_gaps, involutions, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
@@ -50,6 +52,8 @@ HOMOCLINIC_STEP = 1e-2
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
     curve, found = run.curve, after.found
+    if collapsed(curve, before.found, found) and curve.equations.symmetry.relative:
+        return _steady(curve, before)
     if collapsed(curve, before.found, found):
         where = np.array2string(centre(curve, before.found), precision=6)
         period = before.point.period
@@ -180,13 +184,36 @@ def centre(curve: Curve, found: Solution) -> np.ndarray:
 
 def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
     """Whether the last step went through an equilibrium: the orbit is now on the other side of its middle."""
-    n = curve.equations.model.degrees_of_freedom
+    n, relative = curve.equations.model.degrees_of_freedom, curve.equations.symmetry.relative
     weights, still = curve.weights[: curve.equations.size], np.zeros(curve.equations.size - n)
-    one = before.place.nodes[0] - np.concatenate([centre(curve, before), still])
-    other = found.place.nodes[0] - np.concatenate([centre(curve, found), still])
+    paths = [_beside_shifts(s.march.states, relative) for s in (before, found)]
+    rates = [0.5 * (path[:, n:].max(axis=0) + path[:, n:].min(axis=0)) if relative else still for path in paths]
+    middles = [centre(curve, s) for s in (before, found)] if not relative else [
+        0.5 * (path[:, :n].max(axis=0) + path[:, :n].min(axis=0)) for path in paths
+    ]  # fmt: skip
+    one, other = (path[0] - np.concatenate(parts) for path, *parts in zip(paths, middles, rates, strict=True))
     moved = float(np.sqrt(weights @ (other - one) ** 2))
-    sizes = [np.ptp(s.march.states[:, :n], axis=0) * np.sqrt(weights[:n]) for s in (before, found)]
+    sizes = [np.ptp(path[:, :n], axis=0) * np.sqrt(weights[:n]) for path in paths]
     return bool(np.sum(weights * one * other) < 0 and np.max(sizes) < 3 * moved)
+
+
+def _beside_shifts(states: np.ndarray, relative: Sequence[Sequence[float]]) -> np.ndarray:
+    """States (k x 2n) with the coordinates brought back along the directions that an orbit is relative in."""
+    n = states.shape[1] // 2
+    return np.array([[*beside(one[:n], relative), *one[n:]] for one in states]) if relative else states
+
+
+def _steady(curve: Curve, before: Step) -> End:
+    """The end of a family that shrinks to a relative equilibrium, by its last orbit before it."""
+    shift, period = before.point.shift, before.point.period
+    rates = ", ".join(f"{name} by {by / period:.9g} a second" for name, by in shift.items())
+    states = _beside_shifts(before.found.march.states, curve.equations.symmetry.relative)
+    middle = 0.5 * (states.max(axis=0) + states.min(axis=0))[: states.shape[1] // 2]
+    return End(
+        "relative equilibrium",
+        f"the orbits shrink to a relative equilibrium at q = {np.array2string(middle, precision=6)}, which moves "
+        f"{rates}, period {period:.9g} s",
+    )
 
 
 def returned(curve: Curve, before: Step, after: Step) -> End | None:

@@ -13,6 +13,7 @@ from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
+from orbitfinder.loops.symmetry import shifting, turned
 from orbitfinder.mechanics.hybrid import SHARE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
@@ -83,20 +84,18 @@ def make_point(
     parts = list(found.march.transitions * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
-    free, turned = freed(curve, place), winding(curve)
-    closure = 0.0 if check is None else check(place.nodes[0], place.period, np.array(turned), allowed, free, units)
+    free, shift = freed(curve, place), shift_at(curve, place)
+    turns = turned(p.model, np.array(winding(curve)), shift)
+    closure = 0.0 if check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
-    defect = closure
-    if check is not None and grown > PIECEWISE:
-        defect, growth = piecewise_defect(curve, found, check, free)
-        if not defect <= CLOSURE * growth:
-            raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
+    defect = closure if check is None or grown <= PIECEWISE else checked_pieces(curve, found, check, free)
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",
         system=system_at(p.model.system, {k: v for k, v in free.items() if not k.startswith(SHARE)}),
-        winding=turned,
+        winding=winding(curve),
+        shift=shift,
         nodes=place.nodes[:1],
         times=np.zeros(0),
         samples=np.zeros((0, p.size)),
@@ -124,6 +123,14 @@ def make_point(
     )
 
 
+def checked_pieces(curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:
+    """The largest gap between the pieces of an orbit. Raises `ConvergenceError` when they do not fit."""
+    defect, growth = piecewise_defect(curve, found, check, free)
+    if not defect <= CLOSURE * growth:
+        raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
+    return defect
+
+
 def piecewise_defect(
     curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]
 ) -> tuple[float, float]:
@@ -136,7 +143,7 @@ def piecewise_defect(
     across = np.maximum(np.abs(first) * units, np.abs(last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
     ends = check.ends(place.nodes, durations, free, units)
-    boundary = first @ place.nodes[0] + last @ ends[-1] - curve.constant
+    boundary = first @ place.nodes[0] + last @ ends[-1] - curve.equations.aimed(curve.constant)
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
     growth = max(np.linalg.norm(matrix * units / units[:, None], 2) for matrix in found.march.transitions)
     return float(np.abs(gaps).max()), max(1.0, float(growth))
@@ -145,6 +152,17 @@ def piecewise_defect(
 def winding(curve: Curve) -> tuple[int, ...]:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
     return tuple(int(k) for k in curve.equations.symmetry.turns(curve.constant))
+
+
+def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:
+    """How far a relative orbit of a family shifts in a period, by name."""
+    symmetry = curve.equations.symmetry
+    known = shifting(symmetry, curve.equations.model)
+    if not known:
+        return {}
+    end = curve.equations.ends(place)[-1]
+    amounts = symmetry.shifts(symmetry.settled(curve.constant, place.nodes[0], end))
+    return {name: float(amounts[symmetry.relative.index(one.direction)]) for name, one in known.items()}
 
 
 def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:

@@ -206,7 +206,8 @@ class Journal:
 def plain(value: Any) -> Any:
     """JSON-ready: arrays as lists, complex numbers as [re, im], of a point what its family does not say already."""
     if isinstance(value, (FamilyPoint, Event)):
-        entries = {name: plain(getattr(value, DENSE.get(name, name))) for name in ENTRIES[type(value)]}
+        told = (name for name in ENTRIES[type(value)] if name != "shift" or getattr(value, name))
+        entries = {name: plain(getattr(value, DENSE.get(name, name))) for name in told}
         return entries if value.energy == value.energy else entries | {"energy": None}  # where none is conserved
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
@@ -218,7 +219,7 @@ def plain(value: Any) -> Any:
 def _entries_of(kind: type[FamilyPoint] | type[Event]) -> tuple[str, ...]:
     """What a file says of each point or event; the rest of a point follows from its family."""
     told = {"state", "period", "energy", "action", "closure", "symmetry", "floquet_multipliers", "pair_defect"}
-    told |= {"stability", "unfolding"}
+    told |= {"stability", "unfolding", "shift"}
     family = {one.name for one in dataclasses.fields(Orbit)} - told | {"curve"}
     names = [one.name for one in dataclasses.fields(kind) if kind is Event or one.name not in family]
     return tuple("nodes" if name == DENSE["nodes"] else name for name in names)
