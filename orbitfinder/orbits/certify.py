@@ -406,8 +406,8 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
     """Largest relative distance between recorded and recomputed multipliers, matched one to one.
 
-    Where mu and 1 / mu meet, at +1 and -1, both are as far apart as the square root of what their sum is known to: there
-    the sum is compared, of which mu - 1 / mu is the derivative, relative to `MEETING`.
+    Where mu and 1 / mu meet, at +1 and -1, both are known to the square root of what their sum is known to: there the
+    sum is compared, of which mu - 1 / mu is the derivative, relative to `MEETING`.
     """
     recorded, found = orbit.floquet_multipliers, floquet.multipliers
     if recorded.shape != found.shape:
