@@ -155,6 +155,15 @@ class March(Refining):
             slopes += (late - np.einsum("kij,kj->ki", transitions, early)) * edges[:-1, None]
         return slopes
 
+    def slopes(self, x: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """d(dx/dt)/dx (d x d) at a state (d)."""
+        field, size = self._varied, self.size
+        start = np.zeros(field.size1_in(1))
+        start[:size], start[size : size + size * size] = x, np.eye(size).ravel()
+        s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
+        found = self.at(field, 0.0, start, s, free)[0].ravel()
+        return np.asarray(found[size : size + size * size].reshape(size, size).T)
+
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d)."""
         if len(states) == 1:
