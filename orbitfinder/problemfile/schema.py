@@ -111,6 +111,11 @@ class PythonSystem(Table):
     arguments: dict[str, float | int | bool | str | list[float]] = Field(
         {}, description="its arguments by name: numbers (SI units), text or lists of numbers"
     )
+    cycle: list[Line] | None = Field(
+        None,
+        description="hybrid systems: the events of one period in their order, such as ['strike', 'strike'] for two "
+        "steps; the system's own when left out",
+    )
 
 
 SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "python": PythonSystem}
