@@ -452,7 +452,7 @@ def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
     corners = [_downwards(place) for place in (0 * up, up, up - side, -side, 0 * up)]
     model = made.model(
         "rocking_block", made.v**2 / 2, made["stiffness"] * (ca.cos(made["angle"] - made.q)), names=["phi"],
-        points=ca.horzcat(*corners),
+        angles=[True], points=ca.horzcat(*corners),
     )  # fmt: skip
     bounce = Transition(
         "bounce", "rocking", "rocking", guard=lambda x, p: x.phi, reset=lambda x, p: changed(x, phidot=-x.phidot)
