@@ -58,6 +58,11 @@ def source_of(orbit: Orbit, model: Model | None = None) -> Source:
     """The Source of an orbit. `model` is needed only for systems that no file describes."""
     model = model or build_model(orbit.system)
     n = model.degrees_of_freedom
+    if model.hybrid is not None:
+        raise InputError(
+            f"{orbit.name}: is hybrid, and what other programs load is one smooth right-hand side without its events and "
+            "resets; export csv"
+        )
     rate = vector_field(model, model.parameter_names, model.invariants)
     x, p = ca.SX.sym("x", 2 * n), ca.SX.sym("p", len(model.parameter_names))
     total = model.kinetic(x[:n], x[n:], p) + model.potential(x[:n], p)
