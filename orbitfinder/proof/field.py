@@ -65,6 +65,10 @@ def programs(model: Model) -> Programs:
 
 def check_provable(model: Model) -> None:
     """`InputError` unless the theorem covers the Model: autonomous, and the energy its only integral."""
+    if model.hybrid is not None:
+        raise InputError(
+            "system: hybrid systems cannot be proved yet; the theorem encloses one smooth flow, not events and resets"
+        )
     if model.constraint is not None:
         raise InputError("system: linkages (systems under constraints) cannot be proved yet; prove a chain")
     if model.forced or not model.conservative or model.forces is not None:
