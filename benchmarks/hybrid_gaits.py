@@ -82,7 +82,7 @@ def derivative(lift: Callable[[Vector], Any], z: Vector) -> Vector:
     return np.array(steps).T
 
 
-# -- legs of point masses: place = foot + sum_i c_i (-sin q_i, cos q_i), angles from the vertical -----------------------
+# -- legs of point masses: place = foot + sum_i c_i (-sin q_i, cos q_i), angles from the vertical ----------------------
 
 
 def jacobian(c: Vector, q: Vector) -> Vector:
@@ -113,7 +113,7 @@ def swing(masses: Sequence[tuple[float, Sequence[float]]], gravity: float, held:
 
 
 def struck(masses: Sequence[tuple[float, Sequence[float]]], tip: Sequence[float], held: Any = None) -> Any:
-    """Rates after the tip hits the ground and stays, the former foot free: momentum and contact as one linear system."""
+    """Rates after the tip hits the ground and stays, the former foot free: momentum and contact in one system."""
     count = len(tip)
 
     def after(x: Vector) -> Vector:
@@ -141,9 +141,7 @@ def compass(slope: float, hip: float, times: int = 1) -> tuple[list[Piece], Call
         rates = after(x)
         return [x[1], x[0], rates[1], rates[0]]
 
-    step = Piece(
-        swing(masses, 9.81), lambda x: x[0] + x[1] + 2 * slope, -1, reset, lambda x: x[1] > x[0]
-    )
+    step = Piece(swing(masses, 9.81), lambda x: x[0] + x[1] + 2 * slope, -1, reset, lambda x: x[1] > x[0])
     return [step] * times, lambda z: [z[0], -z[0] - 2 * slope, z[1], z[2]]
 
 
@@ -180,7 +178,7 @@ def kneed(slope: float = 0.0504) -> tuple[list[Piece], Callable[[Vector], Any]]:
     return pieces, lambda z: [z[0], -z[0] - 2 * slope, -z[0] - 2 * slope, z[1], z[2], z[2]]
 
 
-# -- the others ---------------------------------------------------------------------------------------------------------
+# -- the others --------------------------------------------------------------------------------------------------------
 
 
 def simplest(slope: float, times: int = 1) -> tuple[list[Piece], Callable[[Vector], Any]]:

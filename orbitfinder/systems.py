@@ -18,7 +18,11 @@ from orbitfinder.mechanics.library import (
     restricted_three_body_canonical,
     rossler,
     rotating_hoop,
+    spherical_pendulum,
     spring_pendulum,
+    swinging_spring,
+    three_bodies,
+    turning_three_bodies,
     van_der_pol,
     vibrated_pendulum,
 )
@@ -41,7 +45,11 @@ __all__ = [
     "restricted_three_body_canonical",
     "rossler",
     "rotating_hoop",
+    "spherical_pendulum",
     "spring_pendulum",
+    "swinging_spring",
+    "three_bodies",
+    "turning_three_bodies",
     "van_der_pol",
     "vibrated_pendulum",
 ]

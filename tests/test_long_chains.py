@@ -14,8 +14,8 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, O
 from orbitfinder.guesses import balance as harmonic_balance
 from orbitfinder.guesses.balance import Series
 from orbitfinder.guesses.modes import normal_mode
-from orbitfinder.integrate import chain as quarter
-from orbitfinder.integrate.chain import ClosedChain
+from orbitfinder.integrate import chain_march
+from orbitfinder.integrate.chain_march import ClosedChain
 from orbitfinder.integrate.cvodes import build_flow, transition
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS
@@ -163,7 +163,7 @@ def test_a_closed_form_that_is_not_the_chains_is_noticed(twelve, monkeypatch):
     chain = build_chain(mode_problem(12, 0.5))
     assert chain.march.disagreement(twelve.samples[:129:32]) <= 1e-11
     wrong = replace(chain.closed, weights=chain.closed.weights * (1 + 1e-6))
-    monkeypatch.setattr(quarter, "chain_lagrange", lambda model: wrong)
+    monkeypatch.setattr(chain_march, "chain_lagrange", lambda model: wrong)
     with pytest.raises(OrbitfinderError, match="closed form of this chain's equations .* please report"):
         measured(build_chain(mode_problem(12, 0.5)), twelve.state[:12], twelve.period)
 
@@ -178,7 +178,7 @@ def test_halving_stops_where_it_no_longer_helps(monkeypatch):
         return states(self, nodes, mesh, tail)
 
     monkeypatch.setattr(ClosedChain, "states", counted)
-    monkeypatch.setattr(quarter, "AGREEMENT", 0.0)
+    monkeypatch.setattr(chain_march, "AGREEMENT", 0.0)
     state, second = np.concatenate([np.linspace(0.1, 0.5, 12), np.zeros(12)]), (uniform(1.0, 1, 16), np.ones(1))
     fine = known.refined(state, *second)
     assert counts[-1] < 16 * 2**MOST_DOUBLINGS

@@ -3,9 +3,14 @@
 The unknowns are w = (nodes, T, s, freed parameters), and only this file knows that order. The rows are
 
     x_{k+1} - x(end of segment k)         continuity
-    B0 x_0 + B1 x(end) - c                the link that closes the loop: the period, or a symmetry of a part of it
+    P (B0 x_0 + B1 x(end) - c)            the link that closes the loop: the period, or a symmetry of a part of it
     normals (x_0 - reference)             phases: time, and what else shifts an orbit into another
     conditions                            pins, what is held, the aim that picks one orbit of a family
+
+P is 1. A relative orbit comes back up to a shift along k cyclic coordinates, x(T) = x(0) + sum_j d_j g_j: its P leaves
+out the k rows that such a shift changes, and d is read off the motion. The count, of m momenta in all: 2n - k rows and
+1 + m phases (time, and the shift of each momentum) in 2n + 1 + (1 + m) unknowns (a state, T, and an unfolding of the
+energy and of each momentum). 1 + k conditions pick one orbit, such as the energy and the momenta of the k coordinates.
 
 Nothing here integrates (see `integrate.march`) or solves (see `loops.newton`).
 """
@@ -183,8 +188,18 @@ class Equations:
 
     @cached_property
     def boundary(self) -> tuple[np.ndarray, np.ndarray]:
-        """B0 and B1 (d x d)."""
-        return self.symmetry.rows(self.model.degrees_of_freedom)
+        """P B0 and P B1 (r x d)."""
+        first, last = self.symmetry.rows(self.model.degrees_of_freedom)
+        return (first, last) if self.asked is None else (self.asked @ first, self.asked @ last)
+
+    @cached_property
+    def asked(self) -> np.ndarray | None:
+        """P (r x d), None where all rows are asked."""
+        return self.symmetry.asked(self.model.degrees_of_freedom)
+
+    def aimed(self, constant: np.ndarray) -> np.ndarray:
+        """P c of the boundary rows' constants (d)."""
+        return constant if self.asked is None else np.asarray(self.asked @ constant)
 
     @cached_property
     def quantities(self) -> ca.Function:
@@ -383,7 +398,7 @@ class Loop:
         links, guards = self.equations.links, NONE_SUCH
         if links:
             ends, guards = links.passed(w, ends)
-        closing = first @ w.nodes[0] + last @ ends[-1] - self.constant
+        closing = first @ w.nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant)
         rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self.normals @ (w.nodes[0] - self.reference)]
         return np.concatenate([*rows, self.values(w, self.conditions), guards])
 
@@ -391,7 +406,7 @@ class Loop:
         """The same rows as an expression of CasADi."""
         first, last = (ca.sparsify(ca.DM(one)) for one in self.equations.boundary)
         rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
-        rows.append(first @ nodes[0] + last @ ends[-1] - self.constant)
+        rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
         rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
         head = ca.vertcat(nodes[0], period, free)
         model = self.equations.model
@@ -409,11 +424,11 @@ class Loop:
         """The derivatives of the rows."""
         first, last = self.equations.boundary
         slopes, size = self.slopes(w, self.conditions), self.equations.size
-        more = len(self.normals) + len(slopes)
-        tail = np.zeros((size + more, 1 + w.unfolding.size + w.free.size))
+        more, before = len(self.normals) + len(slopes), len(first) + len(self.normals)
+        tail = np.zeros((len(first) + more, 1 + w.unfolding.size + w.free.size))
         if len(slopes):
-            tail[size + len(self.normals) :, 0] = slopes[:, size]
-            tail[size + len(self.normals) :, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
+            tail[before:, 0] = slopes[:, size]
+            tail[before:, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
         links, transitions, columns = self.equations.links, path.transitions, path.columns
         inner: Inner | None = None
         if links:
@@ -426,6 +441,15 @@ class Loop:
             tail,
             inner,
         )
+
+    def row_units(self, w: Unknowns, head: np.ndarray, *aims: Condition) -> np.ndarray:
+        """What each row is measured in, those of aims last, where (x(0), T, free) is measured in `head`."""
+        unit, (first, last) = head[: self.equations.size], self.equations.boundary
+        boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
+        units = [np.tile(unit, len(w.nodes) - 1), boundary, np.linalg.norm(self.normals * unit, axis=1)]
+        named, count = np.linalg.norm(self.slopes(w, (*self.conditions, *aims)) * head, axis=1), len(self.conditions)
+        units += [named[:count], self.equations.links.units(w, unit), named[count:]]
+        return np.asarray(np.maximum(np.concatenate(units), 1e-300))
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""

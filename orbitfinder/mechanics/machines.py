@@ -289,7 +289,7 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
         raise InputError(f"system.arguments.spokes: must be at least 3, got {spokes}; a wheel needs them")
     made = ingredients(1, {"length": length, "gravity": gravity}, {"slope": slope})
     arm, half = made["length"], np.pi / count
-    ends = [ca.vertcat(arm * ca.cos(made.q + 2 * half * k), arm * ca.sin(made.q + 2 * half * k)) for k in range(count)]
+    ends = [ca.vertcat(arm * ca.cos(made.q + 2 * half * k), -arm * ca.sin(made.q + 2 * half * k)) for k in range(count)]
     hub = ca.vertcat(-arm * ca.cos(made.q), arm * ca.sin(made.q))
     rays = [hub + change * one for one in ends for change in (1, 0)]
     model = made.model(

@@ -14,15 +14,15 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from orbitfinder.loops.symmetry import STILL
+from orbitfinder.loops.symmetry import STILL, shifts_of
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import masses_of
 
 EPSILON = float(np.finfo(float).eps)
 LEAST_SHARE = 0.1
@@ -101,19 +101,24 @@ def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, r
     return float(np.linalg.norm(steps))
 
 
-def masses_of(kinetic: Callable[..., Any], state: np.ndarray, model: Model | None = None) -> np.ndarray:
-    """Diagonal (n) of the mass matrix at a state (2n): twice the kinetic energy of each unit velocity."""
-    n = state.size // 2
-    given = [] if model is None else [model.parameter_values]
-    return np.array([2.0 * float(kinetic(state[:n], unit, *given)) for unit in np.eye(n)])
-
-
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
     """Extents (2n) of a motion of a Model (k x 2n) over its period."""
     if model.rates is not None:
         return alone(np.ptp(states, axis=0))
     moved, rushed = np.split(np.ptp(states, axis=0), 2)
     return np.concatenate(extents(moved, rushed, masses_of(model.kinetic, states[0], model), period))
+
+
+def shift_along(
+    model: Model, names: Iterable[str], start: np.ndarray, end: np.ndarray, turns: np.ndarray
+) -> dict[str, float]:
+    """How far a motion from `start` to `end` (2n each) goes by name along shifts of a model, beside whole turns (n)."""
+    chosen = list(names)
+    if not chosen:
+        return {}
+    known, moved = shifts_of(model), (end - start)[: turns.size] - 2 * np.pi * turns
+    directions = np.array([known[name].direction for name in chosen])
+    return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved)[0]), strict=True))
 
 
 def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray | float) -> np.ndarray:
@@ -127,7 +132,7 @@ def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray |
 def gap(
     start: np.ndarray, end: np.ndarray, turns: np.ndarray | Sequence[int], units: np.ndarray | float = 1.0
 ) -> float:
-    """Largest component of x(T) - x(0) - 2 pi k, in `units`."""
+    """Largest component of x(T) - x(0) - 2 pi k, in `units`; k of a relative orbit are no whole numbers."""
     return float(np.abs((end - start - shift(turns, start.size)) / units).max())
 
 

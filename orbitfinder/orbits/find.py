@@ -19,7 +19,7 @@ from orbitfinder.errors import ConvergenceError, Hint, InputError, IntegrationEr
 from orbitfinder.guesses.balance import balanced_guess
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
 from orbitfinder.integrate.dop853 import SECOND, integrate_in, vector_field
-from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
@@ -44,13 +44,16 @@ from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import between, extents_of, gap
 from orbitfinder.orbits.hybrid import hybrid_orbit
 from orbitfinder.orbits.long_chain import find_long_chain, suits
-from orbitfinder.orbits.measure import dense, measure, provenance
+from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen
+from orbitfinder.orbits.reduction import steady
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
+KEPT = 1e-11
+"""... unless its rate of change is this small a share of the terms that cancel in it."""
 SECTION = 1e-3
 """Coordinates this near to where an odd motion starts are left to the solver."""
 NEAR_ONE = 1e-3
@@ -77,16 +80,23 @@ def check_invariants(problem: Problem) -> None:
         states = integrate_in(units, field, start, np.linspace(0.0, problem.guess.period, 9), SECOND)
     except IntegrationError:
         return  # the search itself will say where the motion cannot be integrated
-    for one in model.invariants:
+    for one, kept in zip(model.invariants, _kept(model, states), strict=True):
         found = np.array([float(one.value(state[:n], state[n:], values)) for state in states])
         nearby = float(one.value(1.01 * start[:n], 1.01 * start[n:], values))
         drift, size = float(np.abs(found - found[0]).max()), max(abs(found[0]), abs(nearby - found[0]), 1e-300)
-        if drift > DRIFT * size:
+        if drift > DRIFT * size and not kept:  # past a singularity the integration drifts as well
             raise InputError(
                 f"invariants: {one.name!r} is not conserved, it drifts by {drift:.3g} from {found[0]:.6g} within "
                 f"{problem.guess.period:.4g} s along the guess's motion; leave it out of invariants=, or look for a "
                 "force that changes it"
             )
+
+
+def _kept(model: Model, states: np.ndarray) -> np.ndarray:
+    """Which invariants the equations keep at states (k x 2n): dI/dt = grad I . x' is round-off of its terms."""
+    gradients, rates = invariant_gradients(model), accelerations(model)
+    terms = np.stack([gradients(state).full() * rates(0.0, state).full().ravel() for state in states])
+    return np.asarray(np.all(np.abs(terms.sum(axis=2)) <= KEPT * np.abs(terms).sum(axis=2), axis=0))
 
 
 def at_section(problem: Problem, flow: Flow) -> Problem:
@@ -128,7 +138,7 @@ def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ..
             end = end_state(flow, nodes[-1], duration, guess.period - duration)
         except IntegrationError:
             return None
-    turns = whole_turns(model, nodes[0], end)
+    turns = whole_turns(model, nodes[0], end, problem.boundary.relative)
     return None if turns is None else tuple(int(k) for k in turns)
 
 
@@ -221,7 +231,10 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     unfolding = acting(refined.flow, found.nodes, found.unfolding)
     orbit = measure(refined.problem, refined.flow, found.nodes, found.period, unfolding)
     _within(problem, orbit)
+    _periodic(problem, orbit)
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
+    if flow.units:
+        said["scales"] = dict(zip(problem.model.state_names, flow.units, strict=True))
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
         orbit = certified(orbit, refined.problem.model)
@@ -303,6 +316,17 @@ def _within(problem: Problem, orbit: Orbit) -> None:
         )
 
 
+def _periodic(problem: Problem, orbit: Orbit) -> None:
+    """`ConvergenceError` for a relative equilibrium, which comes back up to a shift after any time at all."""
+    rates = steady(problem.model, orbit.state, orbit.period) if problem.relative and not problem.free else {}
+    if rates:
+        moving = ", ".join(f"{name} = {rate:.9g}" for name, rate in rates.items())
+        raise ConvergenceError(
+            f"no orbit found: the search fell on a relative equilibrium, whose steady rates are {moving} a second, so "
+            "that it has no period of its own; start farther from it, or leave relative out and give its winding"
+        )
+
+
 def _choice(problem: Problem, model: Model) -> dict[str, Any]:
     """What was left to choose and what came of it, for the provenance."""
     found = {name: float(model.parameter_values[model.parameter_index(name)]) for name in problem.free}
@@ -334,7 +358,8 @@ def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: Sol
     matrix = transition(flow, np.asarray(problem.guess.state, float), horizon)[1]
     fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
     between = (fewest, settings.most_segments)
-    units = clocked(problem.model, problem.guess.period / (2 * np.pi))
+    state = np.asarray(problem.guess.state, float)
+    units = clocked(problem.model, problem.guess.period / (2 * np.pi), state)
     return segments_for(matrix, units, settings.growth_per_segment, between)
 
 
@@ -370,8 +395,9 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
 
 def _snapped(problem: Problem, name: str, value: float) -> float:
     """A value, or the end of its range that an inequality holds it at."""
-    for end in problem.bounds.get(name, ()):
-        if abs(value - end) <= NEAR_BOUND * max(1.0, abs(end)):
+    ends = problem.bounds.get(name, ())
+    for end in ends:
+        if abs(value - end) <= NEAR_BOUND * max(np.ptp(np.asarray(ends)[np.isfinite(ends)]), abs(end)):
             return float(end)
     return value
 
@@ -385,13 +411,14 @@ def _held(problem: Problem, natural: tuple[Pin, ...], period: float) -> tuple[Pi
 
 
 def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
-    """The pins that hold an orbit where it is in its family: its energy, and of general first-order systems every
-    invariant that no symmetry belongs to; nothing where none is conserved.
+    """The pins that hold an orbit where it is in its family: its energy, the momenta of what it is relative in, and of
+    general first-order systems every invariant that no symmetry belongs to; nothing where none is conserved.
     """
     n = problem.model.degrees_of_freedom
-    values = problem.model.parameter_values
+    values, kept = problem.model.parameter_values, {one.momentum for one in problem.shifts}
     alone = [one for one in problem.model.invariants if one.generator is None] or problem.model.invariants[:1]
-    return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in alone)
+    held = [one for one in problem.model.invariants if one in alone or one.name in kept]
+    return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in held)
 
 
 def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
@@ -421,6 +448,6 @@ def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float
         if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
             continue
         reached = between(times, states, n, period / cover)
-        if gap(states[0], reached, problem.turns // cover, units) < tolerance:
+        if gap(states[0], reached, shift_of(problem, states[0], states[-1])[1] / cover, units) < tolerance:
             return cover
     return 1

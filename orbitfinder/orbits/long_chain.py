@@ -28,7 +28,7 @@ from orbitfinder.guesses.balance import (
     pins,
     resolved,
 )
-from orbitfinder.integrate.chain import CHUNK, ClosedChain
+from orbitfinder.integrate.chain_march import CHUNK, ClosedChain
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings

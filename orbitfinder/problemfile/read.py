@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, plural
-from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode
+from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode, rest_near
 from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
@@ -29,6 +29,7 @@ from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.schema import SYSTEMS, FindTable, GuessTable, ProblemTable, Table, check_name, sentence
+from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
 
 LARGEST_TOML = 5_000_000
@@ -159,6 +160,7 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         pin=pin(**(find.pin or {})),
         symmetry=find.symmetry,
         winding=None if find.winding is None else tuple(find.winding),
+        relative=tuple(find.relative),
         segments=find.segments,
         tolerance=find.tolerance,
         free=tuple(find.free),
@@ -176,11 +178,17 @@ def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float
     """Known numbers by name, physical parameters among them."""
     numbers = table.expected.model_dump(exclude_none=True)
     parameters = numbers.pop("parameters", {})
+    shifts = {f"{SHIFT}{name}": number for name, number in numbers.pop("shift", {}).items()}
+    if unknown := set(table.expected.shift) - set(table.find.relative):
+        raise InputError(f"expected.shift: {sorted(unknown)[0]!r} is not in find.relative, which is what shifts")
     for name in parameters:
         if name not in model.parameter_names:
             known = ", ".join(model.parameter_names[:12])
             raise InputError(f"expected.parameters: unknown {name!r}; this system has {known}")
-    return {key: (float(number["value"]), float(number["tolerance"])) for key, number in (numbers | parameters).items()}
+    return {
+        key: (float(number["value"]), float(number["tolerance"]))
+        for key, number in (numbers | parameters | shifts).items()
+    }
 
 
 def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.ndarray | None:
@@ -233,14 +241,16 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
     if model.constraint is not None and model.system.get("kind") == "linkage":
         return _linkage_guess(given, model, folder)
-    linkage_keys = [key for key in ("angles", "branch", "rates", "equilibrium") if getattr(given, key) is not None]
+    linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
     if linkage_keys:
         raise InputError(f"guess.{linkage_keys[0]}: is for linkages only; give state and period, mode or csv")
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names), twice=model.hybrid is not None)
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
-            return normal_mode(model, given.mode, given.amplitude)
+            return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
+        if model.rates is not None:
+            raise InputError("guess.mode: a first-order system takes one mode with one amplitude; give numbers")
         modes = given.mode if isinstance(given.mode, list) else [given.mode]
         sizes = given.amplitude if isinstance(given.amplitude, list) else [given.amplitude]
         return normal_mode_sum(model, modes, sizes)
@@ -262,11 +272,23 @@ def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
     if given.mode is not None:
         if not isinstance(given.mode, int) or not isinstance(given.amplitude, float):
             raise InputError("guess.mode: a linkage takes one mode with one amplitude; give numbers, not lists")
+        if isinstance(given.equilibrium, str):
+            raise InputError("guess.equilibrium: a linkage's is given by angles near it, one per bar")
         near = None if given.equilibrium is None else _angles(model, given.equilibrium)
         found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
         return found if given.period is None else Guess(found.state, given.period)
     state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
     return Guess(state, given.period or first_return(model, state, given.duration or 20.0))
+
+
+def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
+    """The equilibrium at a landmark or near a place, None where none is given."""
+    if named is None or not isinstance(named, str):
+        return None if named is None else rest_near(model, named)
+    if named not in model.landmarks:
+        known = ", ".join(model.landmarks) or "none, give coordinates"
+        raise InputError(f"guess.equilibrium: unknown {named!r}; the landmarks of this system are {known}")
+    return rest_near(model, model.landmarks[named])
 
 
 def _angles(model: Model, angles: list[float]) -> np.ndarray:

@@ -116,6 +116,10 @@ class PythonSystem(Table):
         description="hybrid systems: the events of one period in their order, such as ['strike', 'strike'] for two "
         "steps; the system's own when left out",
     )
+    scales: dict[str, Positive] | None = Field(
+        None, description="sizes to measure in, where the motion does not show them: `length` of all coordinates that "
+        "are no angles, coordinates or physical parameters by name, such as `{ length = 2e-6 }`",
+    )  # fmt: skip
 
 
 SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "python": PythonSystem}
@@ -202,8 +206,10 @@ class GuessTable(Table):
     rates: dict[str, float] | None = Field(
         None, description="linkages: some rates at t = 0 in rad/s, such as { theta1dot = 2.0 }; at rest when left out"
     )
-    equilibrium: list[float] | None = Field(
-        None, description="linkages: link angles near the equilibrium of the mode, the lowest one when left out"
+    equilibrium: list[float] | str | None = Field(
+        None,
+        description="coordinates near the equilibrium of the mode, or the name of a landmark such as L1; when left out "
+        "the one at 0, of a linkage (link angles) the lowest",
     )
 
     @model_validator(mode="after")
@@ -237,10 +243,15 @@ class FindTable(Table):
     symmetry: Annotated[str, AfterValidator(_known_symmetry)] = Field(
         "none",
         description="symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits "
-        "included), brake+reflection, or one that a Python system declares (mirror of restricted_three_body)",
+        "included), brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body)",
     )
     winding: list[int] | None = Field(
         None, description="whole turns of each coordinate in one period, one whole number per coordinate"
+    )
+    relative: list[str] = Field(
+        [],
+        description='cyclic coordinates along which the orbit comes back shifted by what is found, such as ["phi"]; '
+        "each leaves room for one pin more, such as its momentum, momentum_phi",
     )
     segments: int | None = Field(
         None, ge=1, le=MOST_SEGMENTS, description="shooting segments, at least 1; chosen automatically when left out"
@@ -331,6 +342,9 @@ class ExpectedTable(Table):
     action: ExpectedNumber | None = Field(None, description="integral of p dq in J s, as { value, tolerance }")
     parameters: dict[str, ExpectedNumber] = Field(
         {}, description="freed physical parameters by name, as { length3 = { value, tolerance } }"
+    )
+    shift: dict[str, ExpectedNumber] = Field(
+        {}, description="shifts of a relative orbit in a period by name, as { phi = { value, tolerance } }"
     )
 
 

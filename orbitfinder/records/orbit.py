@@ -19,12 +19,16 @@ from orbitfinder.records.reading import (
     finite,
     json_bytes,
     json_file,
+    plain_numbers,
+    walked,
     write_atomically,
     write_npz,
 )
 
 FORMAT, VERSION = "orbitfinder/orbit", 1
 AGAIN = "run the problem again"
+SHIFT = "shift_"
+"""In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
 
 @dataclass(frozen=True)
@@ -105,38 +109,33 @@ class Orbit:
     """what was proved of it (see `proof.record`)"""
     record: str | None = None
     """digest of the numbers as written, present on orbits read from a file"""
+    shift: Mapping[str, float] = field(default_factory=dict)
+    """how far it comes back from where it was along the cyclic coordinates that it is relative in (rad, m)"""
 
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
         return display.html(self)
 
 
+ENTRIES = (
+    "name", "title", "source", "system", "state", "period", "energy", "action", "closure", "symmetry", "winding",
+    "floquet_multipliers", "pair_defect", "stability", "unfolding", "tolerance", "nodes", "expected", "certificate",
+    "provenance",
+)  # fmt: skip
+"""What orbit.json says of an orbit, in this order."""
+
+
 def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
     """The JSON document of an orbit (the contract of orbit.json); floats round-trip exactly."""
-    document: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "name": orbit.name,
-        "title": orbit.title,
-        "source": orbit.source,
-        "system": dict(orbit.system),
-        "state": orbit.state.tolist(),
-        "period": orbit.period,
+    in_words = {
         "energy": None if unconserved(orbit) else orbit.energy,
-        "action": orbit.action,
-        "closure": orbit.closure,
-        "symmetry": orbit.symmetry,
-        "winding": list(orbit.winding),
-        "floquet_multipliers": [[float(mu.real), float(mu.imag)] for mu in orbit.floquet_multipliers],
-        "pair_defect": orbit.pair_defect,
-        "stability": orbit.stability,
-        "unfolding": list(orbit.unfolding),
-        "tolerance": orbit.tolerance,
-        "nodes": orbit.nodes.tolist(),
         "expected": {k: {"value": v[0], "tolerance": v[1]} for k, v in orbit.expected.items()},
         "certificate": certificate_to_document(orbit.certificate),
-        "provenance": dict(orbit.provenance),
     }
+    document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    document |= {name: walked(in_words.get(name, getattr(orbit, name)), plain_numbers) for name in ENTRIES}
+    if orbit.shift:
+        document["shift"] = dict(orbit.shift)
     document["record"] = digest(document)
     return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
 
@@ -186,7 +185,8 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
 
 def digest(document: Mapping[str, Any]) -> str:
     """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
-    return content_digest({name: document.get(name) for name in DIGESTED})
+    relative = {"shift": document["shift"]} if document.get("shift") else {}
+    return content_digest({name: document.get(name) for name in DIGESTED} | relative)
 
 
 def save_orbit(orbit: Orbit, path: str | Path) -> Path:
@@ -275,6 +275,7 @@ def orbit_from_document(
         expected = {k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()}
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
         described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
+        described |= {f"{SHIFT}{name}" for name in document.get("shift") or {}}
         energy = float("nan") if document["energy"] is None else float(document["energy"])
         if np.isnan(energy) and len(document.get("winding") or ()) != state.size:
             raise ValueError("energy of a mechanical system is missing")
@@ -294,6 +295,7 @@ def orbit_from_document(
             expected=expected, certificate=certificate,
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),
+            shift={str(name): float(by) for name, by in (document.get("shift") or {}).items()},
             proof=dict(document["proof"]) if isinstance(document.get("proof"), Mapping) else None,
         )  # fmt: skip
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:

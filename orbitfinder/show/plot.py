@@ -23,6 +23,7 @@ from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.style import dress, line_style, new_figure, plane, save_png, sweep, trail
 from orbitfinder.show.svg import COLOURS, runs
 
@@ -39,8 +40,8 @@ MOST_IN_LEGEND = 12
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
     """Write the four figures of an orbit (no energy or links where it has none), or those of a family, as PNG files.
 
-    Returns their paths. `model` is needed only for systems that no file describes. An orbit without samples is
-    integrated again.
+    What moves in a plane or in space has its path from every side in place of links. Returns their paths. `model` is
+    needed only for systems that no file describes. An orbit without samples is integrated again.
     """
     model = model or build_model(orbit.system)
     if isinstance(orbit, Family):
@@ -52,7 +53,9 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
     }
     if np.isfinite(orbit.energy) and (model.hybrid is None or model.conservative):
         figures["energy_error"] = energy_error(orbit, model)
-    if model.points is not None:
+    if has_path(model):
+        figures["path"] = path_views(orbit, model)
+    elif model.points is not None:
         figures["swept_configuration"] = swept_configuration(orbit, model)
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
@@ -289,7 +292,10 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
     if any(point.floquet_multipliers.size for point in family.points):
         figures |= {"multipliers_plane": multipliers_plane(family), "multipliers": multipliers_along(family)}
     if len(family.points) > 1:
-        figures["gallery"] = gallery(family, motions(family, model))
+        shown = motions(family, model)
+        figures["gallery"] = gallery(family, shown)
+        if has_path(model):
+            figures["paths"] = family_paths(family, shown, model)
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
 
@@ -372,7 +378,7 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
         values = [*family.values("value"), *(event.parameter for event in family.events)]
         places.append(list(zip(values, size[:, which].tolist(), strict=True)))
     _curves(figure, axes, families, places)
-    dress(axes, axis_name(first), f"amplitude of {label(names[which])} ({units(model)[which]})")
+    dress(axes, axis_name(first), f"amplitude of {axis(model, which)}")
     return figure
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate import lanes
+from orbitfinder.integrate import parallel
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.rk8 import step_of, variational_field
 from orbitfinder.mechanics.chain import chain
@@ -21,13 +21,13 @@ def test_marches_do_not_depend_on_the_lanes(step, segments, monkeypatch):
     random, steps = np.random.default_rng(0), 12
     starts = random.normal(size=(segments, step.size1_in(0)))
     parameters = np.tile([0.01, *np.zeros(step.size1_in(1) - 1)], (segments * steps, 1))
-    monkeypatch.setattr(lanes, "LANES", 1)
-    alone = lanes.Lanes().marched(step, starts, parameters, True)
-    monkeypatch.setattr(lanes, "LANES", 3)
-    monkeypatch.setattr(lanes, "WORTH", 0.0)
-    lanes._pool.cache_clear()
+    monkeypatch.setattr(parallel, "LANES", 1)
+    alone = parallel.Lanes().marched(step, starts, parameters, True)
+    monkeypatch.setattr(parallel, "LANES", 3)
+    monkeypatch.setattr(parallel, "WORTH", 0.0)
+    parallel._pool.cache_clear()
     for _ in range(20):
-        shared = lanes.Lanes()
+        shared = parallel.Lanes()
         np.testing.assert_array_equal(shared.marched(step, starts, parameters, True), alone)
         np.testing.assert_array_equal(shared.marched(step, starts, parameters, False), alone[steps - 1 :: steps])
     expected = step.mapaccum(steps)(starts[-1], parameters[:steps].T).full().T
@@ -39,10 +39,10 @@ def test_evaluations_do_not_depend_on_the_chunks(count, monkeypatch):
     x = ca.SX.sym("x", 3)
     function = ca.Function("f", [x], [ca.sin(x) * x[0]])
     places = np.random.default_rng(1).normal(size=(count, 3))
-    monkeypatch.setattr(lanes, "LANES", 4)
-    monkeypatch.setattr(lanes, "WORTH", 0.0)
-    lanes._pool.cache_clear()
-    found = lanes.Lanes().evaluated(function, 1, places)
+    monkeypatch.setattr(parallel, "LANES", 4)
+    monkeypatch.setattr(parallel, "WORTH", 0.0)
+    parallel._pool.cache_clear()
+    found = parallel.Lanes().evaluated(function, 1, places)
     np.testing.assert_array_equal(found, function.map(count)(places.T).full().T)
 
 
@@ -52,12 +52,12 @@ def test_failure_in_a_lane_is_the_callers(monkeypatch):
             raise IntegrationError("lane 1")
         return [np.zeros(1)]
 
-    lanes._pool.cache_clear()
+    parallel._pool.cache_clear()
     with pytest.raises(IntegrationError, match="lane 1"):
-        lanes._shared(task, 2, 2)
+        parallel._shared(task, 2, 2)
 
 
 def test_little_work_stays_in_one_lane(step, monkeypatch):
-    monkeypatch.setattr(lanes, "LANES", 4)
-    assert lanes._lanes(step, 8, 1) == 1
-    assert lanes._lanes(step, 8, 10_000) == 4 and lanes._lanes(step, 2, 10_000) == 2
+    monkeypatch.setattr(parallel, "LANES", 4)
+    assert parallel._lanes(step, 8, 1) == 1
+    assert parallel._lanes(step, 8, 10_000) == 4 and parallel._lanes(step, 2, 10_000) == 2
