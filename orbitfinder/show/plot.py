@@ -148,7 +148,7 @@ def _components(figure: Figure, course: Course, model: Model) -> Figure:
         if 0 < spread < STILL * abs(middle):  # what stands still must not have its round-off magnified
             axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
     panels[-1].set_xlim(0.0, course.period)
-    mark_events(panels, course)
+    mark_events(list(panels), course)
     return figure
 
 

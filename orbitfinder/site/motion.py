@@ -184,7 +184,7 @@ def _jumping(
     except OrbitfinderError:
         return None
     angles, moments = model.angles or (True,) * model.degrees_of_freedom, np.arange(JUMPING) * period / JUMPING
-    shown = path.positions(moments) if model.points is not None else _plane(path.states(moments))
+    shown = path.positions(moments) if model.points is not None else _plane(path.states(moments), model.degrees_of_freedom)
     drawn = "mechanism" if model.points is not None else "plane"
     return Motion(period, times, states, model.state_names, angles, shown, drawn, path)
 
