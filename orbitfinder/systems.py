@@ -1,7 +1,7 @@
 """Built-in systems: each function returns a Model, and problem files name them with kind = "python"."""
 
+from orbitfinder.mechanics.library import FUNCTIONS as SMOOTH
 from orbitfinder.mechanics.library import (
-    FUNCTIONS,
     brusselator,
     cart_chain,
     double_well,
@@ -22,11 +22,26 @@ from orbitfinder.mechanics.library import (
     van_der_pol,
     vibrated_pendulum,
 )
+from orbitfinder.mechanics.machines import (
+    MACHINES,
+    bouncing_ball,
+    compass_gait,
+    impact_oscillator,
+    rimless_wheel,
+    rocking_block,
+    simplest_walker,
+    slip_runner,
+    vertical_hopper,
+)
+
+FUNCTIONS = SMOOTH | MACHINES
 
 __all__ = [
     "FUNCTIONS",
+    "bouncing_ball",
     "brusselator",
     "cart_chain",
+    "compass_gait",
     "double_well",
     "duffing",
     "fitzhugh_nagumo",
@@ -34,14 +49,20 @@ __all__ = [
     "forced_pendulum",
     "henon_heiles",
     "hodgkin_huxley",
+    "impact_oscillator",
     "lorenz",
     "pendulum_on_cart",
     "planar_oscillator",
     "restricted_three_body",
     "restricted_three_body_canonical",
+    "rimless_wheel",
+    "rocking_block",
     "rossler",
     "rotating_hoop",
+    "simplest_walker",
+    "slip_runner",
     "spring_pendulum",
     "van_der_pol",
+    "vertical_hopper",
     "vibrated_pendulum",
 ]
