@@ -1,8 +1,8 @@
-"""Cost of a point on Duffing's resonance curve x'' + 0.1 x' + x + x^3 = 0.3 cos w t, w from 0.8 over both folds to 2.5.
+"""Cost of a point on Duffing's resonance curve x'' + 0.1 x' + x + x^3 = 0.3 cos w t, w from 0.8 over its folds to 2.5.
 
-orbitfinder (`follow`, without the deferred certificate, compiled and interpreted) and AUTO-07p, from the same first orbit
-in about as many points. Closures of both are judged by one integration, SciPy's DOP853 on the equations as they stand
-here, and the folds by a number of 140 bits (tests/data/forced.json).
+orbitfinder (`follow`, without the deferred certificate, compiled and interpreted) and AUTO-07p, from the same first
+orbit in about as many points. Closures of both are judged by one integration, SciPy's DOP853 on the equations as they
+stand here, and the folds by a number of 140 bits (tests/data/forced.json).
 
     python benchmarks/resonance.py            writes results/benchmarks/resonance.md
     python benchmarks/resonance.py --cpu      processor time on one thread for both, for a busy machine
@@ -35,7 +35,7 @@ ROOT = Path(__file__).parents[1]
 NUMBERS = {"stiffness": 1.0, "cubic": 1.0, "damping": 0.1, "force": 0.3, "frequency": 0.8}
 LAST = 2.5
 REPEATS = 5
-MESHES = ((20, 4), (50, 4), (100, 4), (100, 7))
+MESHES = ((20, 4), (50, 4), (70, 4), (100, 4), (100, 7))
 """(NTST, NCOL) that AUTO is tried with; the cheapest one that closes as well is its time."""
 
 
@@ -130,9 +130,10 @@ def page(found: dict[str, Curve], cpu: bool) -> str:
         )
     return f"""# Cost of a point on Duffing's resonance curve
 
-Written by `python benchmarks/resonance.py{" --cpu" if cpu else ""}`; {"processor" if cpu else "wall"} times, the least of
-{REPEATS} runs, multipliers included. w from {NUMBERS["frequency"]} over both folds to {LAST}. Closures are the worst of all
-points, relative to the motion, divided by max(1, largest multiplier), by SciPy's DOP853; folds against 140 bits.
+Written by `python benchmarks/resonance.py{" --cpu" if cpu else ""}`; {"processor" if cpu else "wall"} times, the least
+of {REPEATS} runs, multipliers included. w from {NUMBERS["frequency"]} over both folds to {LAST}. Closures are the worst
+of one point in four, relative to the motion, divided by max(1, largest multiplier), by SciPy's DOP853; folds against
+140 bits.
 
 | | ms a point | points | closure | error of the upper fold | of the lower fold |
 |---|---|---|---|---|---|

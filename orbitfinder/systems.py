@@ -19,6 +19,7 @@ from orbitfinder.mechanics.library import (
     rossler,
     rotating_hoop,
     spring_pendulum,
+    three_bodies,
     van_der_pol,
     vibrated_pendulum,
 )
@@ -62,6 +63,7 @@ __all__ = [
     "simplest_walker",
     "slip_runner",
     "spring_pendulum",
+    "three_bodies",
     "van_der_pol",
     "vertical_hopper",
     "vibrated_pendulum",

@@ -85,6 +85,27 @@ def test_a_linear_resonance_is_its_closed_form():
     assert not family.events and [point.value for point in family.points if point.role == "at"] == [1.0]
 
 
+def test_a_response_is_drawn_without_nodes(resonance, tmp_path):
+    """family.json alone is enough; one without its curve is refused."""
+    family, folder = resonance
+    (tmp_path / "family.json").write_bytes((folder / "family.json").read_bytes())
+    bare = load_family(tmp_path / "family.json")
+    sizes = amplitudes(family, forced_duffing())
+    assert amplitudes(bare, forced_duffing()) == pytest.approx(sizes, rel=1e-4)
+    assert len(response([bare], forced_duffing()).axes[0].lines) == 3 + len(family.events)
+    with pytest.raises(InputError, match="curve: missing"):
+        amplitudes(replace(bare, curve={}), forced_duffing())
+
+
+def test_page_of_a_resonance_curve(resonance, tmp_path):
+    """Amplitude against frequency are the axes that the page begins with."""
+    done = CliRunner().invoke(cli, ["page", str(resonance[1]), "-o", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    page = (tmp_path / "families" / "duffing-resonance.html").read_text()
+    assert '<select id="across"><option value="value">frequency' in page
+    assert '<select id="up"><option value="amplitude">amplitude of x' in page and "Response" in page
+
+
 def test_the_frequency_of_a_drive_has_its_unit(resonance):
     """rad/s by the period; of other parameters nothing is known."""
     assert axis_name(resonance[0]) == "frequency (rad/s)"

@@ -16,8 +16,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.proof.balls import arb, arb_mat, flint, precision
-from orbitfinder.proof.refine import refine, settings_for
-from orbitfinder.proof.theorem import Options, prove
+from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 from orbitfinder.proof.trajectory import stability
 from orbitfinder.records.orbit import digest, save_orbit
 from orbitfinder.records.store import load_orbit

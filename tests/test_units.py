@@ -2,12 +2,22 @@
 
 import json
 
+import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import orbitfinder as of
+from orbitfinder.atlas.attempt import attempt
+from orbitfinder.atlas.starts import Target, context_of
 from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError
+from orbitfinder.families.branches import branches
+from orbitfinder.families.point import FamilySettings, extents
+from orbitfinder.families.start import begin
+from orbitfinder.guesses.modes import equilibrium, normal_modes
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.systems import duffing
 
 UNITS = {
@@ -73,3 +83,188 @@ def test_a_double_pendulum_is_certified_whatever_it_is_measured_in(arguments):
     orbit = of.find_orbit(of.Problem(model, guess, pin=of.pin(theta1=float(np.asarray(guess.state)[0]))))
     assert orbit.certificate.passed, orbit.certificate.failures
     assert np.abs(orbit.floquet_multipliers) == pytest.approx(1.0, abs=1e-8)
+
+
+def elastic(length=1.0, time=1.0, mass=1.0, scales=None):
+    """An elastic pendulum in polar coordinates, k = 40 m, g = 9.8, told in units of length, time and mass."""
+    q, v, work = ca.SX.sym("q", 2), ca.SX.sym("v", 2), mass * length**2 / time**2
+    r = q[1] / length
+    return of.lagrange(
+        mass * (v[1] ** 2 + (q[1] * v[0]) ** 2) / 2, work * (20 * (r - 1) ** 2 - 9.8 * r * ca.cos(q[0])),
+        of.Symbols(q, v), names=["phi", "r"], angles=[True, False], scales=scales,
+    )  # fmt: skip
+
+
+def capacitor(length=1.0, charge=1.0, time=1.0):
+    """A plate that moves beside a charge that swings: coordinates of two units, told apart by their inertias alone."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    x, c = q[0] / length, q[1] / charge
+    return of.lagrange(
+        time**2 * ((v[0] / length) ** 2 + (v[1] / charge) ** 2) / 2, x**2 / 2 + c**2 + 0.3 * x * c**2 + x**4 / 4,
+        of.Symbols(q, v), names=["x", "charge"],
+    )  # fmt: skip
+
+
+def driven(length=1.0, time=1.0, mass=1.0):
+    """x'' + 0.1 x' + x + x^3 = 0.3 cos 1.5 t in units of length, time and mass."""
+    q, v, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("t")
+    stiff = mass / time**2
+    return of.lagrange(
+        mass * v**2 / 2, stiff * (q**2 / 2 + q**4 / 4 / length**2),
+        of.Symbols(q, v, time=t, forcing_period=2 * np.pi / 1.5 * time),
+        forces=-0.1 * mass * v / time + 0.3 * stiff * length * ca.cos(1.5 * t / time), names=["x"],
+    )  # fmt: skip
+
+
+MECHANICAL = {
+    "SI": (1.0, 1.0, 1.0), "2 um, 1 MHz, 1 ng": (2e-6, 1.6e-7, 1e-12), "1 km, 11 days": (1e3, 1e6, 1.0),
+    "micrograms": (1.0, 1.0, 1e-9), "a million tons": (1.0, 1.0, 1e9),
+}  # fmt: skip
+"""Length (m), time (s) and mass (kg) that one motion is told in."""
+SWING = np.array([0.3, 1.2, 0.0, 0.0]), 2.2, -10.0
+
+
+def swing(length, time, mass, **more):
+    """The Problem of an elastic pendulum's swing of energy -10, told in these units."""
+    state, period, energy = SWING
+    sizes, work = np.array([1.0, length, 1.0 / time, length / time]), mass * length**2 / time**2
+    guess = of.Guess(state * sizes, period * time)
+    return of.Problem(elastic(length, time, mass, **more), guess, pin=of.pin(energy=energy * work)), sizes, work
+
+
+@pytest.fixture(scope="module")
+def swings():
+    """The swing in all units: name -> (orbit, problem, sizes, work)."""
+    told_in = {name: swing(*units) for name, units in MECHANICAL.items()}
+    return {name: (of.find_orbit(one[0]), *one) for name, one in told_in.items()}
+
+
+@pytest.mark.parametrize("name", MECHANICAL)
+def test_an_angle_beside_a_length_is_found_refined_and_certified_alike(swings, name):
+    """Same period to 1e-13 and multipliers to 1e-8; refinement from 1e-4 away ends at the same orbit, certified."""
+    orbit, problem, _, _ = swings[name]
+    known, time = swings["SI"][0], MECHANICAL[name][1]
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert orbit.period / time == pytest.approx(known.period, rel=1e-13)
+    assert np.sort_complex(orbit.floquet_multipliers) == pytest.approx(
+        np.sort_complex(known.floquet_multipliers), abs=1e-8
+    )
+    assert (orbit.symmetry, orbit.stability) == ("brake", known.stability)
+    refiner = of.Refiner(problem)
+    again = refiner.refine(of.Guess(orbit.state * (1 + 1e-4), orbit.period))
+    assert again.period / time == pytest.approx(known.period, rel=1e-13)
+    assert refiner.orbit(again).certificate.passed
+
+
+@pytest.mark.parametrize("name", ["SI", "2 um, 1 MHz, 1 ng"])
+def test_a_length_that_is_wrong_is_seen_beside_an_angle(swings, name):
+    """The check of a family point says so of r alone, off by 1e-7 of itself, although an angle moves by 0.8 rad."""
+    orbit, problem, sizes, _ = swings[name]
+    curve = begin(orbit, model=problem.model).curve
+    units, check = extents(curve, orbit.samples), ClosureCheck(problem.model)
+    turns = np.zeros(2)
+    assert check(orbit.state, orbit.period, turns, 1e-11, units=units) < 1e-11
+    off = orbit.state + np.array([0.0, 1e-7 * sizes[1], 0.0, 0.0])
+    assert check(off, orbit.period, turns, 1e-11, units=units) > 1e-9
+
+
+def test_families_have_the_same_events_and_branches_in_any_units(swings):
+    """Steps, events and branches: the family through the swing, and what leaves it at its first resonance."""
+    found = {}
+    for name in ("SI", "2 um, 1 MHz, 1 ng", "1 km, 11 days"):
+        orbit, problem, _, work = swings[name]
+        settings = FamilySettings(directions="backward")
+        family = of.follow_family(orbit, model=problem.model, points=5, settings=settings)
+        leaving = branches(family, 0, model=problem.model)
+        periods = sorted(one.start.found.place.period / MECHANICAL[name][1] for one in leaving)
+        found[name] = [(one.kind, one.energy / work) for one in family.events], len(family.points), periods
+    (events, points, periods), *others = found.values()
+    assert {"resonance"} < {kind for kind, _ in events} and periods
+    for seen, count, left in others:
+        assert [kind for kind, _ in seen] == [kind for kind, _ in events] and abs(count - points) <= 1
+        resonances = [[energy for kind, energy in one if kind == "resonance"] for one in (seen, events)]
+        assert resonances[0] == pytest.approx(resonances[1], abs=1e-8)
+        assert left == pytest.approx(periods, rel=1e-4)
+
+
+@pytest.mark.parametrize("units", MECHANICAL.values(), ids=MECHANICAL)
+def test_a_driven_oscillator_is_refined_and_certified_in_any_units(units):
+    """Also of a nanogram, whose damping of 1e-10 kg/s is damping all the same."""
+    length, time, _ = units
+    problem = of.Problem(driven(*units), of.Guess([0.5 * length, 0.0], 2 * np.pi / 1.5 * time))
+    orbit = of.find_orbit(problem)
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert orbit.floquet_multipliers[0].real == pytest.approx(-0.26968500, abs=1e-8)
+    refiner = of.Refiner(problem)
+    again = refiner.refine(of.Guess(orbit.state * 1.001, orbit.period))
+    assert again.state / orbit.state == pytest.approx(1.0, abs=1e-11) and refiner.orbit(again).certificate.passed
+
+
+@pytest.mark.parametrize("told_in", [(1.0, 1.0, 1.0), (2e-6, 1e-12, 1.6e-7), (1e-9, 1e3, 1.0)])
+def test_coordinates_of_two_units_need_nothing_said(told_in):
+    """A displacement and a charge: their inertias say how they compare."""
+    length, charge, time = told_in
+    guess = of.Guess([0.3 * length, 0.5 * charge, 0.0, 0.0], 4.7 * time)
+    orbit = of.find_orbit(of.Problem(capacitor(*told_in), guess, pin=of.pin(energy=0.3)))
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert orbit.period / time == pytest.approx(4.47114923197785, rel=1e-13)
+
+
+def test_searches_find_the_same_orbits_in_any_units():
+    """Henon-Heiles' three short orbits, from as many starts."""
+    found = []
+    for length, time, mass in [*MECHANICAL.values()][:2]:
+        work, q, v = mass * length**2 / time**2, ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        x, y = q[0] / length, q[1] / length
+        potential = work * ((x**2 + y**2) / 2 + x**2 * y - y**3 / 3)
+        context = context_of(
+            of.lagrange(mass * ca.sumsqr(v) / 2, potential, of.Symbols(q, v)),
+            Target(0.12 * work, (0.5 * time, 8.0 * time)),
+        )
+        seen = [attempt(context, 0, k).orbit for k in range(16)]
+        found.append({round(one.period / time, 8) for one in seen if one is not None})
+    assert found == [{6.08239554, 6.88059773, 7.43702046}] * 2
+
+
+def test_lengths_are_given_where_no_motion_shows_them():
+    """An equilibrium of microns is found with a length given, and its modes are those of metres."""
+    length, time = 1e-6, 1e-3
+    model, known = elastic(length, time, scales={"length": length}), elastic()
+    place = equilibrium(model)
+    assert place / [1.0, length] == pytest.approx(equilibrium(known), abs=1e-9)
+    slow = normal_modes(model, place)[0] * time**2
+    assert slow == pytest.approx(normal_modes(known, equilibrium(known))[0], rel=1e-6)
+    assert elastic(scales={"r": 2.0}).scales == {"r": 2.0}
+
+
+WRONG = {
+    "phi": "unknown 'phi'; angles are measured in rad", "mas": "unknown 'mas'", "length": "must be positive and finite",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_scales_are_refused(name):
+    """Of an angle, of nothing known, of no size."""
+    with pytest.raises(InputError, match=WRONG[name]):
+        elastic(scales={name: -1.0 if name == "length" else 1.0})
+
+
+def test_scales_of_a_problem_file_are_in_the_record(tmp_path):
+    """`[system] scales` reaches the Model, orbit.json and the Model rebuilt from it, and changes no digit."""
+    text = 'name = "p"\n[system]\nkind = "python"\nfunction = "duffing"\n{}[guess]\nstate = [1.0, 0.0]\nperiod = 5.0\n'
+    text += "[find]\npin = {{ x = 1.0 }}\n"
+    (tmp_path / "p.toml").write_text(text.format("scales = { length = 0.5 }\n"))
+    orbit = of.find_orbit(of.load_problem(tmp_path / "p.toml"))
+    of.save_orbit(orbit, tmp_path / "orbit.json")
+    loaded = of.load_orbit(tmp_path / "orbit.json")
+    assert loaded.system["scales"] == {"length": 0.5} == build_model(loaded.system).scales
+    assert of.certify(loaded).passed and orbit.period == pytest.approx(PERIOD, rel=1e-13)
+    (tmp_path / "p.toml").write_text(text.format("scales = { depth = 0.5 }\n"))
+    assert "unknown 'depth'" in CliRunner().invoke(cli, ["run", str(tmp_path / "p.toml")]).output
+
+
+def test_the_record_says_what_was_measured_in():
+    """Units other than 1 are in the provenance."""
+    model = duffing(**told(2e-6, 1.6e-7))
+    orbit = of.find_orbit(of.Problem(model, of.Guess([2e-6, 0.0], 8e-7), pin=of.pin(x=2e-6)))
+    assert orbit.provenance["scales"] == {"x": 256.0**-2, "xdot": 256.0}

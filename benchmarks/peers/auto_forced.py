@@ -1,8 +1,8 @@
 """AUTO-07p along the resonance curve of Duffing's oscillator: the same first orbit, the same range of frequency.
 
 The drive is a limit cycle of two states more (AUTO's own demo `frc`), because its periodic orbits are of autonomous
-systems; derivatives are given (JAC = 1). DS = DSMAX is sought, outside the clock, such that the curve is covered in about
-as many points as asked for.
+systems; derivatives are given (JAC = 1). DS = DSMAX is sought, outside the clock, such that the curve is covered in
+about as many points as asked for.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class Curve:
 
 
 class AutoForced:
-    """The compiled AUTO program of one oscillator in a folder of its own; `orbit` is (t, x, v) over the first period."""
+    """The compiled AUTO program of one oscillator in its own folder; `orbit` is (t, x, v) over the first period."""
 
     def __init__(
         self, folder: Path, numbers: Mapping[str, float], orbit: np.ndarray, last: float, clock: Clock

@@ -11,11 +11,10 @@ import numpy as np
 from benchmarks.validation.comparison import Comparison, Section, attempted, number
 from orbitfinder.loops.conditions import Constraint, pin
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.orbit import Orbit
-from orbitfinder.systems import henon_heiles, restricted_three_body, van_der_pol
+from orbitfinder.systems import henon_heiles, restricted_three_body, three_bodies, van_der_pol
 
 VAN_DER_POL = {
     1.0: ("6.6632868593231301896996820305", "2.00861986087484313650940188"),
@@ -103,30 +102,6 @@ def arenstorf(rate: str, period: str) -> list[Comparison]:
         ]
 
     return attempted("period", period, rows)
-
-
-def three_bodies() -> Model:
-    """Three unit masses in a plane, G = 1, in Jacobi coordinates r = x2 - x1 and R = x3 - (x1 + x2) / 2.
-
-    T = r'^2 / 4 + R'^2 / 3; energy and angular momentum are conserved.
-    """
-    q, v = ca.SX.sym("q", 4), ca.SX.sym("v", 4)
-    r, far, none = q[:2], q[2:], ca.SX(0, 1)
-    kinetic = ca.sumsqr(v[:2]) / 4 + ca.sumsqr(v[2:]) / 3
-    potential = -1 / ca.norm_2(r) - 1 / ca.norm_2(far + r / 2) - 1 / ca.norm_2(far - r / 2)
-    turned = ca.vertcat(-q[1], q[0], -q[3], q[2])
-    momentum = ca.dot(ca.gradient(kinetic, v), turned)
-    generator = ca.vertcat(turned, -v[1], v[0], -v[3], v[2])
-
-    def function(name: str, value: ca.SX) -> ca.Function:
-        return ca.Function(name, [q, v, none], [value])
-
-    invariants = [
-        Invariant("energy", function("energy", kinetic + potential), function("damping", v)),
-        Invariant("angular_momentum", function("angular_momentum", momentum), function("turning", turned),
-                  function("rotation", generator)),
-    ]  # fmt: skip
-    return lagrange(kinetic, potential, Symbols(q, v), invariants=invariants, names=["rx", "ry", "Rx", "Ry"])
 
 
 def eight() -> list[Comparison]:

@@ -35,7 +35,7 @@ COVER = 1e-5
 PERIOD_MARGIN = 1.15
 """The cheap stage lets the period leave the range by this factor before it holds it."""
 SMALLEST = 1e-3
-"""Motions of less than this extent (rad or m) are equilibria."""
+"""Motions of less than this extent (rad or lengths of the energy shell) are equilibria."""
 GROWTH_PER_SEGMENT = 10.0
 FEWEST_SEGMENTS, MOST_SEGMENTS = 2, 16
 CONTINUATION = "continuation"
@@ -172,17 +172,17 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
     """The polished loop near w."""
     low, high = context.target.periods
     periods = low / PERIOD_MARGIN, high * PERIOD_MARGIN
-    loop = scaled(problem, context.equations[problem.symmetry], context.step, w, periods)
+    loop = scaled(problem, context.equations[problem.symmetry], context.step, w, periods, context.units)
     try:
         found = polished(loop, *solve(loop, w))
     except Stalled as stall:
         found = polished(loop, *orbit_in_valley(loop, stall.w))
-    if np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
+    if context.clock * np.abs(found.unfolding).max(initial=0.0) > LARGEST_UNFOLDING:
         raise ConvergenceError("unfolding does not vanish")
     found = replace(found, nodes=centred(context, problem, found.nodes))
     march = context.equations[NONE.name].march
     nodes, times, states = whole_period(problem, context.flows[problem.symmetry], march, found)
-    if np.ptp(states, axis=0).max() < SMALLEST:
+    if (np.ptp(states, axis=0) / context.units).max() < SMALLEST:
         raise ConvergenceError("equilibrium")
     return ClosedLoop(problem, found, nodes, times, states, action(context.model, times, states))
 
@@ -190,7 +190,8 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
 def measured(context: Context, loop: ClosedLoop) -> Orbit:
     """The Orbit of a loop, by the compiled march."""
     march = context.equations[NONE.name].march
-    return marched(loop.problem, march, loop.w, (loop.nodes, loop.times, loop.states), loop.action)
+    whole = loop.nodes, loop.times, loop.states
+    return marched(loop.problem, march, loop.w, whole, loop.action, tuple(context.units))
 
 
 def centred(context: Context, problem: Problem, nodes: np.ndarray) -> np.ndarray:
@@ -210,7 +211,8 @@ def minimal(context: Context, loop: ClosedLoop) -> ClosedLoop:
     covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
     near: list[bool] = []
     if covers:
-        near = [far < COVER for far in return_distances(loop.times, loop.states, context.model.angular, covers)]
+        states = loop.states / np.tile(context.lengths, 2)
+        near = [far < COVER for far in return_distances(loop.times, states, context.model.angular, covers)]
     if any(near):
         loop = uncovered(context, loop, max(compress(covers, near)))
     if not low <= loop.w.period <= high:

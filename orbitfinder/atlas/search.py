@@ -127,7 +127,7 @@ def sources(atlas: Atlas, search: int) -> list[int]:
     found = atlas.select(
         [int],
         "SELECT orbits.id FROM orbits, searches WHERE searches.id = ? AND orbits.id <= searches.sources "
-        "AND abs(orbits.energy - searches.energy) > 1e-6 * max(1.0, abs(searches.energy)) "
+        "AND abs(orbits.energy - searches.energy) > 1e-6 * max(abs(searches.energy), abs(action) / orbits.period) "
         "ORDER BY abs(orbits.energy - searches.energy), orbits.id LIMIT ?",
         [search, MOST_SOURCES],
     )

@@ -105,7 +105,8 @@ def agree(first: Signature, second: Signature) -> bool:
 def among(known: ArrayLike, numbers: Numbers) -> bool:
     """Whether energy, period and |action| agree to `AGREEMENT` with those of a known orbit (k x 3)."""
     known = np.reshape(known, (-1, 3))
-    scale = np.maximum(1.0, np.maximum(np.abs(known), np.abs(numbers)))
+    scale = np.maximum(np.abs(known), np.abs(numbers))
+    scale[:, 0] = np.maximum(scale[:, 0], scale[:, 2] / scale[:, 1])  # mean of twice the kinetic energy: V has no zero
     return bool(np.any(np.all(np.abs(known - numbers) <= AGREEMENT * scale, axis=1)))
 
 
@@ -116,8 +117,7 @@ def distance(first: Signature, second: Signature) -> float:
     """
     if first.loop.shape != second.loop.shape:
         return float("inf")
-    n = first.loop.shape[1] // 2
-    scale = _extents(first.loop, n)
+    scale = _extents(first.loop, first.angles)
     return min(_aligned(first, image, scale) for image in images(second.loop))
 
 
@@ -129,11 +129,14 @@ def images(loop: np.ndarray) -> Iterator[np.ndarray]:
         yield image if one.sense > 0 else np.roll(image[::-1], 1, axis=0)
 
 
-def _extents(loop: np.ndarray, n: int) -> np.ndarray:
-    """One scale (2n) for coordinates and one for rates."""
-    coordinates = min(max(float(np.ptp(loop[:, :n], axis=0).max()), 1e-300), np.pi)
-    rates = max(float(np.abs(loop[:, n:]).max()), 1e-300)
-    return np.concatenate([np.full(n, coordinates), np.full(n, rates)])
+def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
+    """One scale (2n) for angles, at most pi, one for other coordinates, and likewise for rates."""
+    n, turning = len(angles), np.asarray(angles, bool)
+    sizes = np.concatenate([np.ptp(loop[:, :n], axis=0), np.abs(loop[:, n:]).max(axis=0)])
+    for group in (turning, ~turning):
+        for half in (sizes[:n], sizes[n:]):
+            half[group] = max(float(half[group].max(initial=0.0)), 1e-300)
+    return np.concatenate([np.where(turning, np.minimum(sizes[:n], np.pi), sizes[:n]), sizes[n:]])
 
 
 def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:

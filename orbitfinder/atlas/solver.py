@@ -47,7 +47,7 @@ LARGEST_STEP = 1.0
 LARGEST_RATE = 100.0
 """Bound on rates, in units of the guess's root mean square; a step beyond it is not taken."""
 LARGEST_UNFOLDING = 100.0
-"""Bound on |s| in 1/s; values of 10 have been seen to come back, this has left the problem."""
+"""Bound on |s| times the clock (s); values of 10 have been seen to come back, this has left the problem."""
 POLISH_STEPS = 8
 POLISHED = 1e-13
 """Scaled residual below which the polish stops early."""
@@ -79,6 +79,7 @@ class Scaled:
     columns: np.ndarray
     rows: np.ndarray
     periods: tuple[float, float]
+    units: tuple[float, ...] = ()
 
     def at(self, w: Unknowns) -> Unknowns:
         """w on the mesh that the step asks for."""
@@ -87,21 +88,33 @@ class Scaled:
         return w if w.mesh.size == steps * count + 1 else replace(w, mesh=uniform(fraction, count, steps))
 
 
-def scaled(problem: Problem, equations: Equations, step: float, w: Unknowns, periods: tuple[float, float]) -> Scaled:
-    """The loop of one start, scales and references taken from its guess."""
+def scaled(
+    problem: Problem,
+    equations: Equations,
+    step: float,
+    w: Unknowns,
+    periods: tuple[float, float],
+    units: np.ndarray,
+) -> Scaled:
+    """The loop of one start, scales and references taken from its guess, and from the `units` of states (2n)."""
     n, count = problem.model.degrees_of_freedom, len(w.nodes)
-    rate = max(float(np.sqrt(np.mean(w.nodes[:, n:] ** 2))), 2 * np.pi / problem.guess.period)
-    node = np.concatenate([np.ones(n), np.full(n, rate)])
+    lengths, clock = units[:n], float(units[0] / units[n])
+    rate = max(float(np.sqrt(np.mean((w.nodes[:, n:] / lengths) ** 2))), 2 * np.pi / problem.guess.period)
+    node = np.concatenate([lengths, rate * lengths])
     loop = loop_of(problem, equations, w, None, problem.pin)
     lowest = float(problem.model.potential(w.nodes[0, :n], problem.model.parameter_values))
-    span = max(abs(problem.pin[0].value - lowest), 0.1 * abs(problem.pin[0].value), 1e-3)
+    moving = 2.0 * float(problem.model.kinetic(w.nodes[0, :n], node[n:], problem.model.parameter_values))
+    span = max(abs(problem.pin[0].value - lowest), 0.1 * abs(problem.pin[0].value), 1e-3 * min(1.0, moving))
     first, last = problem.boundary.rows(n)
     boundary = (np.maximum(np.abs(first), np.abs(last)) * node).max(axis=1)
     phases = np.full(len(loop.normals), rate)
+    if np.any(units != 1.0):
+        phases = np.linalg.norm(loop.normals * node, axis=1)
     return Scaled(
         loop, step,
-        columns=w.joined(node, problem.guess.period, 1.0, np.zeros(0)),
+        columns=w.joined(node, problem.guess.period, 1.0 / clock, np.zeros(0)),
         rows=np.concatenate([np.tile(node, count - 1), boundary, phases, [span]]), periods=periods,
+        units=tuple(units),
     )  # fmt: skip
 
 
@@ -121,9 +134,10 @@ def moved(one: Scaled, w: Unknowns, step: np.ndarray) -> Unknowns:
 
 def bounded(one: Scaled, w: Unknowns) -> Unknowns:
     """The unknowns, if rates and unfolding are within bounds; `IntegrationError` otherwise."""
-    n = w.nodes.shape[1] // 2
-    fast = float(np.abs(w.nodes[:, n:]).max()) > LARGEST_RATE * one.columns[n]
-    if fast or float(np.abs(w.unfolding).max(initial=0.0)) > LARGEST_UNFOLDING:
+    n, total = w.nodes.shape[1] // 2, w.nodes.size
+    fast = float(np.abs(w.nodes[:, n:] / one.columns[n : 2 * n]).max()) > LARGEST_RATE
+    damped = np.abs(w.unfolding / one.columns[total + 1 : total + 1 + w.unfolding.size])
+    if fast or float(damped.max(initial=0.0)) > LARGEST_UNFOLDING:
         raise IntegrationError("out of bounds", time=0.0, state=w.nodes[0])
     return w
 
@@ -188,7 +202,7 @@ def polished(one: Scaled, w: Unknowns, jacobian: np.ndarray) -> Unknowns:
     inverse = np.linalg.pinv(jacobian, rcond=1e-13)
     equations = one.loop.equations
     w = replace(one, step=one.step / FINER).at(w)
-    ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail)
+    ends, mesh = equations.march.refined_ends(w.nodes, w.mesh, w.tail, one.units)
     w = replace(w, mesh=mesh)
     residual = one.loop.rows(w, ends) / one.rows
     best = float(np.abs(residual).max())
@@ -242,7 +256,7 @@ def orbit_in_valley(one: Scaled, w: Unknowns) -> tuple[Unknowns, np.ndarray]:
 def fine_step(one: Scaled, w: Unknowns) -> float:
     """The longest step (s) with which half of it agrees; the polish that follows needs no better Jacobian."""
     w = one.at(w)
-    mesh = one.loop.equations.march.refined_ends(w.nodes, w.mesh, w.tail)[1]
+    mesh = one.loop.equations.march.refined_ends(w.nodes, w.mesh, w.tail, one.units)[1]
     return 2 * w.period * float(mesh[-1]) / (mesh.size - 1)
 
 

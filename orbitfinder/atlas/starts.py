@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.guesses.modes import normal_modes, reach_of, resting_place
+from orbitfinder.guesses.modes import normal_modes, resting_place
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.march import rounded, uniform
@@ -31,6 +31,7 @@ from orbitfinder.loops.symmetry import (
     undeclared_mirrors,
 )
 from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.mechanics.scales import given_lengths, snapped
 
 METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
@@ -48,6 +49,8 @@ SPANS = 16
 CALIBRATION_STATES = 24
 STEP_ERROR = 1e-7
 MOST_HALVINGS = 12
+REACHES = 2.0 ** np.arange(-100, 100)
+"""Distances from the equilibrium at which the energy shell is looked for."""
 HALVES = (REVERSAL.name, "mirror")
 """Strategies that begin in the fixed set of a reversal and look for the next return to it, half a period on."""
 
@@ -65,7 +68,8 @@ class Context:
     """Everything about a model that starts share.
 
     Equations and flows by the symmetry imposed (only those that the model has), the step (s) of the
-    cheap stage, the equilibrium and the normal modes about it, the strategies that take turns, the model's mirrors.
+    cheap stage, the equilibrium and the normal modes about it, the strategies that take turns, the lengths (n) of the
+    energy shell, the model's mirrors.
     """
 
     model: Model
@@ -76,7 +80,18 @@ class Context:
     equilibrium: np.ndarray
     shapes: np.ndarray
     strategies: tuple[str, ...]
+    lengths: np.ndarray
     mirrors: tuple[Involution, ...] = ()
+
+    @property
+    def units(self) -> np.ndarray:
+        """What states (2n) are measured in: lengths, and lengths over a power of 256 near the longest period / 2 pi."""
+        return np.concatenate([self.lengths, self.lengths / self.clock])
+
+    @property
+    def clock(self) -> float:
+        """That power of 256, in s."""
+        return float(snapped(self.target.periods[1] / (2 * np.pi)))
 
 
 @dataclass(frozen=True)
@@ -96,18 +111,39 @@ def context_of(model: Model, target: Target) -> Context:
     place = resting_place(model, target.energy)
     prepare(model)
     found = undeclared_mirrors(model)
-    origin = np.zeros(2 * model.degrees_of_freedom)
+    lengths = shell_lengths(model, place, target.energy)
+    origin = np.append(np.where(lengths == 1.0, 0.0, lengths), np.zeros(lengths.size))
     known = [*(name for name, one in SYMMETRIES.items() if one.held_by(model, origin)), *["mirror"] * bool(found)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
     unfolded = {name: SYMMETRIES[name].unfolded(model) for name in known if name in imposed}
     one = Context(
         model, target,
         equations={name: Equations(model, SYMMETRIES[name], alone=True) for name in unfolded},
-        flows={name: build_flow(model, (), kinds) for name, kinds in unfolded.items()},
+        flows={},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
         strategies=tuple(name for name in TURNS if possible(name, known)), mirrors=found,
+        lengths=lengths,
     )  # fmt: skip
-    return replace(one, step=calibrated(one))
+    units = tuple(map(float, one.units)) if np.any(one.units != 1.0) else ()
+    flows = {name: build_flow(model, (), kinds, units=units) for name, kinds in unfolded.items()}
+    return replace(one, flows=flows, step=calibrated(one))
+
+
+def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
+    """What coordinates (n) are measured in at an energy: rad, and lengths given or in which V(q) comes to E from rest.
+
+    These are powers of 2, 1 where they are within a factor of 16 of it or V never comes to E.
+    """
+    found, given = np.ones(place.size), given_lengths(model)
+    for k, unit in enumerate(np.eye(place.size)):
+        if model.angular[k] or not np.isnan(given[k]):
+            continue
+        trials = (place + sign * size * unit for size in REACHES for sign in (-1, 1))
+        above = (float(model.potential(q, model.parameter_values)) > energy for q in trials)
+        first = next((i for i, one in enumerate(above) if one), None)
+        size = 1.0 if first is None else REACHES[first // 2]
+        found[k] = size if snapped(size) != 1.0 else 1.0
+    return np.where(np.isnan(given), found, given)
 
 
 def possible(name: str, known: Sequence[str]) -> bool:
@@ -135,7 +171,8 @@ def calibrated(context: Context) -> float:
     for _ in range(MOST_HALVINGS):
         fine = marched(2 * steps)
         with np.errstate(invalid="ignore"):
-            error = np.abs(fine - coarse).max(axis=1) / np.maximum(1.0, np.abs(fine).max(axis=1))
+            size = np.maximum(1.0, np.abs(fine / context.units).max(axis=1))
+            error = np.abs((fine - coarse) / context.units).max(axis=1) / size
         if float(np.median(np.nan_to_num(error, nan=np.inf))) < STEP_ERROR:
             return span / steps
         steps, coarse = 2 * steps, fine
@@ -184,7 +221,7 @@ def strategy_of(context: Context, index: int) -> str:
 
 def random_position(context: Context, random: np.random.Generator, most: float = 1.0) -> np.ndarray:
     """Coordinates (n) with V < E, angles uniform within `most` of a half turn of the equilibrium."""
-    reach = reach_of(context.model)
+    reach = np.where(context.model.angular, np.pi, 2.0 * context.lengths)
     for attempt in range(ATTEMPTS):
         shrink = most * (1.0 - 0.9 * attempt / ATTEMPTS)
         q = context.equilibrium + shrink * reach * random.uniform(-1, 1, reach.size)
@@ -211,23 +248,24 @@ def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarra
     def excess(length: float) -> float:
         return potential(context, q + length * direction) - context.target.energy
 
-    lengths = np.linspace(0.0, 2 * np.pi, 64) / np.linalg.norm(direction)
+    unit = np.linalg.norm(direction / context.lengths)
+    lengths = np.linspace(0.0, 2 * np.pi, 64) / unit
     above = [length for length in lengths if excess(length) > 0]
     if not above:
         raise ConvergenceError("the ray does not meet the energy")
     step = lengths[1]
-    root = brentq(excess, above[0] - step, above[0], xtol=1e-14)
+    root = brentq(excess, above[0] - step, above[0], xtol=1e-14 * np.linalg.norm(direction) / unit)
     return np.concatenate([q + root * direction, np.zeros(q.size)])
 
 
 def _random_state(context: Context, random: np.random.Generator) -> np.ndarray:
     q = random_position(context, random)
-    return on_shell(context, q, random.normal(size=q.size))
+    return on_shell(context, q, context.lengths * random.normal(size=q.size))
 
 
 def _random_rest(context: Context, random: np.random.Generator) -> np.ndarray:
     q = random_position(context, random, 0.7)
-    return at_rest(context, q, random.normal(size=q.size))
+    return at_rest(context, q, context.lengths * random.normal(size=q.size))
 
 
 def _mode_rest(context: Context, random: np.random.Generator) -> np.ndarray:
@@ -241,7 +279,7 @@ def _mode_rest(context: Context, random: np.random.Generator) -> np.ndarray:
 
 def _centre(context: Context, random: np.random.Generator) -> np.ndarray:
     """Passing through the equilibrium configuration, where many reflection-symmetric orbits go through."""
-    return on_shell(context, context.equilibrium, random.normal(size=context.equilibrium.size))
+    return on_shell(context, context.equilibrium, context.lengths * random.normal(size=context.equilibrium.size))
 
 
 def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
@@ -250,8 +288,8 @@ def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
     for _ in range(ATTEMPTS):
         q = np.where(angles, np.pi * random.integers(0, 2, n), 0.0) * (random.uniform() < 0.5)
         if potential(context, q) < context.target.energy:
-            return on_shell(context, q, random.normal(size=n))
-    return on_shell(context, context.equilibrium, random.normal(size=n))
+            return on_shell(context, q, context.lengths * random.normal(size=n))
+    return on_shell(context, context.equilibrium, context.lengths * random.normal(size=n))
 
 
 def _mirrored(context: Context, random: np.random.Generator) -> np.ndarray:
@@ -261,7 +299,7 @@ def _mirrored(context: Context, random: np.random.Generator) -> np.ndarray:
     for _ in range(ATTEMPTS):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(context, random))
         if potential(context, q) < context.target.energy:
-            return on_shell(context, q, np.where(signs < 0, random.normal(size=signs.size), 0.0))
+            return on_shell(context, q, context.lengths * np.where(signs < 0, random.normal(size=signs.size), 0.0))
     raise ConvergenceError("no position below the energy")
 
 
@@ -288,7 +326,7 @@ TURNS = (
 
 def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndarray:
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
-    n, angular = context.model.degrees_of_freedom, context.model.angular
+    n, angular, states = context.model.degrees_of_freedom, context.model.angular, states / np.tile(context.lengths, 2)
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
     if symmetry in HALVES:
         known = REVERSAL.maps if symmetry == REVERSAL.name else context.mirrors

@@ -23,7 +23,7 @@ from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records import store
 from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document
-from orbitfinder.records.reading import LARGEST_INTEGER, inflated, json_document, read_as
+from orbitfinder.records.reading import LARGEST_INTEGER, inflated, is_number, json_document, read_as, walked
 from orbitfinder.records.store import kind_of, member
 
 RESTORE = "restore a copy of the atlas"
@@ -318,16 +318,8 @@ def named_state(document: Mapping[str, Any], names: Sequence[str]) -> dict[str, 
 
 def canonical(system: Mapping[str, Any]) -> str:
     """A description of a system in which 2 and 2.0 are one, keys sorted."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {str(key): plain(entry) for key, entry in value.items()}
-        if isinstance(value, Sequence) and not isinstance(value, str):
-            return [plain(entry) for entry in value]
-        return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
-
-    # all formulations of a chain are the same motion
-    return json.dumps(plain({key: value for key, value in system.items() if key != "formulation"}), sort_keys=True)
+    told = {key: value for key, value in system.items() if key != "formulation"}  # all formulations are one motion
+    return json.dumps(walked(told, lambda one: float(one) if is_number(one) else one), sort_keys=True)
 
 
 def described(system: Mapping[str, Any], other: Mapping[str, Any]) -> str:

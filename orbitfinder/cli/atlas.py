@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from orbitfinder.cli.jobs import check_writable
 from orbitfinder.cli.options import FILES, finish, json_option, out_option, print_json, text, trust_option, wants_json
 from orbitfinder.cli.search import print_summary
 from orbitfinder.errors import InputError, plural
+from orbitfinder.records.reading import write_atomically
 
 if TYPE_CHECKING:
     from orbitfinder.atlas.store import Filter
@@ -168,7 +170,6 @@ def export(book: Path, kind: str, out: Path | None, trust: bool, **options: Any)
     """
     from orbitfinder.atlas.export import exported
     from orbitfinder.atlas.store import Atlas
-    from orbitfinder.records.reading import write_atomically
 
     if out is None and kind == "parquet":
         raise InputError("--out: missing; a Parquet file is not text, name it with -o FILE.parquet")
@@ -196,7 +197,6 @@ def plot(book: Path, out: Path, **options: Any) -> None:
       orbitfinder atlas plot triple.sqlite -o figures
     """
     from orbitfinder.atlas.store import Atlas
-    from orbitfinder.cli.jobs import check_writable
     from orbitfinder.show.plot import save_atlas_figures
 
     check_writable(out)
@@ -225,8 +225,8 @@ def merge(books: tuple[Path, ...], out: Path, union: bool, trust: bool) -> None:
     from orbitfinder.atlas.merge import merge_atlases
 
     merged = merge_atlases(list(books), out, union=union, trusted=books[0].parent if trust else None)
-    text(f"{out}: {merged.orbits} distinct certified orbits of {merged.starts} starts")
+    text(f"{out}: {plural(merged.orbits, 'distinct certified orbit')} of {plural(merged.starts, 'start')}")
     for one in merged.searches:
         lost = f", {one.missing} between them are missing (the same search makes them)" if one.missing else ""
-        text(f"  {one.energy:g} J, seed {one.seed}: {one.starts} starts{lost}")
+        text(f"  {one.energy:g} J, seed {one.seed}: {plural(one.starts, 'start')}{lost}")
     finish("atlas-merge", merged.document())

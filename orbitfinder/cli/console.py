@@ -10,7 +10,7 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -57,16 +57,15 @@ def display(every: float = 0.0, refresh: float = 0.0) -> Iterator[Display]:
         from rich.console import Console
         from rich.live import Live
 
-        console, cells = Console(file=stream, markup=False, highlight=False), _Cells()
+        console = Console(file=stream, markup=False, highlight=False)
         quiet: Any = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
-        with Live(cells, console=console, transient=True, **quiet) as live:
+        with Live(_table(()), console=console, transient=True, **quiet) as live:
 
             def show(progress: Progress) -> None:
-                cells.rows = progress.rows
-                live.refresh()
+                live.update(_table(progress.rows), refresh=True)
 
             def say(line: str) -> None:
-                cells.rows = ()
+                live.update(_table(()))
                 _said(lambda text: live.console.print(text, soft_wrap=True), line)
 
             yield Display(paced(show, refresh), say)
@@ -89,16 +88,12 @@ def paced(show: Callable[[Progress], object], every: float) -> Callable[[Progres
     return call
 
 
-@dataclass
-class _Cells:
-    rows: Sequence[Sequence[str]] = field(default_factory=tuple)
+def _table(rows: Sequence[Sequence[str]]) -> Table:
+    from rich.table import Table
 
-    def __rich__(self) -> Table:
-        from rich.table import Table
-
-        table = Table(box=None, pad_edge=False, show_header=False)
-        for k in range(max(map(len, self.rows), default=0)):
-            table.add_column(justify="right" if k else "left")
-        for row in self.rows:
-            table.add_row(*row)
-        return table
+    table = Table(box=None, pad_edge=False, show_header=False)
+    for k in range(max(map(len, rows), default=0)):
+        table.add_column(justify="right" if k else "left")
+    for row in rows:
+        table.add_row(*row)
+    return table

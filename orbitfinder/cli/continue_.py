@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder._runtime import interrupt
+from orbitfinder.cli.console import display
+from orbitfinder.cli.jobs import check_writable, named_orbits, whole_family
 from orbitfinder.cli.options import (
     FILES,
     FINITE,
@@ -22,13 +24,14 @@ from orbitfinder.cli.options import (
     trust_option,
 )
 from orbitfinder.errors import InputError, plural
+from orbitfinder.records.family import Batch, Family, load_family
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.store import member
 
 if TYPE_CHECKING:
     from orbitfinder.families.branches import Branch
     from orbitfinder.loops.problem import Problem
     from orbitfinder.mechanics.model import Model
-    from orbitfinder.records.family import Batch, Family
-    from orbitfinder.records.orbit import Orbit
 
     Origin = Orbit | Problem | Branch
 
@@ -70,8 +73,6 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
       orbitfinder continue orbits/triple-1/orbit.json --at -38,-37,-36 --out families
       orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
     """
-    from orbitfinder.cli.console import display
-    from orbitfinder.cli.jobs import check_writable
     from orbitfinder.families.folder import follow_family, parameter_of
     from orbitfinder.families.point import FamilySettings
     from orbitfinder.problemfile.read import checked_name
@@ -128,9 +129,7 @@ def numbers(text: str) -> tuple[float, ...]:
 
 def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
     """The Orbit of an orbit.json or FILE#K, the Branch of a family.json, or the Problem of a file, with its model."""
-    from orbitfinder.cli.jobs import named_orbits, whole_family
     from orbitfinder.problemfile.read import load_problem
-    from orbitfinder.records.store import member
 
     if file.suffix != ".json" and member(file)[1] is None:
         if switch is not None:
@@ -147,7 +146,6 @@ def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 
 def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
     from orbitfinder.families.branches import SWITCHABLE, described, switch_branch
     from orbitfinder.mechanics.catalogue import build_model
-    from orbitfinder.records.family import load_family
 
     family = load_family(file)
     if switch is None:

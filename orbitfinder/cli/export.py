@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from orbitfinder.cli.console import note
+from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, SYSTEM_TRUST, orbit_files, out_option, trust_option
 from orbitfinder.errors import InputError, plural
 
@@ -27,7 +29,6 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
       orbitfinder export orbits/triple-1/orbit.json --to csv
       orbitfinder export orbits/triple-1/orbit.json --to auto -o auto
     """
-    from orbitfinder.cli.jobs import check_writable, named_orbits
     from orbitfinder.exports.write import export_orbit
 
     seen: dict[str, Path] = {}
@@ -58,7 +59,6 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
       orbitfinder plot orbits/triple-1/orbit.json -o figures
       orbitfinder plot families/triple-mode-2/family.json
     """
-    from orbitfinder.cli.jobs import check_writable, named_orbits
     from orbitfinder.show.plot import save_figures
 
     drawn = named_orbits(files, trust, families=True)
@@ -84,7 +84,6 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
       orbitfinder animate orbits/triple-1/orbit.json
       orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4
     """
-    from orbitfinder.cli.jobs import check_writable, named_orbits
     from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation
 
     single = out if out is not None and out.suffix and not out.is_dir() else None
@@ -122,7 +121,6 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
       orbitfinder page orbits -o site
       orbitfinder page orbits families atlas.sqlite -o site --title "Triple pendulum"
     """
-    from orbitfinder.cli.console import note
     from orbitfinder.site.build import Settings, build_site
     from orbitfinder.site.gather import gather
     from orbitfinder.site.text import size

@@ -17,17 +17,18 @@ from typing import TYPE_CHECKING, Any
 
 from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
-from orbitfinder.cli.console import Progress
+from orbitfinder.cli.console import Display, Progress
 from orbitfinder.errors import InputError, OrbitfinderError, plural
+from orbitfinder.records.family import load_family
+from orbitfinder.records.orbit import Certificate, Orbit, save_orbit
+from orbitfinder.records.store import kind_of, member
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-    from orbitfinder.cli.console import Display
     from orbitfinder.loops.ipopt import Progress as Iteration
     from orbitfinder.mechanics.model import Model
     from orbitfinder.problemfile.read import ProblemFile
-    from orbitfinder.records.orbit import Certificate, Orbit
 
 
 LARGEST_STATE = 1e100
@@ -144,8 +145,6 @@ def progress(name: str, iteration: Iteration) -> Progress:
 
 def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
     """Write the result under the name it deserves; figures only of certified orbits."""
-    from orbitfinder.records.orbit import save_orbit
-
     certificate, folder = orbit.certificate, job.out / job.name
     passed = certificate is not None and certificate.passed
     written = [save_orbit(orbit, folder / ("orbit.json" if passed else "rejected.json"))]
@@ -221,8 +220,6 @@ def orbit_and_model(file: Path, trust: bool = False, pictured: bool = False) -> 
 
 def whole_family(file: Path) -> bool:
     """Whether a file is a family.json, and not FILE#K."""
-    from orbitfinder.records.store import kind_of, member
-
     return file.suffix == ".json" and member(file)[1] is None and kind_of(file) == "family"
 
 
@@ -235,7 +232,6 @@ def named_orbits(
     """
     from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.problemfile.read import checked_name
-    from orbitfinder.records.family import load_family
 
     found: list[tuple[Path, Any, Model]] = []
     for file in files:

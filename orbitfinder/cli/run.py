@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from orbitfinder.cli.console import display
+from orbitfinder.cli.jobs import Outcome, check_writable, prepare, run_jobs
 from orbitfinder.cli.options import FILES, compile_option, finish, json_option, out_option, text, trust_option
 from orbitfinder.errors import InputError, plural
-
-if TYPE_CHECKING:
-    from orbitfinder.cli.jobs import Outcome
+from orbitfinder.records.reading import write_atomically
 
 
 @click.command()
@@ -35,9 +34,6 @@ def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: flo
       orbitfinder run problems/report/triple-1.toml
       orbitfinder run problems/examples/*.toml --jobs 2 --out orbits --no-figures
     """
-    from orbitfinder.cli.console import display
-    from orbitfinder.cli.jobs import prepare, run_jobs
-
     todo = prepare(files, out, figures, trust, limit)
     outcomes = []
     with display() as shown:
@@ -81,11 +77,9 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
       orbitfinder simulate problems/report/triple-1.toml --duration 20
       orbitfinder simulate problems/examples/double.toml --out runs
     """
-    from orbitfinder.cli.jobs import check_writable
     from orbitfinder.exports.write import csv_text
     from orbitfinder.orbits.simulate import simulate as simulated
     from orbitfinder.problemfile.read import load_problem_file
-    from orbitfinder.records.reading import write_atomically
 
     loaded = load_problem_file(file, trust)
     if out is not None:
@@ -128,8 +122,6 @@ def reproduce(out: Path, fresh: bool) -> None:
       orbitfinder reproduce
       orbitfinder reproduce --out /tmp/report --fresh
     """
-    from orbitfinder.cli.console import display
-    from orbitfinder.cli.jobs import check_writable
     from orbitfinder.reproduce.runner import reproduce as run_report
 
     check_writable(out)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder._runtime import interrupt
+from orbitfinder.cli.console import note
+from orbitfinder.cli.jobs import check_writable, one_line, verify_file
 from orbitfinder.cli.options import (
     FILES,
     FINITE,
@@ -20,11 +22,10 @@ from orbitfinder.cli.options import (
     trust_option,
 )  # fmt: skip
 from orbitfinder.errors import plural
+from orbitfinder.records.orbit import Certificate, certificate_to_document
 
 if TYPE_CHECKING:
-    from orbitfinder.proof.refine import Refined
-    from orbitfinder.proof.theorem import Proof
-    from orbitfinder.records.orbit import Certificate
+    from orbitfinder.proof.theorem import Proof, Refined
 
 
 @click.command()
@@ -46,9 +47,6 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify orbits/*/orbit.json --json
       orbitfinder verify families/triple-mode-2/family.json#17
     """
-    from orbitfinder.cli.jobs import verify_file
-    from orbitfinder.records.orbit import certificate_to_document
-
     results = []
     for file in files:
         orbit, certificate = verify_file(file, trust)
@@ -63,7 +61,6 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
 
 
 def _print_certificate(heading: str, certificate: Certificate) -> None:
-    from orbitfinder.cli.jobs import one_line
 
     verdict = "certified" if certificate.passed else f"REJECTED by {', '.join(certificate.failures)}"
     text(f"{one_line(heading)}: {verdict}")
@@ -111,8 +108,6 @@ def prove(files: tuple[Path, ...], record: bool, trust: bool, **given: Any) -> N
       orbitfinder prove orbits/*/orbit.json --no-record --json
     """
     from orbitfinder.atlas.store import load_orbit
-    from orbitfinder.cli.console import note
-    from orbitfinder.cli.jobs import check_writable
     from orbitfinder.proof.record import checked, entry, write_entry
     from orbitfinder.proof.theorem import Options, provable_model
     from orbitfinder.proof.theorem import prove as proved
@@ -194,10 +189,8 @@ def refine(
       orbitfinder refine orbits/triple-1/orbit.json --digits 50 --order 80 --bits 300
     """
     from orbitfinder.atlas.store import load_orbit
-    from orbitfinder.cli.console import note
-    from orbitfinder.proof.refine import refine as refined
-    from orbitfinder.proof.refine import settings_for
-    from orbitfinder.proof.theorem import provable_model
+    from orbitfinder.proof.theorem import provable_model, settings_for
+    from orbitfinder.proof.theorem import refine as refined
 
     settings, orbit = settings_for(digits, order, bits), load_orbit(file)
     model = provable_model(orbit, file.parent if trust else None)

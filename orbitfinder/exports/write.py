@@ -9,8 +9,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.exports.auto import auto_files
-from orbitfinder.exports.julia import julia_file
-from orbitfinder.exports.source import C, Source, c_number, c_numbers, source_of, straight_line
+from orbitfinder.exports.source import JULIA, C, Source, c_number, c_numbers, source_of, straight_line
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
@@ -87,3 +86,87 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     for name, text in files.items():
         write_atomically(target / name, text.encode())
     return [target / name for name in files]
+
+
+# --------------------------------------------------------------------------------------------------
+# A Julia file for users of BifurcationKit.jl: right-hand side, parameters, the orbit as a guess.
+# Its syntax is checked against a grammar and its arithmetic through the same emitter in Python and C; no
+# Julia was at hand to run it. The calls in its comment are those of BifurcationKit's own tutorials.
+
+
+UNFOLDING = "unfolding"
+SAMPLES = 201
+"""Columns of the orbit that the file carries."""
+
+FILE = """{heading}
+#
+# Plain Julia without packages: include it, then
+#   {module}.rhs!(du, u, par, t)   right-hand side, u = ({states})
+#   {module}.par                   parameters; {unfolding_note}
+#   {module}.period, .u0           the orbit: minimal period (s) and state at t = 0
+#   {module}.times, .orbit         one period, a state per column
+#
+# With BifurcationKit.jl 0.4 or newer and OrdinaryDiffEq.jl the orbit starts a branch by collocation:
+#   using BifurcationKit, OrdinaryDiffEq
+#   include("{file}"); using .{module}: rhs!, par, u0, period
+#   prob = BifurcationProblem(rhs!, u0, par, (@optic _.{varied}))
+#   sol = solve(ODEProblem(rhs!, u0, (0.0, period), par), Vern9(); abstol = 1e-13, reltol = 1e-13)
+#   coll, guess = generate_ci_problem(PeriodicOrbitOCollProblem(60, 4), prob, sol, period)
+#   branch = continuation(coll, guess, PALC(), ContinuationPar(p_min = {low}, p_max = {high}))
+module {module}
+
+const par = ({parameters},)
+const period = {period}
+const u0 = [{u0}]
+
+function rhs!(du, u, par, t = 0.0)
+    s = ({unfoldings})
+    p = values(par)
+    w = similar(du, {work})
+{body}
+    return du
+end
+
+const times = [{times}]
+const orbit = [
+{columns}
+]'
+
+end
+"""
+
+
+def julia_file(source: Source) -> str:
+    """The text of NAME.jl: one module that needs no package."""
+    lines, work = straight_line(source.rate, JULIA, ["(t,)", "u", "s", "p"], ["du"])
+    names, count = [*source.model.parameter_names], len(source.model.invariants)
+    unfoldings = [UNFOLDING] if count < 2 else [f"{UNFOLDING}{k + 1}" for k in range(count)]
+    n = source.model.degrees_of_freedom
+    if count == 0:
+        lines += [f"du[{n + i}] += par.{UNFOLDING} * u[{n + i}]" for i in range(1, n + 1)]
+    values = [*map(float, source.model.parameter_values), *([0.0] * len(unfoldings))]
+    start = 0.0 if count or not names else values[0]
+    places = np.unique(np.linspace(0, len(source.times) - 1, SAMPLES).round().astype(int))
+    return FILE.format(
+        heading="\n".join(f"# {line}" for line in source.heading),
+        module=_module(source),
+        file=f"{source.identifier}.jl",
+        states=", ".join(source.model.state_names),
+        unfolding_note=f"{UNFOLDING} is a fictitious damping, 0 on orbits of the system",
+        varied=unfoldings[0] if count or not names else names[0],
+        low=c_number(start - 1.0),
+        high=c_number(start + 1.0),
+        parameters=", ".join(f"{k} = {c_number(v)}" for k, v in zip([*names, *unfoldings], values, strict=True)),
+        period=c_number(source.orbit.period),
+        u0=c_numbers(source.orbit.state),
+        unfoldings="".join(f"par.{name}, " for name in unfoldings),
+        work=work,
+        body="\n".join(f"    {line}" for line in lines),
+        times=c_numbers(source.times[places]),
+        columns="\n".join("    " + " ".join(map(c_number, row)) for row in source.samples[places]),
+    )
+
+
+def _module(source: Source) -> str:
+    word = source.identifier
+    return f"{word[0].upper()}{word[1:]}"

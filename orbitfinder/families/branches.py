@@ -34,7 +34,7 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, declared, named
+from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, called, declared, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import SHARE, repeated
 from orbitfinder.mechanics.model import Model
@@ -47,6 +47,10 @@ ALIKE = 0.25
 """Orbits nearer to each other than this share of their distance from the old one are one branch."""
 MIRRORED = 1e-7
 """Energies and periods of mirror images agree to this share of their distance from the old orbit's."""
+UNFOLDED = 1e-8
+"""Largest fictitious damping, per period, with which a motion is still an orbit."""
+ROUND_OFF = 1e-13
+"""Share of an event's energy, period and parameters that differences of theirs are not known to."""
 CRITICAL = 1e-3
 """A singular value below this, relative to the next larger ones, belongs to the kernel."""
 
@@ -70,7 +74,8 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
     found: list[Start] = []
-    for symmetry, share in (*curve.equations.symmetry.narrower(), (NONE, 0.0)):
+    for kept, share in (*curve.equations.symmetry.narrower(), (NONE, 0.0)):
+        symmetry = called(kept, curve.equations.model)
         if symmetry == NONE and found:
             break
         if len(symmetry.maps) > 1 and event.order % 2 == 0:  # half of an even number of turns is no half turn
@@ -181,7 +186,7 @@ def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
             continue
         if event.order > 1 and _is_cover(start, event.order, length):
             continue
-        if np.abs(start.found.place.unfolding).max(initial=0.0) > 1e-9:
+        if start.found.place.period * np.abs(start.found.place.unfolding).max(initial=0.0) > UNFOLDED:
             continue
         return _symmetric(_outwards(start, place))
     return None
@@ -219,7 +224,8 @@ def _outwards(start: Start, origin: Unknowns) -> Start:
 def _same(one: Start, other: Start, cover: Cover, event: Event) -> bool:
     """Whether two starts are one branch: the same curve in the space of states, or a mirror image of it."""
     a, b = (_moved(start, event) for start in (one, other))
-    if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + 1e-13):
+    sizes = np.abs([event.energy, event.period * event.order, *event.free.values()])
+    if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + ROUND_OFF * sizes):
         return True
     scale = np.sqrt(cover.curve.weights[: cover.curve.equations.size])
     mine, theirs = (full_samples(start.curve, start.found)[1] * scale for start in (one, other))

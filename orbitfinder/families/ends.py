@@ -12,7 +12,7 @@ from orbitfinder.families.run import Interval, Run, Step
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct, distance
 from orbitfinder.loops.loop import Condition, Unknowns
-from orbitfinder.loops.symmetry import NONE, REFLECTION, half_period_gaps, recognise
+from orbitfinder.loops.symmetry import NONE, REFLECTION, declared, half_period_gaps, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
@@ -54,8 +54,10 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
         where = np.array2string(centre(curve, before.found), precision=6)
         period = before.point.period
         return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s")
+    if curve.equations.model.forced:
+        return None
     share, state = slowness(curve, found)
-    if share <= SLOW_SHARE or curve.equations.model.forced:
+    if share <= SLOW_SHARE:
         return None
     grown, more = found.place.period / after.shortest_period, None
     if grown > run.settings.longest_period:
@@ -102,7 +104,7 @@ def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
     p, place = curve.equations, found.place
-    n, units = p.size // 2, extents(found.march.states)
+    n, units = p.size // 2, extents(curve, found.march.states)
     x = np.concatenate([state[:n], np.zeros(n)])
     for _ in range(MOST_NEWTON):
         slopes = _linearised(curve, place, x, units)
@@ -128,7 +130,7 @@ def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
     states, mesh, n = found.march.states, found.place.mesh, curve.equations.size // 2
     slopes = curve.equations.march.rates(states, found.place.tail, mesh * found.place.period)
-    speed = np.linalg.norm(slopes[:, n:], axis=1)
+    speed = np.linalg.norm(slopes[:, n:] / curve.shares, axis=1)
     usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
     if not speed.max() > ABRUPT * usual:
         return None
@@ -157,8 +159,8 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
     """
     p, place = curve.equations, found.place
     states, n = found.march.states, p.size // 2
-    slopes, clock = p.march.rates(states, place.tail, place.mesh * place.period), np.sqrt(curve.weights[n])
-    speed = np.sqrt((slopes[:, :n] ** 2).sum(axis=1) + ((clock * slopes[:, n:]) ** 2).sum(axis=1))
+    slopes = p.march.rates(states, place.tail, place.mesh * place.period)
+    speed = np.sqrt(slopes**2 @ curve.weights[: 2 * n])
     weights = np.diff(place.mesh)
     slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
@@ -177,8 +179,8 @@ def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
     one = before.place.nodes[0] - np.concatenate([centre(curve, before), np.zeros(n)])
     other = found.place.nodes[0] - np.concatenate([centre(curve, found), np.zeros(n)])
     moved = float(np.sqrt(weights @ (other - one) ** 2))
-    size = max(float(np.ptp(s.march.states[:, :n], axis=0).max()) for s in (before, found))
-    return bool(np.sum(weights * one * other) < 0 and size < 3 * moved)
+    sizes = [np.ptp(s.march.states[:, :n], axis=0) * np.sqrt(weights[:n]) for s in (before, found)]
+    return bool(np.sum(weights * one * other) < 0 and np.max(sizes) < 3 * moved)
 
 
 def returned(curve: Curve, before: Step, after: Step) -> End | None:
@@ -238,7 +240,8 @@ def merged(interval: Interval, at: float) -> End | None:
     curve, found = interval.curve, interval.sample(at).found
     model, symmetry = curve.equations.model, curve.equations.symmetry
     times, states = full_samples(curve, found)
-    name, extent = recognise(times, states, model), float(np.ptp(states, axis=0).max())
+    name, states = recognise(times, states, model), states / curve.units
+    extent = float(np.ptp(states, axis=0).max())
     covers = [k for k in range(2, MOST_COVERS + 1) if return_gaps(states, k).max() < JOINED * extent]
     what = ""
     if covers:
@@ -246,8 +249,9 @@ def merged(interval: Interval, at: float) -> End | None:
     elif name not in (NONE.name, symmetry.name):
         what = f"of symmetry {name}"
     elif symmetry.forward is None:
-        gaps = half_period_gaps(REFLECTION.maps[0], states, model.angular)
-        what = "that is its own mirror image" if gaps.max() < JOINED * extent else ""
+        mirrors = [*REFLECTION.maps, *(one for one in declared(model) if one.sense > 0)]
+        gaps = [half_period_gaps(one, states, model.angular).max() for one in mirrors]
+        what = "that is its own mirror image" if min(gaps) < JOINED * extent else ""
     if not what or not mirrored(interval, at):
         return None
     told = {"energy": (parameter_value(curve, found.place, "energy"), " J")}

@@ -12,6 +12,7 @@ from orbitfinder.families.point import FamilySettings, unknowns_of, winding
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import curve_of, full_samples
 from orbitfinder.integrate.cvodes import build_flow
+from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import with_parameters
@@ -107,11 +108,16 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
 def amplitudes(family: Family, model: Model) -> np.ndarray:
     """Half the range (k x n) of every coordinate over a period, of each point and then of each event.
 
-    Raises `InputError`.
+    Without family.npz their states alone are integrated. Raises `InputError`.
     """
-    members: tuple[FamilyPoint | Event, ...] = (*family.points, *family.events)
-    if not family.curve or not all(one.mesh.size for one in members):
-        raise InputError(f"{family.name}: no nodes beside the family; continue it again")
-    curve, n = curve_of(family.curve, model, FamilySettings(parameter=family.parameter)), model.degrees_of_freedom
-    paths = (full_samples(curve, at_place(curve, unknowns_of(curve, one)), SAMPLES)[1][:, :n] for one in members)
-    return np.array([np.ptp(path, axis=0) / 2 for path in paths])
+    if not family.curve:
+        raise InputError(f"{family.name}: curve: missing, an older orbitfinder wrote this family; continue it again")
+    curve = curve_of(family.curve, model, FamilySettings(parameter=family.parameter))
+    mesh, n = uniform(curve.equations.symmetry.fraction, 1, MOTION), model.degrees_of_freedom
+
+    def range_of(one: FamilyPoint | Event) -> np.ndarray:
+        known = one if one.mesh.size else replace(one, shooting_nodes=one.state[None], mesh=mesh)
+        states = full_samples(curve, at_place(curve, unknowns_of(curve, known)), SAMPLES)[1]
+        return np.asarray(np.ptp(states[:, :n], axis=0) / 2)
+
+    return np.array([*map(range_of, family.points), *map(range_of, family.events)])

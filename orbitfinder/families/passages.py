@@ -314,7 +314,8 @@ class Flip:
 
 def flips(before: Sample, after: Sample) -> list[Flip]:
     """Every index that was turned over between two samples."""
-    if before.indices.shape != after.indices.shape or before.about.root != after.about.root:
+    unlike = before.indices.shape != after.indices.shape or before.about.root != after.about.root
+    if unlike or not before.indices.size:
         return []
     found = []
     passed = {k for pair in exchanged(before.indices, before.turns, after.indices, after.turns) for k in pair}

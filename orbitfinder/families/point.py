@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -77,7 +77,7 @@ def make_point(
     if p.links and (early := crossed_early(p, place, found.march.states)):
         raise ConvergenceError(f"the cycle of events changes: {early}")
     about = about or spectrum(curve, found)
-    units = extents(found.march.states)
+    units = extents(curve, found.march.states)
     parts = list(found.march.transitions * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
@@ -129,11 +129,11 @@ def piecewise_defect(
 
     Both relative to the motion; the growth of a piece is the 2-norm of its state-transition matrix.
     """
-    place, units = found.place, extents(found.march.states)
+    place, units = found.place, extents(curve, found.march.states)
     first, last = curve.equations.boundary
     across = np.maximum(np.abs(first) * units, np.abs(last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
-    ends = check.ends(place.nodes, durations, free)
+    ends = check.ends(place.nodes, durations, free, units)
     boundary = first @ place.nodes[0] + last @ ends[-1] - curve.constant
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
     growth = max(np.linalg.norm(matrix * units / units[:, None], 2) for matrix in found.march.transitions)
@@ -157,16 +157,12 @@ def freed(curve: Curve, place: Unknowns) -> dict[str, float]:
     return dict(zip(curve.equations.free, map(float, place.free), strict=True))
 
 
-def length(angles: Sequence[bool], states: np.ndarray) -> float:
-    """What coordinates are measured in: rad and m where there are angles, else the largest extent of a motion."""
-    return 1.0 if any(angles) else max(float(np.ptp(np.split(states, 2, axis=1)[0], axis=0).max()), 1e-300)
-
-
-def extents(states: np.ndarray) -> np.ndarray:
+def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
-    halves = np.split(states, 2, axis=1)
-    sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in halves]
-    return np.repeat(sizes, states.shape[1] // 2)
+    n = curve.shares.size
+    parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
+    sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
+    return np.concatenate([size * curve.shares for size in sizes])
 
 
 def extent(curve: Curve, found: Solution) -> float:

@@ -42,19 +42,21 @@ class Spectrum:
 
 def spectrum(curve: Curve, found: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
-    p, place = curve.equations, found.place
+    p, place, units = curve.equations, found.place, curve.units
     root_map, root = _root_map(curve, found)
-    basis = complement(*_frame(curve, found))
+    gradients, directions = _frame(curve, found)
+    basis = complement(gradients * units, directions / units)
+    root_map = root_map * units / units[:, None]
     reduced = np.asarray(basis.T @ root_map @ basis)
     area = abs(np.linalg.det(reduced)) if p.links and reduced.size else 1.0
     conservative = p.symplectic and abs(area - 1.0) < AREA  # resets need not keep areas
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
-    indices = analyse(reduced, conservative).indices
+    indices = analyse(reduced).indices if conservative else floquet.indices
     krein: tuple[int, ...] = ()
     turns = np.zeros(indices.size, int)
     if conservative:
-        lift = p.momentum_slopes(place.nodes[0], place.free) @ basis
+        lift = (p.momentum_slopes(place.nodes[0], place.free) * units) @ basis
         form = np.asarray(lift.T @ symplectic_unit(p.size // 2) @ lift)
         krein = _krein(form, whole, floquet.multipliers)
         upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))

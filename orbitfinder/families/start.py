@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.point import FamilySettings, length, parameter_value, span
+from orbitfinder.families.point import FamilySettings, parameter_value, span
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
@@ -22,6 +22,7 @@ from orbitfinder.loops.problem import Guess, Problem, clock, pinned
 from orbitfinder.loops.symmetry import NONE, Symmetry, moved, named, off_centre, recognise, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.hybrid import first_unknowns
 from orbitfinder.records.orbit import Orbit
@@ -168,7 +169,7 @@ def curve_at(
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False))
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
     fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in held if one in known)
-    return make_curve(equations, constant, place, fixed, length(model.angles, states))
+    return make_curve(equations, constant, place, fixed, lengths(model, states))
 
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
@@ -258,7 +259,7 @@ def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmet
     n = model.degrees_of_freedom
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
     slopes = curve.equations.march.rates(states, tail)
-    clock = np.repeat([1.0, times[-1] / (2 * np.pi)], n)
+    clock = np.concatenate([1.0 / curve.shares, times[-1] / (2 * np.pi) / curve.shares])
     away = off_centre(one, states[:-1] * clock, model.angles)
     k = int(np.argmin(np.abs(away).max(axis=1)))
     first, _ = symmetry.rows(n)
@@ -317,7 +318,7 @@ def reformulated(start: Start, symmetry: Symmetry) -> Start:
     fresh = equations.unknowns(first[None], place.period, np.zeros(0), place.free)
     if len(place.nodes) > 1:  # too unstable to shoot over the horizon in one piece: nodes from the samples
         shifted = np.vstack([states[:-1], states])
-        begin_at = int(np.argmin(np.abs(states[:-1] - first).max(axis=1)))
+        begin_at = int(np.argmin(np.abs((states[:-1] - first) / old.units).max(axis=1)))
         parts = max(1, round(len(place.nodes) * equations.symmetry.fraction))
         chosen = begin_at + (np.arange(parts) * equations.symmetry.fraction * (len(states) - 1) / parts).astype(int)
         fresh = replace(fresh, nodes=np.vstack([first[None], shifted[chosen[1:]]]))

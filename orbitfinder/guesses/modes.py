@@ -12,7 +12,7 @@ are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
@@ -21,12 +21,13 @@ from scipy.optimize import minimize, root
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError, plural
-from orbitfinder.integrate.equations import at_rest, under_constraints
+from orbitfinder.integrate.equations import at_rest, linearised, under_constraints
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.symmetry import QUARTER
+from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
 from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.mechanics.scales import given_lengths, masses_of, snapped
 
 DESCENTS = 16
 FLAT = 1e-4
@@ -74,27 +75,40 @@ def minima(model: Model) -> list[np.ndarray]:
 
 
 def reach_of(model: Model) -> np.ndarray:
-    """How far (n) from an equilibrium positions are drawn: half a turn, or 2."""
-    return np.where(model.angular, np.pi, 2.0)
+    """How far (n) from an equilibrium positions are drawn: half a turn, or twice the length given, else 2."""
+    return np.asarray(np.where(model.angular, np.pi, 2.0 * sizes(model)))
+
+
+def sizes(model: Model) -> np.ndarray:
+    """Sizes (n) of coordinates before there is any motion: those given, else 1."""
+    return np.asarray(np.nan_to_num(given_lengths(model), nan=1.0))
 
 
 def equilibrium(model: Model) -> np.ndarray:
     """Coordinates (n) of the minimum of the potential nearest to q = 0."""
-    n = model.degrees_of_freedom
+    n, units = model.degrees_of_freedom, sizes(model)
 
     def potential(q: np.ndarray) -> float:
-        return float(model.potential(q, model.parameter_values))
+        return float(model.potential(units * q, model.parameter_values))
 
     zero = np.zeros(n)
+    work = _work(potential, n)
     slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
-    if np.abs(slopes).max() < 1e-11 * max(1.0, abs(potential(zero))):
+    if np.abs(slopes).max() < 1e-11 * max(work, abs(potential(zero))):
         return zero
-    found = minimize(potential, zero, method="BFGS", options={"gtol": 1e-11}).x
+    found = minimize(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11}).x
+    pace = work / masses_of(model.kinetic, np.concatenate([units * found, zero]), model).max() / units.max()
 
     def force(q: np.ndarray) -> np.ndarray:
-        return np.asarray(model.acceleration(0.0, q, zero, model.parameter_values).full().ravel())
+        return np.asarray(model.acceleration(0.0, units * q, zero, model.parameter_values).full().ravel() / pace)
 
-    return np.asarray(root(force, found, tol=1e-15).x)
+    return np.asarray(units * np.asarray(root(force, found, tol=1e-15).x))
+
+
+def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
+    """What the potential changes by within a unit of each coordinate, a power of 256; 1 where that is of order one."""
+    changes = [potential(sign * unit) - potential(np.zeros(n)) for unit in np.eye(n) for sign in (-1, 1)]
+    return float(snapped(np.abs(np.nan_to_num(changes, nan=0.0, posinf=0.0, neginf=0.0)).max()))
 
 
 def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
@@ -188,7 +202,9 @@ def normal_modes(
             f"guess.mode: the energies have no second derivatives at {place.tolist()}, or not in double precision; "
             "give the coordinates of an equilibrium, or a state and a period"
         )
-    if np.abs(force).max() > 1e-9 * max(1.0, float(np.abs(k).max())):
+    units = sizes(model)
+    stiff = np.abs(k * units[:, None] * units).max()
+    if np.abs(force * units[:, None]).max() > 1e-9 * max(float(stiff), float(snapped(stiff))):
         raise InputError(f"guess.mode: {place.tolist()} is not an equilibrium; give the coordinates of one")
     try:
         squared, shapes = eigh(k, m)
@@ -202,10 +218,13 @@ def normal_mode(
 ) -> Guess:
     """Guess on a linear normal mode: `mode` counts from 1, slowest first; largest deviation `amplitude` (rad or m).
 
-    The motion starts at rest at its turning point. Raises `InputError` when there is no such mode
-    or when the equilibrium is unstable in it.
+    The motion starts at rest at its turning point; that of a gyroscopic system (a rotating frame), whose modes count
+    among those that oscillate, where a symmetry that the model declares has its instant. Raises `InputError` when
+    there is no such mode or when the equilibrium is unstable in it.
     """
     n = model.degrees_of_freedom
+    if model.gyroscopic is not None and model.conservative:
+        return _gyroscopic_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
     if isinstance(mode, bool) or not 1 <= mode <= n:
         raise InputError(
             f"guess.mode: must be between 1 and {n}, got {mode}; this system has {plural(n, 'normal mode')}"
@@ -225,6 +244,61 @@ def normal_mode(
     return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
 
 
+def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Coordinates (n) of the equilibrium that Newton's method finds from a place. Raises `InputError`."""
+    start, slopes = np.asarray(place, float), linearised(model)
+    if start.shape != (model.degrees_of_freedom,):
+        raise InputError(f"guess.equilibrium: shape {start.shape} for {model.degrees_of_freedom} coordinates")
+    found = start
+    for _ in range(NEWTON_STEPS):
+        force, matrix, _ = slopes(found, np.zeros(start.size))
+        if not (np.all(np.isfinite(force)) and np.all(np.isfinite(matrix))):
+            break
+        step = np.linalg.lstsq(matrix, -force, rcond=1e-12)[0]
+        found = found + step
+        if np.abs(step).max() <= 1e-14 * max(1.0, float(np.abs(found).max())):
+            return np.asarray(found)
+    raise InputError(f"guess.equilibrium: no equilibrium found from {start.tolist()}; give a place nearer to one")
+
+
+def gyroscopic_modes(model: Model, equilibrium: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angular frequencies (k, rad/s, slowest first) and shapes (2n x k, complex) of the small oscillations.
+
+    x' = A x with A from the accelerations' slopes, x = (q, v); each pair +-i w of eigenvalues is a mode whose motions
+    are the real parts of shape exp(i w t). Source: L. Meirovitch, Methods of Analytical Dynamics (1970), section 6.
+    """
+    n = equilibrium.size
+    force, stiffness, turning = linearised(model)(equilibrium, np.zeros(n))
+    matrix = np.block([[np.zeros((n, n)), np.eye(n)], [stiffness, turning]])
+    if not np.all(np.isfinite(matrix)) or np.abs(force).max() > 1e-9 * float(np.abs(matrix).max()):
+        raise InputError(f"guess.mode: {equilibrium.tolist()} is not an equilibrium; give the coordinates of one")
+    values, shapes = np.linalg.eig(matrix)
+    kept = np.flatnonzero((values.imag > 0) & (np.abs(values.real) < 1e-8 * np.abs(values).max()))
+    kept = kept[np.argsort(values.imag[kept])]
+    return values.imag[kept], shapes[:, kept]
+
+
+def _gyroscopic_mode(model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray) -> Guess:
+    place = np.asarray(equilibrium, float)
+    frequencies, shapes = gyroscopic_modes(model, place)
+    if isinstance(mode, bool) or not 1 <= mode <= frequencies.size:
+        raise InputError(
+            f"guess.mode: must be between 1 and {frequencies.size}, got {mode}; {frequencies.size} modes oscillate at "
+            f"{place.tolist()}"
+        )
+    shape = shapes[:, mode - 1]
+    shape = shape / shape[np.abs(shape[: place.size]).argmax()]  # the largest coordinate is largest at the start,
+    for one in declared(model):
+        gaps = one.matrix(place.size) @ shape - shape  # or else a mirrored motion starts on its mirror
+        if one.sense < 0 and np.abs(gaps).max() > 1e-9:
+            away = gaps[np.abs(gaps).argmax()]
+            turned = shape * 1j * abs(away) / away
+            if np.abs(one.matrix(place.size) @ turned.real - turned.real).max() < 1e-9:
+                shape = turned * np.sign(turned.real[: place.size][np.abs(turned.real[: place.size]).argmax()])
+                break
+    return Guess(np.concatenate([place, 0 * place]) + amplitude * shape.real, 2 * np.pi / float(frequencies[mode - 1]))
+
+
 def oscillating(squared: np.ndarray) -> np.ndarray:
     """Positions of the modes that oscillate among the squared frequencies of all."""
     return np.flatnonzero(squared > OSCILLATES * np.abs(squared).max(initial=0.0))
@@ -233,14 +307,16 @@ def oscillating(squared: np.ndarray) -> np.ndarray:
 def mode_problem(
     model: Model,
     mode: int,
-    amplitude: float = AMPLITUDE,
+    amplitude: float | None = None,
     equilibrium: Sequence[float] | np.ndarray | None = None,
     name: str | None = None,
 ) -> Problem:
     """The Problem that starts the family of a mode, in the quarter-period formulation.
 
-    `mode` counts the oscillating modes of the equilibrium from 1, slowest first. Raises `InputError`.
+    `mode` counts the oscillating modes of the equilibrium from 1, slowest first; without an `amplitude` it is 0.02 rad,
+    or 0.02 of the length given. Raises `InputError`.
     """
+    amplitude = AMPLITUDE * float(sizes(model).max()) if amplitude is None else amplitude
     found = oscillating(normal_modes(model, equilibrium)[0])
     if isinstance(mode, bool) or not 1 <= mode <= found.size:
         raise InputError(

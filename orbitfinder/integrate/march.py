@@ -48,14 +48,19 @@ class Refining:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
         raise NotImplementedError
 
-    def refined_ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh."""
+    def refined_ends(
+        self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: tuple[float, ...] = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Ends by twice, four times, ... the steps of a mesh, the first that half as many confirm; and their mesh.
+
+        They agree in `units` (d), () is 1.
+        """
 
         def path(times: int) -> tuple[np.ndarray, np.ndarray]:
             finer = divided(mesh, times)
             return self.ends(nodes, finer, tail), finer
 
-        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0]))
+        return refined(path, 1, lambda coarse, fine: agree(coarse[0], fine[0], units))
 
 
 class March(Refining):
@@ -145,13 +150,17 @@ class March(Refining):
         edges = mesh[:: (mesh.size - 1) // len(nodes)]
         late = self.rates(ends, tail, tail[0] * edges[1:])
         slopes = late * np.diff(edges)[:, None]
-        if self.forced:
+        if self.forced and len(nodes) > 1:
             early = self.rates(nodes, tail, tail[0] * edges[:-1])
             slopes += (late - np.einsum("kij,kj->ki", transitions, early)) * edges[:-1, None]
         return slopes
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d)."""
+        if len(states) == 1:
+            moment = times if isinstance(times, float) else times[0]
+            s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
+            return self.at(self.field, moment, states, s, free)[0].T
         moments = np.broadcast_to(times, len(states))[:, None]
         s, free = np.split(np.broadcast_to(tail[1:], (len(states), tail.size - 1)), [self.unfolding], axis=1)
         return self._lanes.evaluated(self.field, 1, moments, states, s, free)
@@ -160,12 +169,14 @@ class March(Refining):
         """Any function of one place, its outputs as CasADi has them (rows x columns)."""
         return self._lanes.called(function, *arguments)
 
-    def step_errors(self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, asked: np.ndarray) -> np.ndarray:
-        """Estimated error of each step `asked` for, relative to the size of the motion."""
+    def step_errors(
+        self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
+    ) -> np.ndarray:
+        """Estimated error of each step `asked` for, relative to the size of the motion, measured in `units` (d)."""
         start = np.column_stack([tail[0] * mesh[asked] * self.forced, states[asked]])
         errors = np.abs(self._lanes.evaluated(self._error, STAGES, start, _parameters(mesh, tail)[asked]))
-        extent = np.abs(states).max(axis=0)
-        return np.asarray((errors / np.maximum(extent, extent.max() * 1e-2)).max(axis=1))
+        extent = np.abs(states).max(axis=0) / units
+        return np.asarray((errors / (units * np.maximum(extent, extent.max() * 1e-2))).max(axis=1))
 
     def variation_errors(
         self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
@@ -240,12 +251,14 @@ class Marches(Refining):
         """Any function of one place, its outputs as CasADi has them (rows x columns)."""
         return self.arcs[0].at(function, *arguments)
 
-    def step_errors(self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    def step_errors(
+        self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
+    ) -> np.ndarray:
         """Estimated error of each step `asked` for, relative to the size of the motion."""
         arc = asked * len(self.arcs) // (mesh.size - 1)
         return np.concatenate(
             [
-                one.step_errors(states, mesh, tail, asked[arc == k])
+                one.step_errors(states, mesh, tail, units, asked[arc == k])
                 for k, one in enumerate(self.arcs)
                 if np.any(arc == k)
             ]

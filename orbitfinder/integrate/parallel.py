@@ -65,8 +65,9 @@ class Lanes:
 
     def evaluated(self, function: ca.Function, stages: int, *arguments: np.ndarray) -> np.ndarray:
         """A function of so many stages at k places (k x ...), many of them in chunks so that one map serves every k."""
-        count = len(arguments[0])
-        width = count if count <= FEW else CHUNK
+        count, width = len(arguments[0]), CHUNK
+        if count <= FEW:
+            return self._across(function, count, 0)(*arguments)[0]
         begins = range(0, count, width)
         lanes = 1 if self._alone else _lanes(function, len(begins), width * stages)
         maps = [self._across(function, width, lane) for lane in range(lanes)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
+from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
 NEWTON_READY = 1e-11
 """Residual, in units of the metric, from which one more Newton step, not evaluated again, reaches round-off."""
@@ -33,11 +35,25 @@ MOST_NEWTON = 12
 class Curve(Loop):
     """One family's loop, and its metric.
 
-    `weights` measures a head (x(0), T, free): angles count as they are, lengths without angles relative
-    to the starting orbit, rates by its time scale, period and parameters relative to their starting values.
+    `weights` measures a head (x(0), T, free): coordinates by `mechanics.scales.lengths` (angles in rad), rates by the
+    time scale of the starting orbit, period and parameters relative to their starting values.
     """
 
     weights: np.ndarray = field(kw_only=True)
+
+    @cached_property
+    def shares(self) -> np.ndarray:
+        """What coordinates (n) are measured in, in rad or relative to the first: 1 where all are measured alike."""
+        return np.asarray(np.sqrt(self._unit / self.weights[: self.equations.model.degrees_of_freedom]))
+
+    @cached_property
+    def units(self) -> np.ndarray:
+        """The same of a state (2n) in powers of 256, so that a system of order one is computed with as it is."""
+        return snapped(np.sqrt(self._unit / self.weights[: self.equations.size]))
+
+    @property
+    def _unit(self) -> float:
+        return 1.0 if self.equations.model.angular.any() else float(self.weights[0])
 
 
 @dataclass(frozen=True)
@@ -51,15 +67,19 @@ class Solution:
 
 
 def make_curve(
-    equations: Equations, constant: np.ndarray, w: Unknowns, conditions: tuple[Condition, ...] = (), unit: float = 1.0
+    equations: Equations,
+    constant: np.ndarray,
+    w: Unknowns,
+    conditions: tuple[Condition, ...] = (),
+    unit: np.ndarray | float = 1.0,
 ) -> Curve:
     """The curve through (or near) w; its metric is fixed there once for the whole family.
 
-    `unit` is what coordinates are measured in (see `scale.length`).
+    `unit` is what coordinates (n) are measured in (see `mechanics.scales.lengths`).
     """
     n = equations.size // 2
     clock = (w.period / (2 * np.pi)) ** 2
-    relative = 1.0 / np.maximum(np.abs(w.free), 1e-3) ** 2
+    relative = 1.0 / parameter_sizes(equations.model, equations.free, w.free) ** 2
     with np.errstate(over="ignore"):  # what comes of a period that is too small is said where it is integrated
         pace = np.square(1.0 / w.period)
     weights = np.concatenate([np.ones(n) / unit**2, np.full(n, clock) / unit**2, [pace], relative])
@@ -68,13 +88,7 @@ def make_curve(
 
 def _row_units(curve: Curve, w: Unknowns, aim: Condition) -> np.ndarray:
     """What each row is measured in, the aim's last, when every unknown is measured as the family's metric does."""
-    head = 1.0 / np.sqrt(curve.weights)
-    unit, (first, last) = head[: curve.equations.size], curve.equations.boundary
-    boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
-    units = [np.tile(unit, len(w.nodes) - 1), boundary, np.linalg.norm(curve.normals * unit, axis=1)]
-    named = np.linalg.norm(curve.slopes(w, (*curve.conditions, aim)) * head, axis=1)
-    units += [named[:-1], curve.equations.links.units(w, unit), named[-1:]]
-    return np.asarray(np.maximum(np.concatenate(units), 1e-300))
+    return curve.row_units(w, 1.0 / np.sqrt(curve.weights), aim)
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition) -> np.ndarray:
@@ -189,7 +203,8 @@ def tangent(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
 
 def kernel(curve: Curve, found: Solution) -> np.ndarray:
     """The same without a direction to go by: the right singular vector of the smallest singular value."""
-    whole = np.linalg.svd(found.jacobian)[2][-1]
+    matrix, units = scaled(curve, found)
+    whole = units * np.linalg.svd(matrix)[2][-1]
     return np.asarray(whole / np.sqrt(curve.weights @ found.place.head_of(whole) ** 2))
 
 

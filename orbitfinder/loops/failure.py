@@ -81,7 +81,8 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
 
 def at_rest(shooting: Shooting, w: np.ndarray) -> bool:
     """True when no node moves, compared with the guess."""
-    nodes, given = shooting.at(w).nodes, shooting.at(shooting.start).nodes
+    units = np.asarray(shooting.flow.units or 1.0)
+    nodes, given = shooting.at(w).nodes / units, shooting.at(shooting.start).nodes / units
     if shooting.problem.model.forced:  # at rest although pushed: every node is the same
         return len(nodes) > 1 and bool(np.ptp(nodes, axis=0).max() < REST * max(np.ptp(given, axis=0).max(), REST))
     return _speed(shooting, w) < REST * max(_speed(shooting, shooting.start), REST)
@@ -108,6 +109,8 @@ def _speed(shooting: Shooting, w: np.ndarray) -> float:
     found = shooting.at(w)
     clock = shooting.problem.guess.period / (2 * np.pi)
     scale = clock * clocked(shooting.problem.model, clock)
+    if shooting.flow.units:
+        scale /= np.resize(shooting.flow.units[: shooting.problem.model.degrees_of_freedom], scale.size)
     rates = [shooting.flow.field(0.0, node, found.unfolding, found.free).full().ravel() * scale for node in found.nodes]
     return float(np.abs(rates).max())
 
@@ -138,7 +141,10 @@ def _energy_gap(shooting: Shooting) -> str:
 
 
 def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
-    """Largest gap at the end of each segment (N) of a decision vector; `IntegrationError` names its segment."""
+    """Largest gap at the end of each segment (N) of a decision vector, in the units of its states.
+
+    `IntegrationError` names its segment.
+    """
     found = shooting.at(w)
     (count, size), duration = found.nodes.shape, found.period * shooting.problem.boundary.fraction / len(found.nodes)
     ends = []
@@ -146,7 +152,7 @@ def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
         with sundials(node, k * duration, duration, k):
             ends.append(shooting.flow.end(k * duration, node, duration, found.unfolding, found.free).full().ravel())
     reached = np.asarray(ends)
-    gaps = np.abs(reached[:-1] - found.nodes[1:]).max(axis=1)
+    gaps = np.abs((reached[:-1] - found.nodes[1:]) / np.asarray(shooting.flow.units or 1.0)).max(axis=1)
     rows = shooting.rows(w, reached.T).full().ravel()
     boundary = rows[size * (count - 1) : size * count]
     return np.append(gaps, float(np.abs(boundary).max()))

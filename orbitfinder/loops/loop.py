@@ -427,6 +427,15 @@ class Loop:
             inner,
         )
 
+    def row_units(self, w: Unknowns, head: np.ndarray, *aims: Condition) -> np.ndarray:
+        """What each row is measured in, those of aims last, where (x(0), T, free) is measured in `head`."""
+        unit, (first, last) = head[: self.equations.size], self.equations.boundary
+        boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
+        units = [np.tile(unit, len(w.nodes) - 1), boundary, np.linalg.norm(self.normals * unit, axis=1)]
+        named, count = np.linalg.norm(self.slopes(w, (*self.conditions, *aims)) * head, axis=1), len(self.conditions)
+        units += [named[:count], self.equations.links.units(w, unit), named[count:]]
+        return np.asarray(np.maximum(np.concatenate(units), 1e-300))
+
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
         head, found = w.head, np.empty(len(conditions))

@@ -39,8 +39,8 @@ MOST_STEPS = 6000
 
 def needs_mesh(curve: Curve, found: Solution) -> bool:
     """Whether the mesh is too coarse, or a segment too unstable, for what is asked of a point."""
-    some, growths = _errors(curve, found, SAMPLED), _growths(curve, found)
-    if some.max() > COARSE * STEP_ERROR or growths.max() > STEEPEST:
+    some = _errors(curve, found, SAMPLED)
+    if some.max() > COARSE * STEP_ERROR or _steep(curve, found):
         return True
     if not _density(some).sum() * SPARE < some.size:
         return False
@@ -52,15 +52,26 @@ def _errors(curve: Curve, found: Solution, every: int = 1) -> np.ndarray:
     """Estimated errors of all steps, or of one in so many."""
     place = found.place
     asked = np.arange(0, place.mesh.size - 1, every)
-    return curve.equations.march.step_errors(found.march.states, place.mesh, place.tail, asked)
+    return curve.equations.march.step_errors(found.march.states, place.mesh, place.tail, curve.units, asked)
 
 
 def _growths(curve: Curve, found: Solution) -> np.ndarray:
+    return np.array([np.linalg.norm(block, 2) for block in _blocks(curve, found)])
+
+
+def _steep(curve: Curve, found: Solution) -> bool:
+    """Whether a segment has grown beyond `STEEPEST`, looked at closely where its entries are as large."""
+    if not curve.equations.size * np.abs(_blocks(curve, found)).max() > STEEPEST:
+        return False
+    return bool(_growths(curve, found).max() > STEEPEST)
+
+
+def _blocks(curve: Curve, found: Solution) -> np.ndarray:
     clock = np.sqrt(curve.weights[: curve.equations.size])
     blocks = found.march.transitions * clock[:, None] / clock[None, :]
     if not np.all(np.isfinite(blocks)):
         raise IntegrationError("the variations of the motion overflow; give a state and a period that fit each other")
-    return np.array([np.linalg.norm(block, 2) for block in blocks])
+    return np.asarray(blocks)
 
 
 def _density(errors: np.ndarray, allowed: float = STEP_ERROR) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +10,9 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
-from orbitfinder.loops.condensed import Solver, eliminated
+from orbitfinder.loops.condensed import Linearised, Solver, eliminated
 from orbitfinder.loops.loop import Loop, Unknowns
+from orbitfinder.mechanics.scales import WIDE, snapped
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,54 @@ class NewtonSettings:
     """a larger residual at the end is a failure"""
 
 
+EVEN = WIDE**0.5
+"""What changes by less than this is measured in 1."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """What a loop is measured in: states (d), the tail (T, s, free), and the closing rows."""
+
+    state: np.ndarray
+    tail: np.ndarray
+    closing: np.ndarray
+
+    @classmethod
+    def of(cls, loop: Loop, w: Unknowns, state: Sequence[float]) -> Units | None:
+        """Those of a loop near w whose states are measured in `state` (d), or nowhere in anything but 1 where empty.
+
+        A condition is measured in what a unit of the unknowns changes in it, if that is far from 1.
+        """
+        if loop.equations.links:
+            return None  # a machine's arcs are of its own units
+        if not len(state):
+            changes = np.linalg.norm(loop.slopes(w, loop.conditions), axis=1)
+            if np.all((changes > 1 / EVEN) & (changes < EVEN)):
+                return None
+        size, free, known = w.nodes.shape[1], np.where(w.free == 0, 1.0, np.abs(w.free)), np.asarray(state, float)
+        node = known if known.size else np.ones(size)
+        clock = float(snapped(w.period / (2 * np.pi))) if known.size else 1.0
+        head = np.concatenate([node, [clock], snapped(free)])
+        rows = loop.row_units(w, head)[(len(w.nodes) - 1) * size :]
+        rows = np.append(snapped(rows[: size + len(loop.normals)]), snapped(rows[size + len(loop.normals) :], WIDE))
+        return cls(node, np.concatenate([[clock], np.full(w.unfolding.size, 1.0 / clock), snapped(free)]), rows)
+
+    def rows(self, segments: int) -> np.ndarray:
+        """Those of all rows."""
+        return np.concatenate([np.tile(self.state, segments - 1), self.closing])
+
+    def measured(self, system: Linearised) -> Linearised:
+        """A linearised loop in these units."""
+        state, closing = self.state, self.closing[:, None]
+        return Linearised(
+            system.transitions * state / state[:, None],
+            system.columns * self.tail / state[:, None],
+            system.first * state / closing,
+            system.last * state / closing,
+            system.tail * self.tail / closing,
+        )
+
+
 @dataclass(frozen=True)
 class Refined:
     """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
@@ -64,13 +113,13 @@ class Refined:
 
 
 class Newton:
-    """One run of the iteration on a loop; counts its marches of states and of states and derivatives.
+    """One run of the iteration on a loop, in its units; counts its marches of states and of states and derivatives.
 
     `best` is the smallest norm of the rows on the way to the last digits.
     """
 
-    def __init__(self, loop: Loop, settings: NewtonSettings) -> None:
-        self.loop, self.settings = loop, settings
+    def __init__(self, loop: Loop, settings: NewtonSettings, units: Units | None = None) -> None:
+        self.loop, self.settings, self.units = loop, settings, units
         self.marches, self.jacobians, self.growth, self.best = 0, 0, 1.0, np.inf
 
     def solve(self, w: Unknowns, path: Varied) -> tuple[Unknowns, float]:
@@ -87,7 +136,7 @@ class Newton:
         chosen, before, step, factor = self.settings, w, np.zeros(0), 1.0
         for _ in range(chosen.most_evaluations):
             path = path or self._varied(w)
-            rows = self.loop.rows(w, path.ends) if path else np.full(1, np.inf)
+            rows = self._measured(w, path.ends) if path else np.full(1, np.inf)
             size = float(np.linalg.norm(rows))
             if path is not None and size < self.best:
                 solver = self._solver(w, path)
@@ -104,7 +153,7 @@ class Newton:
 
     def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, np.ndarray]:
         """Chord steps on ever finer marches until twice as many steps confirm the residual, then to round-off."""
-        scale = max(1.0, float(np.abs(w.nodes).max()))
+        scale = max(1.0, float(np.abs(w.nodes if self.units is None else w.nodes / self.units.state).max()))
         rows = self._rows(w)
         for _ in range(self.settings.most_doublings):
             w, rows, solver = self._chord(w, rows, solver, self.settings.rough)
@@ -127,7 +176,12 @@ class Newton:
 
     def _rows(self, w: Unknowns) -> np.ndarray:
         self.marches += 1
-        return self.loop.rows(w, self.loop.equations.ends(w))
+        return self._measured(w, self.loop.equations.ends(w))
+
+    def _measured(self, w: Unknowns, ends: np.ndarray) -> np.ndarray:
+        """The rows of w in their units."""
+        rows = self.loop.rows(w, ends)
+        return rows if self.units is None else rows / self.units.rows(len(w.nodes))
 
     def _varied(self, w: Unknowns) -> Varied | None:
         """The integration of w, None where it fails."""
@@ -138,8 +192,14 @@ class Newton:
             return None
 
     def _solver(self, w: Unknowns, path: Varied) -> Solver:
-        self.growth = max(1.0, float(np.abs(path.transitions).max()))
-        return eliminated(self.loop.linearised(w, path))
+        system, units = self.loop.linearised(w, path), self.units
+        if units is None:
+            self.growth = max(1.0, float(np.abs(path.transitions).max()))
+            return eliminated(system)
+        system = units.measured(system)
+        self.growth = max(1.0, float(np.abs(system.transitions).max()))
+        step, columns = eliminated(system), np.concatenate([np.tile(units.state, len(w.nodes)), units.tail])
+        return lambda rows: step(rows) * columns
 
 
 def chord(

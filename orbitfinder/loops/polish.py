@@ -53,9 +53,28 @@ def end_of(flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.nd
 
     Past a body at a hundredth of the distances, 3200 equal steps in a segment are right to 1e-8 only.
     """
-    path = segment(flow, state, span, tail, least)
-    graded = graded_end(flow.field, state, span, tail, flow.units) if len(path) - 1 == least << MOST_DOUBLINGS else None
+    path, enough = path_of(flow, state, span, tail, least)
+    graded = None if enough else graded_end(flow.field, state, span, tail, flow.units)
     return np.asarray(path[-1] if graded is None else graded)
+
+
+def path_of(
+    flow: Flow, state: np.ndarray, span: tuple[float, float], tail: np.ndarray, least: int
+) -> tuple[np.ndarray, bool]:
+    """States at equal times over a span, and whether that many equal steps are enough for them."""
+    path = segment(flow, state, span, tail, least)
+    return path, len(path) - 1 < least << MOST_DOUBLINGS
+
+
+def graded_path(flow: Flow, state: np.ndarray, times: np.ndarray, tail: np.ndarray) -> np.ndarray | None:
+    """States at times, the first one given, by graded marches from each to the next; None where one takes too many."""
+    found = [np.asarray(state, float)]
+    for span in pairwise(times):
+        end = graded_end(flow.field, found[-1], (float(span[0]), float(span[1])), tail, flow.units)
+        if end is None:
+            return None
+        found.append(end)
+    return np.stack(found)
 
 
 def graded_end(

@@ -26,6 +26,7 @@ from orbitfinder.loops.symmetry import Symmetry, named, time_dependent
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.model import Model, counted
+from orbitfinder.mechanics.scales import proportions
 
 CLOSURE_TOLERANCE = 1e-12
 """Largest gap round the loop that a certificate accepts, times max(1, largest multiplier)."""
@@ -416,13 +417,19 @@ def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: flo
 
     Rates are measured by `clock` (s). Raises `IntegrationError`.
     """
-    return segments_for(equations.varied(w).transitions[0], clocked(equations.model, clock), growth, between)
+    return segments_for(
+        equations.varied(w).transitions[0], clocked(equations.model, clock, w.nodes[0]), growth, between
+    )
 
 
-def clocked(model: Model, clock: float) -> np.ndarray:
-    """1 for the coordinates and `clock` (s) for the rates of a state (d): what makes lengths of both."""
+def clocked(model: Model, clock: float, state: np.ndarray | None = None) -> np.ndarray:
+    """1 for the coordinates and `clock` (s) for the rates of a state (d): what makes lengths of both.
+
+    With a `state` (d) of a motion they are relative to what its coordinates are measured in.
+    """
     n = model.degrees_of_freedom
-    return np.concatenate([np.ones(n), np.full(len(model.state_names) - n, clock)])
+    found = np.concatenate([np.ones(n), np.full(len(model.state_names) - n, clock)])
+    return found if state is None else found / np.resize(proportions(model, state), found.size)
 
 
 def segments_for(matrix: np.ndarray, units: np.ndarray, growth: float, between: tuple[int, int]) -> int:

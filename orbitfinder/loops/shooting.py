@@ -12,6 +12,7 @@ from orbitfinder.integrate.march import March, uniform
 from orbitfinder.loops.conditions import Variables, constrained_brake_rows
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
+from orbitfinder.mechanics import scales
 from orbitfinder.mechanics.constrained import allowed_velocities
 
 PERIOD_RANGE = 5.0
@@ -90,7 +91,8 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     parts, tail = scaled if not flow.units else _times(scaled, units)
     known = _variables(problem, flow, parts, tail, given)
     equalities = _rows(loop, problem, known, tail, far)
-    rows = ca.Function("rows", [w, given], [_measured(equalities, (w, given), start, guess, flow)])
+    pinned = bool(problem.pin) and not problem.constraints
+    rows = ca.Function("rows", [w, given], [_measured(equalities, (w, given), start, guess, flow, pinned)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
     ends = _ends(problem, flow, parts, tail)
@@ -107,44 +109,17 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
 
 
 def units_of(problem: Problem) -> tuple[float, ...]:
-    """What the state (2n) of a Problem is measured in: powers of 256 near its guess's lengths and time; () when all 1.
-
-    Lengths are max(|q|, |v| tau), tau = T / 2 pi, the largest over all angles and over all others, or |a| tau^2 where
-    that is 0.
-    """
-    model, clock = problem.model, problem.guess.period / (2 * np.pi)
-    if model.constraint is not None:  # integrated by IDAS, in its own coordinates
-        return ()
-    n, state = model.degrees_of_freedom, np.asarray(problem.guess.state, float)
-    states = state[None] if problem.guess.states is None else np.asarray(problem.guess.states)
-    if model.rates is not None:
-        return _units_alone(states, model.rate(0.0, state, model.parameter_values).full().ravel(), clock)
-    acceleration = model.acceleration(0.0, state[:n], state[n:], model.parameter_values).full().ravel()
-    places, rates = np.split(np.abs(states).max(axis=0), 2)
-    lengths, pushed = np.maximum(places, rates * clock), np.abs(np.nan_to_num(acceleration)) * clock**2
-    for group in (model.angular, ~model.angular):
-        lengths[group] = _rounded(lengths[group].max(initial=0.0) or pushed[group].max(initial=0.0))
-    units = np.concatenate([lengths, lengths / _rounded(clock)])
-    return () if np.all(units == 1.0) else tuple(float(one) for one in units)
-
-
-def _units_alone(states: np.ndarray, rate: np.ndarray, clock: float) -> tuple[float, ...]:
-    """What a first-order state (d) is measured in: each component by itself, that at 0 as the largest."""
-    sizes = np.maximum(np.abs(states).max(axis=0), np.abs(np.nan_to_num(rate)) * clock)
-    units = [_rounded(one) for one in np.where(sizes > 0, sizes, sizes.max())]
-    return () if all(one == 1.0 for one in units) else tuple(units)
-
-
-def _rounded(value: float) -> float:
-    """The power of 256 nearest to a value, 1 for 0."""
-    return float(256.0 ** np.round(np.log(value) / np.log(256.0))) if value > 0 else 1.0
+    """What the state (d) of a Problem is measured in: what its guess's motion is integrated in; () when all 1."""
+    guess = problem.guess
+    states = np.asarray(guess.state, float)[None] if guess.states is None else np.asarray(guess.states)
+    return scales.units_of(problem.model, states, guess.period)
 
 
 def _units(flow: Flow, guess: Unknowns) -> np.ndarray:
     """Units of every entry of w: the flow's for nodes and period, 1 / period, the freed parameters' own sizes."""
     if not flow.units:
         return np.ones(guess.vector.size)
-    clock, sizes = _rounded(guess.period / (2 * np.pi)), np.abs(guess.free)
+    clock, sizes = float(scales.snapped(guess.period / (2 * np.pi))), np.abs(guess.free)
     return guess.joined(np.asarray(flow.units), clock, 1.0 / clock, np.where(sizes > 0, sizes, 1.0))
 
 
@@ -156,16 +131,22 @@ def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[l
     return found[: len(nodes)], found[len(nodes) :]
 
 
-def _measured(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow) -> ca.MX:
-    """Rows in units of what a unit of the unknowns changes in them at the start; as they are where units are 1."""
-    if not flow.units:
+def _measured(
+    rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow, pinned: bool
+) -> ca.MX:
+    """Rows in units of what a unit of the unknowns changes in them at the start.
+
+    As they are where units are 1, unless a pin changes by more than 256 times as much (energies of a large mass).
+    """
+    if not flow.units and not pinned:
         return rows
     w, ends = inputs
-    sizes = ca.DM(np.tile(np.asarray(flow.units), len(guess.nodes)))
+    sizes = ca.DM(np.tile(np.asarray(flow.units or np.ones(guess.nodes.shape[1])), len(guess.nodes)))
     both = ca.horzcat(ca.jacobian(rows, w), ca.jacobian(rows, ends) @ ca.diag(sizes))
     slopes = ca.Function("slopes", [w, ends], [both])
     size = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
-    return rows / ca.DM(np.where(np.isfinite(size) & (size > 0), size, 1.0))
+    size = np.where(np.isfinite(size) & (size > 0), size, 1.0) if flow.units else scales.snapped(size, scales.WIDE)
+    return rows if np.all(size == 1.0) else rows / ca.DM(size)
 
 
 def _variables(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX) -> Variables:
@@ -261,5 +242,5 @@ def _weights(problem: Problem, start: Unknowns) -> np.ndarray:
     """Weights of the distance to the guess: 1 for angles in rad, or for each unit; rates and periods comparable."""
     size, n, clock = start.nodes.shape[1], problem.model.degrees_of_freedom, start.period / (2 * np.pi)
     node = np.concatenate([np.ones(n), np.full(size - n, clock**2)]) / len(start.nodes)
-    relative = 1.0 / np.maximum(np.abs(start.free), 1e-6) ** 2
+    relative = 1.0 / np.where(start.free == 0, 1e-6, start.free) ** 2
     return start.joined(node, (1.0 / start.period) ** 2, 0.0, relative)

@@ -24,6 +24,7 @@ from scipy.interpolate import CubicHermiteSpline, PPoly
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import allowed_velocities
 from orbitfinder.mechanics.model import Invariant, Model, wrapped
+from orbitfinder.mechanics.scales import masses_of, proportions, snapped, surroundings
 
 RECOGNITION = 1e-6
 """A symmetry holds when its defect is below this, relative to the motion's extent."""
@@ -61,10 +62,8 @@ class Involution:
         return np.asarray(np.broadcast_to(self.signs, n).astype(float)[:, None] * found)
 
     def matrix(self, n: int) -> np.ndarray:
-        """S (2n x 2n) of x -> S x."""
-        if self.first_order:
-            return self.places(n)
-        return np.kron(np.diag([1.0, self.sense]), self.places(n))
+        """S (2n x 2n) of x -> S x, not to be written to."""
+        return _matrix(self, n)
 
     def after(self, other: Involution) -> Involution:
         """The product of two that commute, the other one done first."""
@@ -91,6 +90,13 @@ class Involution:
         rows = self.places(len(names))
         images = [("-" if row.min() < 0 else "") + names[int(np.abs(row).argmax())] for row in rows]
         return ", ".join(f"{name} -> {image}" for name, image in zip(names, images, strict=True) if image != name)
+
+
+@lru_cache(maxsize=64)
+def _matrix(one: Involution, n: int) -> np.ndarray:
+    found = one.places(n) if one.first_order else np.kron(np.diag([1.0, one.sense]), one.places(n))
+    found.flags.writeable = False
+    return found
 
 
 @dataclass(frozen=True)
@@ -438,6 +444,17 @@ def named(name: str, model: Model) -> Symmetry:
     return known[name]
 
 
+def called(symmetry: Symmetry, model: Model) -> Symmetry:
+    """The same symmetry by the name that its model knows it by."""
+    n = model.degrees_of_freedom
+
+    def acts(one: Symmetry) -> list[tuple[int, bytes]]:
+        return [(each.sense, each.matrix(n).tobytes()) for each in one.maps]
+
+    wanted = acts(symmetry)
+    return next((one for one in symmetries_of(model).values() if acts(one) == wanted), symmetry)
+
+
 def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
     """1 or -1 as an invariant keeps or changes its sign under an involution, 0 for neither; an energy keeps it."""
     if invariant.generator is None:
@@ -455,35 +472,42 @@ def _parity(model: Model, invariant: Invariant, one: Involution) -> int:
 def _broken(model: Model, state: np.ndarray, one: Involution, shift: float) -> bool:
     random, n, state = np.random.default_rng(0), model.degrees_of_freedom, np.asarray(state, float)
     q, v = state[:n], state[n:]
+    lengths, clock = surroundings(model, q)
+    paces = lengths[: v.size]
+    quick, found = 0.3 / clock + np.abs(v / paces).max(initial=0.0), []
     for _ in range(4):
-        place, rate = q + random.normal(0, 0.3, q.size), v + random.normal(0, 0.3 + np.abs(v).max(initial=0.0), v.size)
+        place, rate = q + lengths * random.normal(0, 0.3, q.size), v + paces * random.normal(0, quick, v.size)
         if model.constraint is not None:  # off the constraints the stabilisation is damped
             basis = allowed_velocities(model, q)
             place, rate = q, basis @ (basis.T @ rate)
-        t = float(random.uniform(0, 1 + 2 * shift))
-        apart, size = _apart(model, one, (t, place, rate), shift)
-        if np.isfinite(apart) and apart > BROKEN * max(1.0, size):
-            return True
-    return False
+        t = float(random.uniform(0, float(snapped(shift)) + 2 * shift))
+        found.append(_apart(model, one, (t, place, rate), shift, lengths))
+    aparts, sizes = np.array([pair for pair in found if np.isfinite(pair[0])]).reshape(-1, 2).T
+    return bool(np.any(aparts > BROKEN * np.maximum(sizes, sizes.max(initial=0.0) * BROKEN)))
 
 
 def _apart(
-    model: Model, one: Involution, at: tuple[float, np.ndarray, np.ndarray], shift: float
+    model: Model,
+    one: Involution,
+    at: tuple[float, np.ndarray, np.ndarray],
+    shift: float,
+    lengths: np.ndarray,
 ) -> tuple[float, float]:
     """Largest difference of the accelerations at the image of (t, q, v) from the image of theirs, and their size.
 
-    Of a first-order system f(sense t, P q) = sense P f(t, q) is asked of its rates.
+    Coordinates are measured in `lengths` (n). Of a first-order system f(sense t, P q) = sense P f(t, q) is asked of
+    its rates.
     """
     t, q, v = at
     places = one.places(q.size)
     if model.rates is not None:
         here = one.sense * places @ model.rates(t, q, model.parameter_values).full().ravel()
         there = model.rates(one.sense * t + shift, places @ q, model.parameter_values).full().ravel()
-        return float(np.abs(there - here).max()), float(np.abs(here).max())
+        return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
     here = places @ model.acceleration(t, q, v, model.parameter_values).full().ravel()
     image = (one.sense * t + shift, places @ q, one.sense * (places @ v))
     there = model.acceleration(*image, model.parameter_values).full().ravel()
-    return float(np.abs(there - here).max()), float(np.abs(here).max())
+    return float(np.abs((there - here) / lengths).max()), float(np.abs(here / lengths).max())
 
 
 def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
@@ -491,11 +515,15 @@ def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
     if n > MOST_COORDINATES or model.rates is not None:
         return ()
+    lengths, clock = surroundings(model, np.zeros(n))
     states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
+    states *= np.array([lengths, lengths / clock])
     candidates = (Involution("mirror", -1, signs) for signs in product((1, -1), repeat=n) if len(set(signs)) > 1)
 
     def kept(one: Involution) -> bool:
-        return all(apart <= MIRRORED * size for apart, size in (_apart(model, one, (0.0, *x), 0.0) for x in states))
+        return all(
+            apart <= MIRRORED * size for apart, size in (_apart(model, one, (0.0, *x), 0.0, lengths) for x in states)
+        )
 
     return tuple(filter(kept, candidates))
 
@@ -511,6 +539,7 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
     angles = model.angular
     if model.rates is not None:
         return _first_order(states, (*_usual_alone(model), *(declared(model) if own else ())), angles)
+    states = states / np.tile(proportions(model, states[0]), 2)
     found = [one for one in QUARTER.maps if has(one, times, states, angles)]
     for one in (REVERSAL_MAP, *(declared(model) if own else ())):
         taken = {each.sense for each in found}
@@ -634,10 +663,14 @@ def symplectic(model: Model) -> bool:
         return model.hamiltonian
     if model.conservative or model.forces is None or not model.forced:
         return model.conservative
-    random, slopes = np.random.default_rng(0), model.forces.jacobian()
+    random, slopes, n = np.random.default_rng(0), model.forces.jacobian(), model.degrees_of_freedom
+    lengths, clock = surroundings(model, np.zeros(n))
     for _ in range(4):
-        t, (q, v) = float(random.uniform()), random.normal(0, 1.0, (2, model.degrees_of_freedom))
+        t, (q, v) = float(random.uniform()) * clock, random.normal(0, 1.0, (2, n)) * lengths / [[1.0], [clock]]
         by_q, by_v = (one.full() for one in slopes(t, q, v, model.parameter_values, 0)[1:3])
-        if max(np.abs(by_v).max(), np.abs(by_q - by_q.T).max()) > MIRRORED * max(1.0, np.abs(by_q).max()):
+        roots = np.sqrt(np.abs(masses_of(model.kinetic, np.append(q, v), model)))
+        work = np.outer(roots, roots) / clock**2
+        turned, damped = np.abs(by_q - by_q.T), np.abs(by_v) / clock
+        if max(turned.max(), damped.max()) > MIRRORED * max(work.max(), np.abs(by_q).max()):
             return False
     return True

@@ -20,6 +20,7 @@ from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
 from orbitfinder.mechanics.machines import MACHINES
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import with_scales
 from orbitfinder.records.orbit import system_at
 
 REBUILDABLE = ("chain", "linkage")
@@ -90,9 +91,13 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         raise InputError(f"system.function: {module}.{name} failed with {type(error).__name__}: {error}") from error
     if not isinstance(model, Model):
         raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
+    scales = system.get("scales", model.scales)
     if module != BUILT_IN:
         described = {"kind": "python", "module": module, "function": name, "arguments": dict(arguments)}
         model = replace(model, system=described)
+    if not isinstance(scales, Mapping):
+        raise InputError("system.scales: must be a table of names and sizes")
+    model = with_scales(model, scales)
     return with_cycle(model, system["cycle"]) if "cycle" in system else model
 
 

@@ -14,6 +14,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Invariant, Model
+from orbitfinder.mechanics.scales import with_scales
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,7 @@ def lagrange(
     points: ca.SX | None = None,
     centres: ca.SX | None = None,
     system: Mapping[str, Any] | None = None,
+    scales: Mapping[str, float] | None = None,
 ) -> Model:
     """Model of a system given by its kinetic and potential energy (CasADi SX expressions).
 
@@ -166,8 +168,10 @@ def lagrange(
     Q(t, q, v, p). T may have terms linear in v (moving pivots, rotating frames). First integrals are
     detected: the Jacobi integral ("energy") when Q and time are absent, and the momenta of absent
     coordinates; pass `invariants=()` or your own to override (find_orbit checks their drift).
-    `names` are the coordinates' names (rates get a trailing "dot"). Raises `InputError` when an
-    energy is not a scalar, depends on a foreign symbol, or T is not quadratic in all velocities.
+    `names` are the coordinates' names (rates get a trailing "dot"); `scales` gives sizes to measure in,
+    of coordinates and parameters by name or `length` of all coordinates that are no angles, where no
+    motion shows them yet (modes, searches). Raises `InputError` when an energy is not a scalar, depends
+    on a foreign symbol, or T is not quadratic in all velocities.
     """
     labels, turning = coordinate_names(names, symbols), coordinate_angles(angles, symbols)
     arguments = symbols.arguments
@@ -176,7 +180,7 @@ def lagrange(
     terms = take_apart(ca.SX(kinetic), ca.SX(potential), forces, arguments)
     lagrangian = terms.kinetic if terms.gyroscopic is None else terms.kinetic + terms.gyroscopic
     matrix, bias = mass_matrix_and_bias(lagrangian, terms.potential, q, v, terms.forces)
-    return mechanical_model(
+    model = mechanical_model(
         acceleration_function(matrix, bias, arguments),
         terms,
         symbols,
@@ -187,6 +191,7 @@ def lagrange(
         points=polyline("points", points, [q, p]),
         centres=polyline("centres", centres, [q, p]),
     )
+    return with_scales(model, scales)
 
 
 def mechanical_model(

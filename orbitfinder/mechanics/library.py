@@ -11,11 +11,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.optimize import brentq
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.first_order import Named, hamiltonian, ode
-from orbitfinder.mechanics.lagrange import Symbols, lagrange
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.lagrange import Symbols, energy_invariant, lagrange
+from orbitfinder.mechanics.model import Invariant, Model
 
 BUILT_IN = "orbitfinder.systems"
 
@@ -282,20 +283,78 @@ def henon_heiles(coupling: float = 1.0) -> Model:
     )  # fmt: skip
 
 
-def restricted_three_body(ratio: float = 0.012277471) -> Model:
+def restricted_three_body(ratio: float = 0.012277471, spatial: bool = False) -> Model:
     """A light body near two heavy ones (masses 1 - ratio and ratio) on circles, in their rotating frame.
 
-    T = ((x' - y)^2 + (y' + x)^2) / 2, V = -(1 - ratio) / r1 - ratio / r2, heavy bodies at (-ratio, 0)
-    and (1 - ratio, 0): the kinetic energy has terms linear in the rates, and what is conserved is the
-    Jacobi integral. Orbits may have the symmetry "mirror": x(-t) = x(t), y(-t) = -y(t).
-    Source: V. Szebehely, Theory of Orbits (1967), section 1.5; units there.
+    T = ((x' - y)^2 + (y' + x)^2 + z'^2) / 2, V = -(1 - ratio) / r1 - ratio / r2, heavy bodies at (-ratio, 0, 0)
+    and (1 - ratio, 0, 0): the kinetic energy has terms linear in the rates, and what is conserved is the Jacobi
+    integral, -C / 2. Without `spatial` z is left out. Orbits may have the symmetries "mirror": x(-t) = x(t),
+    y(-t) = -y(t), z(-t) = z(t); in space also "axis", with z(-t) = -z(t), and "plane": z(t + T/2) = -z(t).
+    Landmarks are the heavy bodies and the libration points. Source: V. Szebehely, Theory of Orbits (1967), sections
+    1.5 and 4; units there.
     """
-    made = ingredients(2, {"ratio": ratio})
+    if not isinstance(spatial, bool):
+        raise InputError(f"system.arguments.spatial: must be true or false, got {spatial!r}; leave it out in the plane")
+    made = ingredients(2 + spatial, {"ratio": ratio})
     (x, y), (u, w), small = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["ratio"]
-    kinetic = ((u - y) ** 2 + (w + x) ** 2) / 2
-    potential = -(1 - small) / ca.sqrt((x + small) ** 2 + y**2) - small / ca.sqrt((x - 1 + small) ** 2 + y**2)
-    model = made.model("restricted_three_body", kinetic, potential, names=["x", "y"], points=ca.vertcat(-y, x))
-    return replace(model, symmetries=(("mirror", -1, (1, -1)),))
+    aside = ca.sumsqr(made.q[1:])
+    kinetic = ((u - y) ** 2 + (w + x) ** 2 + (made.v[2] ** 2 if spatial else 0)) / 2
+    potential = -(1 - small) / ca.sqrt((x + small) ** 2 + aside) - small / ca.sqrt((x - 1 + small) ** 2 + aside)
+    model = made.model(
+        "restricted_three_body", kinetic, potential, names=["x", "y", "z"][: 2 + spatial], points=ca.vertcat(-y, x),
+        fixed={"spatial": True} if spatial else None,
+    )  # fmt: skip
+    own = (("mirror", -1, (1, -1, 1)), ("axis", -1, (1, -1, -1)), ("plane", 1, (1, 1, -1)))
+    places = {name: (*place, 0.0)[: 2 + spatial] for name, place in _bodies_and_libration_points(float(ratio)).items()}
+    return replace(model, symmetries=own if spatial else (("mirror", -1, (1, -1)),), landmarks=places)
+
+
+def _bodies_and_libration_points(ratio: float) -> dict[str, tuple[float, float]]:
+    """Where the heavy bodies of `restricted_three_body` and the five places of rest are (x, y)."""
+    heavy, near = (-ratio, 0.0), (1 - ratio, 0.0)
+    if not ratio < 1:
+        return {}
+
+    def pull(x: float) -> float:
+        one, other = x + ratio, x - 1 + ratio
+        return x - (1 - ratio) * one / abs(one) ** 3 - ratio * other / abs(other) ** 3
+
+    ends = ((heavy[0], near[0]), (near[0], 3.0), (-3.0, heavy[0]))
+    collinear = [brentq(pull, low + 1e-9, high - 1e-9, xtol=1e-16, rtol=1e-15) for low, high in ends]
+    found = {f"L{k}": (float(x), 0.0) for k, x in enumerate(collinear, 1)}
+    found |= {f"L{k}": (0.5 - ratio, sign * 0.75**0.5) for k, sign in ((4, 1), (5, -1))}
+    return {"primary": heavy, "secondary": near, **found}
+
+
+def three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 1.0) -> Model:
+    """Three bodies that attract each other in a plane, G = 1, about their common centre of mass.
+
+    Jacobi coordinates r = x2 - x1 and R = x3 - (m1 x1 + m2 x2) / (m1 + m2); energy and angular momentum are
+    conserved. With equal masses the figure eight of A. Chenciner, R. Montgomery, Annals of Mathematics 152 (2000)
+    881-901 is one of its orbits.
+    """
+    made = ingredients(4, {"mass1": mass1, "mass2": mass2, "mass3": mass3})
+    q, v, (first, second, third) = made.q, made.v, (made["mass1"], made["mass2"], made["mass3"])
+    r, far, pair = q[:2], q[2:], first + second
+    kinetic = (first * second / pair * ca.sumsqr(v[:2]) + third * pair / (pair + third) * ca.sumsqr(v[2:])) / 2
+    gaps = r, far - first / pair * r, far + second / pair * r
+    products = first * second, second * third, first * third
+    potential = -sum(product / ca.norm_2(gap) for product, gap in zip(products, gaps, strict=True))
+    turned, turning = (ca.vertcat(-one[1], one[0], -one[3], one[2]) for one in (q, v))
+    arguments = [q, v, made.parameters]
+    momentum = Invariant(
+        "angular_momentum",
+        ca.Function("angular_momentum", arguments, [ca.dot(ca.gradient(kinetic, v), turned)]),
+        ca.Function("angular_momentum_unfolding", arguments, [turned]),
+        ca.Function("rotation", arguments, [ca.vertcat(turned, turning)]),
+    )
+    centre = -third / (pair + third) * far
+    places = ca.horzcat(centre - second / pair * r, centre + first / pair * r, pair / (pair + third) * far)
+    return made.model(
+        "three_bodies", kinetic, potential, names=["rx", "ry", "Rx", "Ry"],
+        points=ca.vertcat(-places[1, :], places[0, :]),
+        invariants=[energy_invariant(kinetic, potential, *arguments), momentum],
+    )  # fmt: skip
 
 
 def planar_oscillator(stiffness_x: float = 1.0, stiffness_y: float = 2.0, quartic: float = 1.0) -> Model:
@@ -409,6 +468,7 @@ FUNCTIONS: dict[str, Callable[..., Model]] = {
     for one in (
         brusselator, cart_chain, double_well, duffing, fitzhugh_nagumo, forced_duffing, forced_pendulum, henon_heiles,
         hodgkin_huxley, lorenz, pendulum_on_cart, planar_oscillator, restricted_three_body,
-        restricted_three_body_canonical, rossler, rotating_hoop, spring_pendulum, van_der_pol, vibrated_pendulum,
+        restricted_three_body_canonical, rossler, rotating_hoop, spring_pendulum, three_bodies, van_der_pol,
+        vibrated_pendulum,
     )
 }  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
@@ -121,11 +121,15 @@ class Model:
     forcing_period: ca.Function | None = None
     symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
     """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
+    landmarks: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """places (n each) that pictures mark and guesses may start from, at the model's own parameter values"""
     constraint: HolonomicConstraint | None = None
     hybrid: Any = None
     """modes, transitions and the cycle of a hybrid system, see `mechanics.hybrid`"""
     rates: ca.Function | None = None
     hamiltonian: bool = False
+    scales: Mapping[str, float] = field(default_factory=dict)
+    """sizes to measure in: of coordinates by name, of all that are no angles by "length", of physical parameters"""
 
     @property
     def conservative(self) -> bool:

@@ -30,6 +30,8 @@ NODES_OFF, SAMPLES_OFF, LARGEST_PICTURE = 1e-9, 1e-6, 1e-3
 """Shares of the extents that recorded nodes and samples may be off the motion, and that growing errors may excuse"""
 LARGEST_GROWTH = 1e10
 """Growth of errors between any two instants that may excuse the trivial multipliers"""
+PAIRED, LARGEST_DEFECT = 10.0, 0.1
+"""Relative errors of the integration in the product of two reciprocal multipliers; and what excuses no more"""
 RECORDED = "recorded - recomputed, relative"
 TRIED = 12
 """States about the motion at which the equations are compared."""
@@ -121,7 +123,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         if model.invariants or any(orbit.unfolding)
         else None,
         *_constraint_checks(orbit, model, allowed, scale, evidence),
-        *_record_checks(orbit, evidence, model, allowed, scale),
+        *_record_checks(orbit, evidence, model, replace(allowed, multipliers=max(allowed.multipliers, passing)), scale),
         *_picture_checks(pictured, evidence.reached[shares.size :], evidence),
         *_expected_checks(orbit, model),
     ]  # fmt: skip
@@ -351,9 +353,9 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
         _same("stability", orbit.stability, evidence.floquet.stability),
         _same_symmetry(orbit, evidence, model),
     ]
-    # mu and 1/mu of a matrix of norm about mu, known to the integration's relative error: mu^2 of that
+    # mu and 1/mu of a matrix of norm about mu, known to a few relative errors of the integration: mu^2 of that
     paired = symplectic(model)
-    pairs = max(allowed.trivial, VARIED.relative_tolerance * scale**2) if paired else 0.0
+    pairs = max(allowed.trivial, min(PAIRED * VARIED.relative_tolerance * scale**2, LARGEST_DEFECT)) if paired else 0.0
     defect = max(evidence.floquet.pair_defect, abs(orbit.pair_defect))
     if paired or defect:
         checks.append(_at_most("pair_defect", defect, pairs, "reciprocal pairs, as recorded and as found"))

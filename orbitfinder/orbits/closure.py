@@ -14,15 +14,15 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from orbitfinder.loops.symmetry import STILL
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import masses_of
 
 EPSILON = float(np.finfo(float).eps)
 LEAST_SHARE = 0.1
@@ -99,13 +99,6 @@ def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, r
     beyond = np.maximum(np.abs(left.T @ gap) - round_off, 0.0)
     steps = np.divide(beyond, singular, out=np.where(beyond > 0, np.inf, 0.0), where=singular > 0)
     return float(np.linalg.norm(steps))
-
-
-def masses_of(kinetic: Callable[..., Any], state: np.ndarray, model: Model | None = None) -> np.ndarray:
-    """Diagonal (n) of the mass matrix at a state (2n): twice the kinetic energy of each unit velocity."""
-    n = state.size // 2
-    given = [] if model is None else [model.parameter_values]
-    return np.array([2.0 * float(kinetic(state[:n], unit, *given)) for unit in np.eye(n)])
 
 
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:

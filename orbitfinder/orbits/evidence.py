@@ -40,7 +40,8 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
-from orbitfinder.orbits.closure import Closure, alone, closes, extents, extents_of, gap, masses_of, shift
+from orbitfinder.mechanics.scales import masses_of, snapped
+from orbitfinder.orbits.closure import Closure, alone, closes, extents, extents_of, gap, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy, symplectic_unit
 
 SAMPLES = 512
@@ -152,7 +153,11 @@ def canonical_motion(
     path = integrate_in(units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD)
     half = start.size // 2
     work = float(units @ units) / period if model.rates is not None else float(units[:half] @ units[half:]) or 1.0
-    transitions, action = _pieces(vector_field(equations.equations.variational), start, units, work, period)
+    found = _pieces(vector_field(equations.equations.variational), start, units, work, period)
+    transitions, end, action = found
+    if not first_order:  # a gap dq adds p.dq: however large p is, the action of a small orbit is not that round-off
+        missed = end - start - shift(turns[chosen[: masses.size]], start.size)
+        action -= float(end[half:] @ missed[:half])
     gradients, directions, constraints = equations.frame(state, start)
     return Motion(
         moments, equations.states(path), path, transitions, action, equations.field(0.0, start), gradients, directions,
@@ -186,8 +191,8 @@ def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float) -> np.ndarr
 
 def _pieces(
     variational: VectorField, start: np.ndarray, units: np.ndarray, work: float, period: float
-) -> tuple[list[np.ndarray], float]:
-    """State-transition matrices (m x m) of equal pieces of a period, and the action, which is measured in `work`."""
+) -> tuple[list[np.ndarray], np.ndarray, float]:
+    """State-transition matrices (m x m) of equal pieces of a period, its end, and the action, measured in `work`."""
     size, now, action = start.size, start, 0.0
     matrix = (units[:, None] / units[None, :]).ravel("F")
     measures, pieces = np.concatenate([units, matrix, [work]]), []
@@ -197,7 +202,7 @@ def _pieces(
         end = integrate_in(measures, variational, extended, span, VARIED)[-1]
         pieces.append(end[size:-1].reshape(size, size, order="F"))
         now, action = end[:size], action + float(end[-1])
-    return pieces, action
+    return pieces, now, action
 
 
 def evenly(period: float) -> np.ndarray:
@@ -420,24 +425,44 @@ class ClosureCheck:
         """The largest gap round the loop of an orbit, in `units` (2n); `allowed` is what will be asked of it."""
         found = np.inf
         for longest in LONGEST_STEPS:
-            found = gap(state, self._end(state, period, longest, free), turns, units)
+            found = gap(state, self._end(state, period, longest, free, units), turns, units)
             if found <= 0.5 * allowed:
                 break
         return found
 
-    def ends(self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
+    def ends(
+        self,
+        nodes: np.ndarray,
+        durations: np.ndarray,
+        free: Mapping[str, float] | None = None,
+        units: np.ndarray | float = 1.0,
+    ) -> np.ndarray:
         """Where each piece of an orbit ends (N x 2n) that begins at a node (N x 2n) and lasts so long (s)."""
         edges = np.append(0.0, np.cumsum(durations)) * self._model.forced
         pieces = zip(nodes, durations, edges[:-1], strict=True)
-        return np.stack([self._end(node, duration, 1 / PIECE_STEPS, free, now) for node, duration, now in pieces])
+        return np.stack(
+            [self._end(node, duration, 1 / PIECE_STEPS, free, units, now) for node, duration, now in pieces]
+        )
 
     def _end(
-        self, state: np.ndarray, duration: float, longest: float, free: Mapping[str, float] | None, now: float = 0.0
+        self,
+        state: np.ndarray,
+        duration: float,
+        longest: float,
+        free: Mapping[str, float] | None,
+        units: np.ndarray | float,
+        now: float = 0.0,
     ) -> np.ndarray:
-        """(q, v) after a time from `now`, by steps no longer than a share of it."""
+        """(q, v) after a time from `now`, by steps no longer than a share of it, in powers of 256 near the `units`."""
         if self._at != dict(free or {}):
             self._at = dict(free or {})
             self._equations = Hamiltonian(with_parameters(self._model, self._at))
         start, span = self._equations.start(state), np.array([now, now + duration])
-        path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
+        sizes = snapped(np.broadcast_to(units, state.shape)[self._equations.coordinates.chosen])
+        if np.all(sizes == 1.0):
+            path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
+        else:
+            if self._model.rates is None:
+                sizes[start.size // 2 :] *= snapped(masses_of(self._equations.coordinates.kinetic, start))
+            path = integrate_in(sizes, self._equations.field, start, span, CHECKED, longest * duration)
         return np.asarray(self._equations.states(path[-1:])[0])

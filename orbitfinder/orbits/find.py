@@ -19,7 +19,7 @@ from orbitfinder.errors import ConvergenceError, Hint, InputError, IntegrationEr
 from orbitfinder.guesses.balance import balanced_guess
 from orbitfinder.integrate.cvodes import Flow, build_flow, end_state, transition
 from orbitfinder.integrate.dop853 import SECOND, integrate_in, vector_field
-from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
@@ -51,6 +51,8 @@ from orbitfinder.records.orbit import Orbit
 
 DRIFT = 1e-7
 """An invariant that changes by more than this along the guess's motion, relative to its size, is none."""
+KEPT = 1e-11
+"""... unless its rate of change is this small a share of the terms that cancel in it."""
 SECTION = 1e-3
 """Coordinates this near to where an odd motion starts are left to the solver."""
 NEAR_ONE = 1e-3
@@ -77,16 +79,23 @@ def check_invariants(problem: Problem) -> None:
         states = integrate_in(units, field, start, np.linspace(0.0, problem.guess.period, 9), SECOND)
     except IntegrationError:
         return  # the search itself will say where the motion cannot be integrated
-    for one in model.invariants:
+    for one, kept in zip(model.invariants, _kept(model, states), strict=True):
         found = np.array([float(one.value(state[:n], state[n:], values)) for state in states])
         nearby = float(one.value(1.01 * start[:n], 1.01 * start[n:], values))
         drift, size = float(np.abs(found - found[0]).max()), max(abs(found[0]), abs(nearby - found[0]), 1e-300)
-        if drift > DRIFT * size:
+        if drift > DRIFT * size and not kept:  # past a singularity the integration drifts as well
             raise InputError(
                 f"invariants: {one.name!r} is not conserved, it drifts by {drift:.3g} from {found[0]:.6g} within "
                 f"{problem.guess.period:.4g} s along the guess's motion; leave it out of invariants=, or look for a "
                 "force that changes it"
             )
+
+
+def _kept(model: Model, states: np.ndarray) -> np.ndarray:
+    """Which invariants the equations keep at states (k x 2n): dI/dt = grad I . x' is round-off of its terms."""
+    gradients, rates = invariant_gradients(model), accelerations(model)
+    terms = np.stack([gradients(state).full() * rates(0.0, state).full().ravel() for state in states])
+    return np.asarray(np.all(np.abs(terms.sum(axis=2)) <= KEPT * np.abs(terms).sum(axis=2), axis=0))
 
 
 def at_section(problem: Problem, flow: Flow) -> Problem:
@@ -222,6 +231,8 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     orbit = measure(refined.problem, refined.flow, found.nodes, found.period, unfolding)
     _within(problem, orbit)
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
+    if flow.units:
+        said["scales"] = dict(zip(problem.model.state_names, flow.units, strict=True))
     orbit = replace(orbit, provenance=said)
     if settings.with_certificate:
         orbit = certified(orbit, refined.problem.model)
@@ -334,7 +345,8 @@ def _segments_needed(problem: Problem, flow: Flow, horizon: float, settings: Sol
     matrix = transition(flow, np.asarray(problem.guess.state, float), horizon)[1]
     fewest = int(np.ceil(settings.fewest_segments * problem.boundary.fraction))
     between = (fewest, settings.most_segments)
-    units = clocked(problem.model, problem.guess.period / (2 * np.pi))
+    state = np.asarray(problem.guess.state, float)
+    units = clocked(problem.model, problem.guess.period / (2 * np.pi), state)
     return segments_for(matrix, units, settings.growth_per_segment, between)
 
 
@@ -370,8 +382,9 @@ def _polished(shooting: Shooting, w: np.ndarray) -> tuple[Shooting, np.ndarray]:
 
 def _snapped(problem: Problem, name: str, value: float) -> float:
     """A value, or the end of its range that an inequality holds it at."""
-    for end in problem.bounds.get(name, ()):
-        if abs(value - end) <= NEAR_BOUND * max(1.0, abs(end)):
+    ends = problem.bounds.get(name, ())
+    for end in ends:
+        if abs(value - end) <= NEAR_BOUND * max(np.ptp(np.asarray(ends)[np.isfinite(ends)]), abs(end)):
             return float(end)
     return value
 

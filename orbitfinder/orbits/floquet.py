@@ -84,7 +84,7 @@ def analyse(reduced: np.ndarray, conservative: bool = True) -> Floquet:
     defects = np.abs(multipliers[first] * multipliers[second] - 1.0)
     defect = float(defects.max(initial=0.0))
     indices = multipliers[first] + multipliers[second]
-    return Floquet(multipliers, defect, indices, _conservative_verdict(indices, defect))
+    return Floquet(multipliers, defect, indices, _conservative_verdict(indices, defects))
 
 
 def reciprocal_pairs(multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,8 +100,11 @@ def reciprocal_pairs(multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(first, int), np.asarray(second, int)
 
 
-def _conservative_verdict(indices: np.ndarray, defect: float) -> str:
-    error = max(ERROR_FACTOR * defect * float(np.abs(indices).max(initial=0.0)), ERROR_FLOOR)
+def _conservative_verdict(indices: np.ndarray, defects: np.ndarray) -> str:
+    """An error e of the matrix makes |mu_1 mu_2 - 1| about |mu_1 + mu_2| e and the index wrong by about e."""
+    sizes = np.abs(indices)
+    error = ERROR_FACTOR * float((defects * np.minimum(sizes, 4.0 / np.maximum(sizes, 1e-300))).max(initial=0.0))
+    error = max(error, ERROR_FLOOR)
     outside = np.where(np.abs(indices.imag) > error, np.abs(indices.imag), np.abs(indices.real) - 2.0)
     if np.any(outside > error):
         return "unstable"

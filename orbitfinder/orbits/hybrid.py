@@ -266,8 +266,15 @@ class HybridCheck(ClosureCheck):
             x = self._automaton.value(one.reset, x)
         return max(found, gap(np.asarray(state, float), x, turns, units))
 
-    def ends(self, nodes: np.ndarray, durations: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
+    def ends(
+        self,
+        nodes: np.ndarray,
+        durations: np.ndarray,
+        free: Mapping[str, float] | None = None,
+        units: np.ndarray | float = 1.0,
+    ) -> np.ndarray:
         """Where each piece of an orbit ends (N x d), through the event that it ends with if it does."""
+        del units
         self._set(free)
         arcs = self._automaton.hybrid.arcs
         each, found = len(nodes) // len(arcs), []

@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Sequence
 from importlib.metadata import version
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,18 @@ from orbitfinder._runtime import __version__
 from orbitfinder.integrate.cvodes import Flow, transition
 from orbitfinder.integrate.equations import accelerations, action_rate, invariant_gradients, with_action
 from orbitfinder.integrate.march import March, Marches, rounded, uniform
+from orbitfinder.integrate.rk8 import variational_field
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.loop import Unknowns
-from orbitfinder.loops.polish import end_of, graded_end, least_steps, segment, tail_of
+from orbitfinder.loops.polish import (
+    STEPS_PER_PERIOD,
+    end_of,
+    graded_end,
+    graded_path,
+    least_steps,
+    path_of,
+    tail_of,
+)
 from orbitfinder.loops.problem import Problem, boundary_constants
 from orbitfinder.loops.symmetry import recognise, symplectic
 from orbitfinder.mechanics.constrained import tangent_space
@@ -31,6 +41,13 @@ SAMPLES = 256
 """Steps over a period at least, for the loop, its action and its minimal period."""
 RESOLVED = 1e-6
 """Relative difference that every other sample may make to the action: with all of them it is then some 1e-12"""
+GRADED = 3
+"""Doublings of the fewest steps at which a motion is sampled that no number of equal steps follows"""
+STEEP = 1e3
+"""Growth of errors in a segment beyond which CVODES' matrix of it has lost the digits that a certificate compares"""
+
+
+Paths = Sequence[tuple[np.ndarray, bool]]
 
 
 def whole_period(
@@ -54,14 +71,18 @@ def marched(
     w: Unknowns,
     whole: tuple[np.ndarray, np.ndarray, np.ndarray],
     action: float,
+    units: Sequence[float] = (),
 ) -> Orbit:
-    """The Orbit (without certificate) of what `whole_period` found, by the march that found it."""
+    """The Orbit (without certificate) of what `whole_period` found, by the march that found it.
+
+    `units` (2n) are what its multipliers are measured in, () is 1.
+    """
     nodes, times, states = whole
     mesh, tail, monodromy = times / times[-1], _untouched(march, w), np.eye(len(nodes[0]))
     for matrix in march.varied(nodes, mesh, tail).transitions:
         monodromy = matrix @ monodromy
     end = march.ends(nodes[:1], mesh, tail)[0]
-    floquet = reduced(problem.model, nodes[0], monodromy)
+    floquet = reduced(problem.model, nodes[0], monodromy, units)
     return recorded(problem, w.period, end, nodes, times, states, w.unfolding, action, floquet)
 
 
@@ -74,11 +95,13 @@ def measure(problem: Problem, flow: Flow, nodes: np.ndarray, period: float, unfo
     """An Orbit (without certificate) from converged node states over the problem's horizon."""
     model = problem.model
     whole = full_period(problem, flow, nodes, period)
-    times, states = dense(flow, whole, period)
+    found = paths(flow, whole, period)
+    times, states = dense(flow, whole, period, found)
     end = end_of(flow, whole[0], (0.0, period), tail_of(flow), least_steps(1))
     return recorded(
         problem, period, end, whole, times, states, unfolding,
-        loop_action(model, flow, whole, times, states), multipliers(model, flow, whole, period),
+        loop_action(model, flow, whole, times, states, all(enough for _, enough in found)),
+        multipliers(model, flow, whole, period, found),
     )  # fmt: skip
 
 
@@ -141,7 +164,7 @@ def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) 
         return nodes
     if symmetry.reverses:
         horizon = symmetry.fraction * period
-        end = segment(flow, nodes[-1], (horizon - horizon / len(nodes), horizon), tail_of(flow))[-1]
+        end = end_of(flow, nodes[-1], (horizon - horizon / len(nodes), horizon), tail_of(flow), STEPS_PER_PERIOD // 16)
     constant = boundary_constants(problem, nodes, end)
     if end is None:
         matrix, moved = symmetry.displaced(constant)
@@ -149,23 +172,36 @@ def full_period(problem: Problem, flow: Flow, nodes: np.ndarray, period: float) 
     return symmetry.whole(np.arange(len(nodes) + 1.0), np.vstack([nodes, end]), constant)[1][:-1]
 
 
-def dense(flow: Flow, nodes: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Equal times over one period and states there, each segment integrated from its node."""
-    duration, least = period / len(nodes), least_steps(len(nodes))
-    pieces = [
-        segment(flow, node, (k * duration, (k + 1) * duration), tail_of(flow), least) for k, node in enumerate(nodes)
-    ]
-    count = min(len(piece) for piece in pieces) - 1  # the others have a power of two times as many
-    thin = [piece[:: (len(piece) - 1) // count] for piece in pieces]
+def dense(flow: Flow, nodes: np.ndarray, period: float, found: Paths | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Equal times over one period and states there, each segment integrated from its node.
+
+    Where equal steps do not follow the motion, past a singularity, graded ones go from each time to the next.
+    """
+    found, edges = found or paths(flow, nodes, period), np.linspace(0.0, period, len(nodes) + 1)
+    # the others have a power of two times as many
+    count = min(len(piece) - 1 for piece, _ in found)
+    if not all(enough for _, enough in found):
+        count = min(count, least_steps(len(nodes)) << GRADED)
+    thin = []
+    for node, edge, (piece, enough) in zip(nodes, pairwise(edges), found, strict=True):
+        graded = None if enough else graded_path(flow, node, np.linspace(*edge, count + 1), tail_of(flow))
+        thin.append(piece[:: (len(piece) - 1) // count] if graded is None else graded)
     states = np.vstack([*(piece[:-1] for piece in thin), thin[-1][-1:]])
     return np.linspace(0.0, period, len(states)), states
 
 
-def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float) -> Floquet:
+def paths(flow: Flow, nodes: np.ndarray, period: float) -> Paths:
+    """States at equal times in each segment, and whether that many equal steps are enough for them."""
+    duration, least, tail = period / len(nodes), least_steps(len(nodes)), tail_of(flow)
+    return [path_of(flow, x, (k * duration, (k + 1) * duration), tail, least) for k, x in enumerate(nodes)]
+
+
+def multipliers(model: Model, flow: Flow, nodes: np.ndarray, period: float, found: Paths | None = None) -> Floquet:
     """Reduced Floquet multipliers by the product of the segments' state-transition matrices."""
     count, monodromy = len(nodes), np.eye(nodes.shape[1])
     for k, node in enumerate(nodes):
-        monodromy = transition(flow, node, period / count, k * period / count)[1] @ monodromy
+        tame = found is None or found[k][1]
+        monodromy = _transition(flow, node, (k * period / count, (k + 1) * period / count), tame) @ monodromy
     return reduced(model, nodes[0], monodromy, flow.units)
 
 
@@ -182,6 +218,22 @@ def reduced(model: Model, state: np.ndarray, monodromy: np.ndarray, units: Seque
     return analyse(reduce_monodromy(monodromy, gradients, directions), conservative=symplectic(model))
 
 
+def _transition(flow: Flow, node: np.ndarray, span: tuple[float, float], tame: bool) -> np.ndarray:
+    """The state-transition matrix of a segment by CVODES; by graded steps past a singularity and where errors grow."""
+    found = transition(flow, node, span[1] - span[0], span[0])[1]
+    size, units = node.size, np.asarray(flow.units) if flow.units else np.ones(node.size)
+    grown = float(np.linalg.norm(found * units / units[:, None], 2))
+    if tame and not grown > STEEP:
+        return found
+    varied = variational_field(flow.field)
+    columns = (varied.size1_in(1) - size) // size
+    sizes = np.ones((size, columns)) * grown * units[:, None]
+    sizes[:, :size] /= units
+    start = np.concatenate([node, np.eye(size, columns).ravel("F")])
+    end = graded_end(varied, start, span, tail_of(flow), (*units, *sizes.ravel("F")))
+    return found if end is None else end[size:].reshape(size, columns, order="F")[:, :size]
+
+
 def frame(model: Model, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of the invariants (k x 2n) and symmetry directions, the flow first, in (q, v)."""
     rate = accelerations(model)(0.0, state).full().ravel()
@@ -190,10 +242,15 @@ def frame(model: Model, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def loop_action(model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, states: np.ndarray) -> float:
-    """The action from equal times, where half of them tell the same; else integrated on from each node (N x 2n)."""
+def loop_action(
+    model: Model, flow: Flow, nodes: np.ndarray, times: np.ndarray, states: np.ndarray, tame: bool = True
+) -> float:
+    """The action from equal times, where half of them tell the same; else integrated on from each node (N x 2n).
+
+    It is integrated too where the motion is not `tame`, past a singularity.
+    """
     found = action(model, times, states)
-    if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
+    if tame and abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
         return found
     field, duration = with_action(model, flow.field), times[-1] / len(nodes)
     ends = [

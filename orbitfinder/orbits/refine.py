@@ -20,7 +20,7 @@ from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.newton import Newton, NewtonSettings, Refined
+from orbitfinder.loops.newton import Newton, NewtonSettings, Refined, Units
 from orbitfinder.loops.problem import (
     Guess,
     Problem,
@@ -31,9 +31,11 @@ from orbitfinder.loops.problem import (
     segments_needed,
     without_choice,
 )
+from orbitfinder.loops.shooting import units_of
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.hybrid import first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import RESOLVED, SAMPLES, action, marched, whole_period
@@ -61,10 +63,9 @@ class Refiner:
         self._alone = threading.Lock()  # the marches have one work space
         self.settings = chosen = settings or NewtonSettings()
         self.problem = problem = at_forcing_period(problem)
-        hybrid = problem.model.hybrid is not None
-        self.flow = (
-            None if hybrid else build_flow(problem.model, problem.free, problem.boundary.unfolded(problem.model))
-        )
+        hybrid, unfolded = problem.model.hybrid is not None, problem.boundary.unfolded(problem.model)
+        units = units_of(problem)
+        self.flow = None if hybrid else build_flow(problem.model, problem.free, unfolded, units=units)
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
         fraction = problem.boundary.fraction
@@ -89,14 +90,15 @@ class Refiner:
         w = self._start(_checked(guess or self.problem.guess, self.problem), pins)
         path = self.equations.varied(w)
         loop = loop_of(self.problem, self.equations, w, path.ends[-1], pins)
-        newton = Newton(loop, self.settings)
+        scales = measured_in(self.problem.model, w.nodes, w.period)
+        newton = Newton(loop, self.settings, Units.of(loop, w, scales))
         w, residual = newton.solve(w, path)
         if not residual < self.settings.converged:
             raise ConvergenceError(
                 f"warm refinement stalled at a residual of {residual:.2g}; the orbit is too unstable for "
                 f"{self.segments} segments, give the problem more"
             )
-        if self._rates(w) < STANDSTILL:
+        if self._rates(w, np.asarray(scales or 1.0)) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
         turns = self.problem.boundary.turns(loop.constant)
         return Refined(
@@ -128,7 +130,7 @@ class Refiner:
             found = action(model, times, states)
             if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
                 break
-        return marched(problem, march, w, whole, found), model
+        return marched(problem, march, w, whole, found, flow.units), model
 
     def _hybrid(self, refined: Refined) -> Orbit:
         """The Orbit (without certificate) of a motion with impacts, which carries no freed parameters."""
@@ -178,10 +180,10 @@ class Refiner:
         """The unknowns of a hybrid guess: its cycle simulated."""
         return first_unknowns(self.equations, guess, self.segments, self._steps)
 
-    def _rates(self, w: Unknowns) -> float:
-        """Largest component of T f at the nodes: 0 at an equilibrium."""
+    def _rates(self, w: Unknowns, units: np.ndarray) -> float:
+        """Largest component of T f at the nodes, in units of the state: 0 at an equilibrium."""
         times = w.period * w.edges[:-1]
-        return float(np.abs(self.equations.march.rates(w.nodes, w.tail, times)).max() * w.period)
+        return float(np.abs(self.equations.march.rates(w.nodes, w.tail, times) / units).max() * w.period)
 
 
 def _pins(problem: Problem, pin: Sequence[Pin] | None) -> tuple[Pin, ...]:

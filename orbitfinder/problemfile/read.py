@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, plural
-from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode
+from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode, rest_near
 from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.problem import Guess, Problem
@@ -233,14 +233,14 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
     if model.constraint is not None and model.system.get("kind") == "linkage":
         return _linkage_guess(given, model, folder)
-    linkage_keys = [key for key in ("angles", "branch", "rates", "equilibrium") if getattr(given, key) is not None]
+    linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
     if linkage_keys:
         raise InputError(f"guess.{linkage_keys[0]}: is for linkages only; give state and period, mode or csv")
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names))
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
-            return normal_mode(model, given.mode, given.amplitude)
+            return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
         modes = given.mode if isinstance(given.mode, list) else [given.mode]
         sizes = given.amplitude if isinstance(given.amplitude, list) else [given.amplitude]
         return normal_mode_sum(model, modes, sizes)
@@ -262,11 +262,23 @@ def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
     if given.mode is not None:
         if not isinstance(given.mode, int) or not isinstance(given.amplitude, float):
             raise InputError("guess.mode: a linkage takes one mode with one amplitude; give numbers, not lists")
+        if isinstance(given.equilibrium, str):
+            raise InputError("guess.equilibrium: a linkage's is given by angles near it, one per bar")
         near = None if given.equilibrium is None else _angles(model, given.equilibrium)
         found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
         return found if given.period is None else Guess(found.state, given.period)
     state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
     return Guess(state, given.period or first_return(model, state, given.duration or 20.0))
+
+
+def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
+    """The equilibrium at a landmark or near a place, None where none is given."""
+    if named is None or not isinstance(named, str):
+        return None if named is None else rest_near(model, named)
+    if named not in model.landmarks:
+        known = ", ".join(model.landmarks) or "none, give coordinates"
+        raise InputError(f"guess.equilibrium: unknown {named!r}; the landmarks of this system are {known}")
+    return rest_near(model, model.landmarks[named])
 
 
 def _angles(model: Model, angles: list[float]) -> np.ndarray:

@@ -32,8 +32,10 @@ from orbitfinder.records.reading import (
     json_bytes,
     json_document,
     json_file,
+    plain_numbers,
     read_as,
     typed,
+    walked,
     write_atomically,
     write_json,
     write_npz,
@@ -203,19 +205,13 @@ class Journal:
 
 def plain(value: Any) -> Any:
     """JSON-ready: arrays as lists, complex numbers as [re, im], of a point what its family does not say already."""
-    if isinstance(value, np.ndarray):
-        return [[float(z.real), float(z.imag)] for z in value] if np.iscomplexobj(value) else value.tolist()
-    if isinstance(value, complex):
-        return [value.real, value.imag]
     if isinstance(value, (FamilyPoint, Event)):
         return {name: plain(getattr(value, DENSE.get(name, name))) for name in ENTRIES[type(value)]}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    return value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, (Mapping, list, tuple)):
+        return walked(value, plain)
+    return plain_numbers(value)
 
 
 def _entries_of(kind: type[FamilyPoint] | type[Event]) -> tuple[str, ...]:

@@ -19,6 +19,8 @@ from orbitfinder.records.reading import (
     finite,
     json_bytes,
     json_file,
+    plain_numbers,
+    walked,
     write_atomically,
     write_npz,
 )
@@ -111,32 +113,23 @@ class Orbit:
         return display.html(self)
 
 
+ENTRIES = (
+    "name", "title", "source", "system", "state", "period", "energy", "action", "closure", "symmetry", "winding",
+    "floquet_multipliers", "pair_defect", "stability", "unfolding", "tolerance", "nodes", "expected", "certificate",
+    "provenance",
+)  # fmt: skip
+"""What orbit.json says of an orbit, in this order."""
+
+
 def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
     """The JSON document of an orbit (the contract of orbit.json); floats round-trip exactly."""
-    document: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "name": orbit.name,
-        "title": orbit.title,
-        "source": orbit.source,
-        "system": dict(orbit.system),
-        "state": orbit.state.tolist(),
-        "period": orbit.period,
+    in_words = {
         "energy": None if unconserved(orbit) else orbit.energy,
-        "action": orbit.action,
-        "closure": orbit.closure,
-        "symmetry": orbit.symmetry,
-        "winding": list(orbit.winding),
-        "floquet_multipliers": [[float(mu.real), float(mu.imag)] for mu in orbit.floquet_multipliers],
-        "pair_defect": orbit.pair_defect,
-        "stability": orbit.stability,
-        "unfolding": list(orbit.unfolding),
-        "tolerance": orbit.tolerance,
-        "nodes": orbit.nodes.tolist(),
         "expected": {k: {"value": v[0], "tolerance": v[1]} for k, v in orbit.expected.items()},
         "certificate": certificate_to_document(orbit.certificate),
-        "provenance": dict(orbit.provenance),
     }
+    document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    document |= {name: walked(in_words.get(name, getattr(orbit, name)), plain_numbers) for name in ENTRIES}
     document["record"] = digest(document)
     return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
 

@@ -201,18 +201,32 @@ def inflated(data: bytes, where: str, remedy: str) -> bytes:
 
 def content_digest(document: Any) -> str:
     """SHA-256 of a document's content, independent of its layout: 2 and 2.0 are one, keys have no order."""
-    text = json.dumps(_alike(document), sort_keys=True, separators=(",", ":"))
+    alike = walked(document, lambda value: repr(float(value)) if is_number(value) else value)
+    text = json.dumps(alike, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _alike(value: Any) -> Any:
+def walked(value: Any, leaf: Callable[[Any], Any]) -> Any:
+    """The same document with `leaf` of everything in it that is no table and no list."""
     if isinstance(value, Mapping):
-        return {str(key): _alike(entry) for key, entry in value.items()}
+        return {str(key): walked(entry, leaf) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_alike(entry) for entry in value]
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return repr(float(value))
-    return value
+        return [walked(entry, leaf) for entry in value]
+    return leaf(value)
+
+
+def plain_numbers(value: Any) -> Any:
+    """JSON-ready: arrays as lists, complex numbers as [re, im], NumPy's numbers as Python's; all else as it is."""
+    if isinstance(value, np.ndarray):
+        return [[float(z.real), float(z.imag)] for z in value] if np.iscomplexobj(value) else value.tolist()
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def is_number(value: Any) -> bool:
+    """True for an int or a float that is no bool."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def typed(kind: Any, value: Any, where: str) -> Any:
@@ -257,7 +271,7 @@ def _plain(kinds: tuple[type, ...], wanted: str) -> Callable[[Any, Any, str], An
 
 
 def _number(_: Any, value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if not is_number(value) or not math.isfinite(value):
         raise _wrong(where, "a finite number", value)
     return float(value)
 
@@ -351,8 +365,4 @@ def write_npz(path: Path, members: Mapping[str, np.ndarray]) -> None:
 
 def finite(value: Any) -> Any:
     """The same document with null for every NaN and infinity, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return walked(value, lambda one: None if isinstance(one, float) and not math.isfinite(one) else one)

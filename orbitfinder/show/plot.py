@@ -22,6 +22,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies, positions
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.style import dress, line_style, new_figure, plane, save_png, sweep, trail
 from orbitfinder.show.svg import COLOURS, runs
 
@@ -34,8 +35,8 @@ MOST_IN_LEGEND = 12
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
     """Write the four figures of an orbit (no energy or links where it has none), or those of a family, as PNG files.
 
-    Returns their paths. `model` is needed only for systems that no file describes. An orbit without samples is
-    integrated again.
+    What moves in a plane or in space has its path from every side in place of links. Returns their paths. `model` is
+    needed only for systems that no file describes. An orbit without samples is integrated again.
     """
     model = model or build_model(orbit.system)
     if isinstance(orbit, Family):
@@ -47,7 +48,9 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
     }
     if np.isfinite(orbit.energy):
         figures["energy_error"] = energy_error(orbit, model)
-    if model.points is not None:
+    if has_path(model):
+        figures["path"] = path_views(orbit, model)
+    elif model.points is not None:
         figures["swept_configuration"] = swept_configuration(orbit, model)
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
@@ -213,7 +216,10 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
     if any(point.floquet_multipliers.size for point in family.points):
         figures |= {"multipliers_plane": multipliers_plane(family), "multipliers": multipliers_along(family)}
     if len(family.points) > 1:
-        figures["gallery"] = gallery(family, motions(family, model))
+        shown = motions(family, model)
+        figures["gallery"] = gallery(family, shown)
+        if has_path(model):
+            figures["paths"] = family_paths(family, shown, model)
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
 

@@ -168,7 +168,7 @@ def _add_orbit(site: Site, entry: Entry) -> None:
 
 def _add_family(site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any]) -> Link:
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
-    values = family_values(family, data["items"]) | {"title": f"Family {family.name}"}
+    values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
     site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of the {words}.")
     energies = data["columns"]["energy"]
     note = f"{plural(len(energies), 'orbit')}, {number(min(energies), 4)} to {number(max(energies), 4)} J"

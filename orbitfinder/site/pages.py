@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import plural
+from orbitfinder.families.members import amplitudes
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import system_at
@@ -160,18 +161,18 @@ MOST_POINTS = 60
 MOST_EVENTS = 60
 
 
-def family_items(family: Family, simulator: Simulator) -> list[dict[str, Any]]:
-    """The points and events that can be picked, in order along the family."""
+def family_items(family: Family, simulator: Simulator, reach: Mapping[int, float]) -> list[dict[str, Any]]:
+    """The points and events that can be picked, in order along the family; `reach` are their amplitudes by id."""
     points = family.points
     chosen = [points[k] for k in spread(points, MOST_POINTS)]
-    found = [(one.arclength, _item(one, one.system, one, simulator)) for one in chosen]
+    found = [(one.arclength, _item(one, one.system, one, simulator, reach)) for one in chosen]
     rare = [event for event in family.events if event.kind != "resonance"]
     common = [event for event in family.events if event.kind == "resonance"]
     kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
     kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
     for event in kept:
         before = points[min(max(event.index, 0), len(points) - 1)]
-        found.append((event.arclength, _item(event, system_at(family.system, event.free), before, simulator)))
+        found.append((event.arclength, _item(event, system_at(family.system, event.free), before, simulator, reach)))
     return [item for _, item in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -186,7 +187,13 @@ def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
     return sorted({int(np.abs(length - one).argmin()) for one in wanted} | {0, len(points) - 1})
 
 
-def _item(one: FamilyPoint | Event, system: Mapping[str, Any], at: FamilyPoint, simulator: Simulator) -> dict[str, Any]:
+def _item(
+    one: FamilyPoint | Event,
+    system: Mapping[str, Any],
+    at: FamilyPoint,
+    simulator: Simulator,
+    reach: Mapping[int, float],
+) -> dict[str, Any]:
     """A point or an event; `at` is the point itself, or the one before an event, which does not carry all of it."""
     motion, point, event = simulator.member(system, one), one is at, one if isinstance(one, Event) else None
     return {
@@ -201,24 +208,39 @@ def _item(one: FamilyPoint | Event, system: Mapping[str, Any], at: FamilyPoint, 
         "event": "" if event is None else f"{event.kind.replace('_', ' ')} {event.detail}".strip(),
         "kind": "" if event is None else event.kind,
         "motion": packed(motion) if motion else None,
-    }
+    } | ({"amplitude": reach[id(one)]} if reach else {})
 
 
 def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
     """What the family page's script works with."""
     columns = {name: family.values(name).tolist() for name in ("energy", "period", "action", "closure", "value")}
+    moved, reach = _response(family, simulator)
+    if moved:
+        columns["amplitude"] = [reach[id(point)] for point in family.points]
     return {
         "page": "family",
         "name": family.name,
         "parameter": family.parameter,
         "unit": family.unit,
+        "moved": moved,
         "columns": columns
         | {
             "stable": [point.stability != "unstable" for point in family.points],
             "largest": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in family.points],
         },
-        "items": family_items(family, simulator),
+        "items": family_items(family, simulator, reach),
     }
+
+
+def _response(family: Family, simulator: Simulator) -> tuple[str, dict[int, float]]:
+    """Of a family that dissipates: the coordinate that moves most, and its amplitude by the id of points and events."""
+    known = simulator.model(family.system)
+    if known is None or known[0].conservative or not family.curve:
+        return "", {}
+    sizes = amplitudes(family, known[0])
+    most = int(sizes.max(axis=0).argmax())
+    members = [*map(id, family.points), *map(id, family.events)]
+    return known[0].state_names[most], dict(zip(members, sizes[:, most].tolist(), strict=True))
 
 
 def span(values: Sequence[float]) -> str:

@@ -1,0 +1,157 @@
+"""What motions of a system are measured in: the one place for its lengths and its time.
+
+Angles are measured in rad. Other coordinates may be told in anything, so they are measured in lengths of the motion,
+each in proportion to what carries the same kinetic energy at the same pace,
+
+    m_i L_i^2 = m_j L_j^2        m the diagonal of the mass matrix, L = 1 for angles,
+
+so that a slider beside a crank, or a charge beside a plate, counts as much as what it moves with. Rates are
+measured in lengths over tau = T / 2 pi. Whoever divides by these divides by exactly 1 where a system is of order one:
+what is within a factor of 16 counts as equal, and the rest are powers of two, which cost no digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.model import Model
+
+ALIKE = 16.0
+"""Lengths that differ by less than this factor are measured alike."""
+
+WIDE = 2.0**16
+"""Conditions that change by less than 256 with the unknowns, such as energies in J, are rows as they are."""
+
+
+def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
+    """The powers of a base nearest to positive values, 1 for all others."""
+    given = np.asarray(values, float)
+    known = np.isfinite(given) & (given > 0)
+    powers = np.round(np.log(np.where(known, given, 1.0)) / np.log(base))
+    return np.asarray(base**powers)
+
+
+def masses_of(kinetic: Callable[..., Any], state: np.ndarray, model: Model | None = None) -> np.ndarray:
+    """Diagonal (n) of the mass matrix at a state (2n): twice the kinetic energy of each unit velocity."""
+    n = state.size // 2
+    given = [] if model is None else [model.parameter_values]
+    return np.array([2.0 * float(kinetic(state[:n], unit, *given)) for unit in np.eye(n)])
+
+
+def with_scales(model: Model, scales: Mapping[str, float] | None) -> Model:
+    """The Model measured in given sizes, its description included (see `Model.scales`); `InputError` for others."""
+    if not scales:
+        return model
+    coordinates = model.state_names[: model.degrees_of_freedom]
+    lengths = [name for name, angle in zip(coordinates, model.angular, strict=True) if not angle]
+    known = [*(["length"] if lengths else []), *lengths, *model.parameter_names]
+    for name, value in scales.items():
+        if name not in known:
+            why = "; angles are measured in rad" if name in coordinates else closest(name, known)
+            raise InputError(f"scales: unknown {name!r}{why}; give sizes of {', '.join(known[:20]) or 'nothing'}")
+        if not (isinstance(value, (int, float)) and np.isfinite(value) and value > 0):
+            raise InputError(f"scales.{name}: must be positive and finite, got {value}; give a typical size of it")
+    given = {name: float(value) for name, value in scales.items()}
+    return replace(model, scales=given, system={**model.system, "scales": given})
+
+
+def given_lengths(model: Model) -> np.ndarray:
+    """The sizes (n) that the user gives coordinates, nan for the others."""
+    names, common = model.state_names[: model.degrees_of_freedom], model.scales.get("length", np.nan)
+    found = np.array([model.scales.get(name, common) for name in names], float)
+    return np.where(model.angular, np.nan, found)
+
+
+def proportions(model: Model, state: np.ndarray) -> np.ndarray:
+    """L_i (n) of the coordinates, in rad where there are angles, else relative to that of the heaviest coordinate.
+
+    Sizes that the user gives (`model.scales`) replace what the mass matrix says.
+    """
+    if model.angular.all():
+        return np.ones(model.degrees_of_freedom)
+    given = given_lengths(model)
+    if model.rates is not None:
+        return np.asarray(np.nan_to_num(given, nan=1.0))
+    masses = masses_of(model.kinetic, state, model)
+    known = np.isfinite(masses) & (masses > 0)
+    turning = model.angular & known
+    reference = masses[turning if turning.any() else known].max(initial=0.0)
+    ratios = np.sqrt(np.where(known, reference / np.where(known, masses, 1.0), 1.0))
+    ratios = np.where((ratios < 1 / ALIKE) | (ratios > ALIKE), snapped(ratios, 2.0), 1.0)
+    ratios = np.where(model.angular, 1.0, ratios)
+    return np.where(np.isnan(given), ratios, given)
+
+
+def lengths(model: Model, states: np.ndarray) -> np.ndarray:
+    """What coordinates (n) are measured in along a motion (k x 2n): its largest extent where there are no angles."""
+    parts, n = proportions(model, states[0]), model.degrees_of_freedom
+    if model.angular.any():
+        return parts
+    return parts * max(float((np.ptp(states[:, :n], axis=0) / parts).max()), 1e-300)
+
+
+def surroundings(model: Model, place: np.ndarray) -> tuple[np.ndarray, float]:
+    """Lengths (n) and a time (s) in which to look about a configuration q (n), before there is a motion.
+
+    Lengths given, else a power of 256 near |q|; sqrt(length / acceleration), also as such a power.
+    """
+    given, plain = given_lengths(model), ~model.angular
+    size = float(snapped(np.abs(place[plain]).max(initial=0.0)))
+    found = np.where(plain, np.where(np.isnan(given), size, given), 1.0)
+    there = np.append(place + 0.3 * found, np.zeros(len(model.state_names) - place.size))
+    pace = np.abs(_pushed(model, there, place.size) / found).max()
+    return found, float(1.0 / snapped(pace if model.rates is not None else np.sqrt(pace)))
+
+
+def _pushed(model: Model, state: np.ndarray, n: int) -> np.ndarray:
+    """The accelerations (n), of a first-order system the rates, at a state (d), 0 where they are not finite."""
+    found = model.rate(0.0, state, model.parameter_values).full().ravel()[-n:]
+    return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
+
+
+def _alone(sizes: np.ndarray) -> tuple[float, ...]:
+    """The units of a first-order state (d): each component by itself, that at 0 as the largest."""
+    units = snapped(np.where(sizes > 0, sizes, sizes.max()))
+    return () if np.all(units == 1.0) else tuple(float(one) for one in units)
+
+
+def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ...]:
+    """What a state (2n) is integrated in: powers of 256 near the lengths and the time of a motion (k x 2n); () is 1.
+
+    Lengths are max(|q|, |v| tau), tau = T / 2 pi, the largest over all angles and over all others, or |a| tau^2 where
+    that is 0.
+    """
+    clock, n = period / (2 * np.pi), model.degrees_of_freedom
+    if model.constraint is not None or model.hybrid is not None:  # integrated by IDAS; arc by arc, in its own units
+        return ()
+    largest = np.abs(states).max(axis=0)
+    if model.rates is not None:
+        return _alone(np.maximum(largest, clock * np.abs(_pushed(model, states[0], n))))
+    parts, turning = proportions(model, states[0]), model.angular
+    found = np.maximum(largest[:n], largest[n:] * clock) / parts
+    if turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < found.max() < ALIKE:
+        return ()
+    for group in (turning, ~turning):
+        size = found[group].max(initial=0.0)
+        if group.any() and not size > 0:
+            size = (np.abs(_pushed(model, states[0], n)) * clock**2 / parts)[group].max()
+        found[group] = size
+    found = snapped(found * parts)
+    units = np.concatenate([found, found / snapped(clock)])
+    return () if np.all(units == 1.0) else tuple(float(one) for one in units)
+
+
+def parameter_sizes(model: Model, names: Sequence[str], values: np.ndarray, least: float = 1e-3) -> np.ndarray:
+    """What physical parameters of these names are measured in: the sizes given, else their values.
+
+    Values that are less than `least` may be zeros that were not met exactly, unless the model's own are as small.
+    """
+    own = [abs(float(model.parameter_values[model.parameter_index(name)])) for name in names]
+    floors = [min(least, one) or least for one in own]
+    measured = np.maximum(np.abs(values), floors)
+    return np.array([model.scales.get(name, size) for name, size in zip(names, measured, strict=True)], float)

@@ -1,0 +1,104 @@
+"""Paths of what moves in a plane or in space, from every side, with the places that a system marks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from orbitfinder.families.members import Motion
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import Family
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.style import dress, new_figure
+from orbitfinder.show.svg import COLOURS
+
+NEAR = 0.35
+"""Landmarks are shown within this share of a path's largest extent about it."""
+HIDDEN = 0.02
+"""Of landmarks nearer to each other than this in a view the first is shown."""
+FLAT = 1e-6
+"""A coordinate that moves less than this share of the largest extent has no view of its own."""
+
+
+def has_path(model: Model) -> bool:
+    """Whether the coordinates are those of one thing in a plane or in space: it marks places, or draws no links."""
+    if model.rates is not None and not model.hamiltonian:
+        return False
+    places = not model.angular.any() and model.degrees_of_freedom in (2, 3)
+    return bool(model.landmarks) or (places and model.points is None)
+
+
+def path_views(orbit: Orbit, model: Model) -> Figure:
+    """One orbit's path over a period from every side, its start, and the landmarks near it."""
+    states = orbit.samples
+    what = f"path, T = {orbit.period:.6g}"
+    figure, views = _views([states], model, orbit.title or orbit.name, what)
+    for axes, (i, j) in views:
+        axes.plot(states[:, i], states[:, j], color=COLOURS[0], linewidth=1.3)
+        axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
+    _legend(figure, views)
+    return figure
+
+
+def family_paths(family: Family, shown: Sequence[Motion], model: Model) -> Figure:
+    """Orbits along a family from every side, coloured by the family's parameter, and the landmarks near them."""
+    figure, views = _views([one.states for one in shown], model, f"{family.name}: orbits along the family")
+    values = [one.point.value for one in shown]
+    scale = ScalarMappable(Normalize(min(values), max(values)), colormaps["viridis"])
+    for axes, (i, j) in views:
+        for one in shown:
+            colour = scale.to_rgba(one.point.value)
+            axes.plot(one.states[:, i], one.states[:, j], color=colour, linewidth=1.1)
+    unit = "" if model.landmarks or not family.unit else f" ({family.unit})"
+    figure.colorbar(scale, ax=[axes for axes, _ in views], label=f"{family.parameter}{unit}", shrink=0.85)
+    _legend(figure, views)
+    return figure
+
+
+def _views(
+    motions: Sequence[np.ndarray], model: Model, title: str, what: str = ""
+) -> tuple[Figure, list[tuple[Any, tuple[int, int]]]]:
+    """A figure with axes for each pair of coordinates that is worth one, labelled and with landmarks."""
+    n = model.degrees_of_freedom
+    places = np.vstack([states[:, :n] for states in motions])
+    low, high = places.min(axis=0), places.max(axis=0)
+    extent = float((high - low).max())
+    moving = [i for i in range(n) if high[i] - low[i] > FLAT * extent]
+    pairs = [(i, j) for i, j in combinations(range(n), 2) if {i, j} <= set(moving)] or [(0, 1)]
+    figure = new_figure(4.2 * len(pairs) + 0.8, 4.9, title, what)
+    views = list(zip(np.atleast_1d(figure.subplots(1, len(pairs))), pairs, strict=True))
+    room = NEAR * extent
+    for axes, (i, j) in views:
+        seen: list[np.ndarray] = []
+        for name, place in model.landmarks.items():
+            there = np.array([place[i], place[j]])
+            inside = all(low[k] - room <= place[k] <= high[k] + room for k in range(n))
+            if inside and all(np.abs(there - other).max() > HIDDEN * extent for other in seen):
+                _mark(axes, name, *there)
+                seen.append(there)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.08)
+        unit = "" if model.landmarks else " (m)"
+        dress(axes, f"{model.state_names[i]}{unit}", f"{model.state_names[j]}{unit}")
+    return figure, views
+
+
+def _mark(axes: Any, name: str, across: float, up: float) -> None:
+    """A libration point or another place of rest as a cross, a body as a disc, with its name beside it."""
+    rests = name.startswith("L")
+    axes.plot(across, up, "x" if rests else "o", color="0.35" if rests else "black", markersize=6, zorder=1.8)
+    offset = {"xytext": (5, 6) if rests else (5, -13), "textcoords": "offset points"}
+    axes.annotate(name, (across, up), fontsize=8, color="0.25", parse_math=False, **offset)
+
+
+def _legend(figure: Figure, views: Sequence[tuple[Any, tuple[int, int]]]) -> None:
+    handles, labels = views[0][0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower right", frameon=False)

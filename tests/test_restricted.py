@@ -1,0 +1,278 @@
+"""Restricted three bodies: published orbits, close approaches, and the families that leave a libration point."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.integrate import solve_ivp
+
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError
+from orbitfinder.guesses.modes import gyroscopic_modes, normal_mode, rest_near
+from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.loops.symmetry import Symmetry, called, named
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.floquet import analyse
+from orbitfinder.problemfile.read import load_problem
+from orbitfinder.records.family import load_family
+from orbitfinder.show.paths import has_path, path_views
+from orbitfinder.show.plot import save_figures
+from orbitfinder.systems import henon_heiles, restricted_three_body, three_bodies, van_der_pol
+
+ROOT = Path(__file__).parents[1]
+DATA = Path(__file__).parent / "data"
+NUMBERS = {one["id"]: one for one in json.loads((DATA / "smooth.json").read_text(encoding="utf-8"))["entries"]}
+"""Independent numbers: 140-bit Taylor integration outside this project"""
+TABLE = json.loads((DATA / "restricted_orbits.json").read_text(encoding="utf-8"))["orbits"]
+EARTH_MOON = 0.01215058560962404
+
+
+def solved(name, room="published"):
+    """The orbit of a problem file, with its certificate, which [expected] is part of."""
+    orbit = find_orbit(load_problem(ROOT / "problems" / room / f"{name}.toml"))
+    assert orbit.certificate.passed, orbit.certificate.failures
+    return orbit
+
+
+def trace(orbit):
+    """Sum of the multipliers that are not trivial."""
+    return float(orbit.floquet_multipliers.sum().real)
+
+
+@pytest.mark.parametrize("number", (1, 2))
+def test_howells_halo_orbits(number):
+    """Of her table, x0 given: the height, the speed, the period and Jacobi's constant."""
+    known, orbit = NUMBERS["howell-halo"]["values"][number - 1], solved(f"howell-halo-{number}")
+    assert orbit.symmetry == "mirror"
+    assert orbit.state[2] == pytest.approx(float(known["z0"]), abs=1e-11)
+    assert orbit.state[4] == pytest.approx(float(known["ydot0"]), abs=1e-11)
+    assert orbit.period == pytest.approx(2 * float(known["half_T"]), abs=1e-11)
+    assert -2 * orbit.energy == pytest.approx(float(known["C"]), abs=1e-11)
+
+
+@pytest.mark.parametrize("number", (1, 2, 3))
+def test_sharps_orbits(number):
+    """Past the Moon at 0.006: speed and period, and the trace to ten digits."""
+    known, orbit = NUMBERS["sharp-20"]["values"][number - 1], solved(f"sharp-{number}")
+    assert orbit.state[3] == pytest.approx(float(known["ydot0"]), abs=1e-12)
+    assert orbit.period == pytest.approx(float(known["T"]), abs=1e-12)
+    assert trace(orbit) == pytest.approx(float(known["trace_minus_2"]), rel=1e-7)
+
+
+def test_the_figure_eight():
+    """Energy pinned: places, speeds and period of the choreography, and its elliptic multipliers."""
+    known, orbit = NUMBERS["figure-eight"]["values"], solved("figure-eight")
+    assert orbit.period == pytest.approx(float(known["T"]), abs=1e-11)
+    moduli = np.sort(np.abs(orbit.floquet_multipliers.imag))
+    assert np.allclose(moduli[-2:], 0.954691690276, atol=1e-7) and orbit.stability == "elliptic"
+    x1, y1 = float(known["x1"]), float(known["y1"])
+    sizes = np.hypot(*orbit.samples[:, :2].T)  # |x2 - x1|: twice |x1| where the third is in the middle
+    assert np.abs(sizes - 2 * np.hypot(x1, y1)).min() < 1e-4
+
+
+@pytest.mark.parametrize("name", ("Pi1", "Pi4", "Pi7"))
+@pytest.mark.parametrize("energy", ("1/12", "1/10"))
+def test_henon_heiles_table(name, energy):
+    """Period and trace of each, and where it crosses x = 0 with y' = 0."""
+    words = NUMBERS["henon-heiles"]["values"][energy][name].split()
+    known = {key: float(value) for key, value in zip(words[::2], words[1::2], strict=True)}
+    orbit = solved(f"henon-heiles-{name.lower()}-{energy.replace('/', '-')}")
+    assert orbit.period == pytest.approx(known["T"], abs=1e-11)
+    assert trace(orbit) == pytest.approx(known["trace"], abs=1e-8)
+    acceleration = henon_heiles().acceleration
+
+    def rates(_, s):
+        return [*s[2:], *acceleration(0.0, s[:2], s[2:], [1.0]).full().ravel()]
+
+    def crosses(_, s):
+        return s[0]
+
+    start, clock = orbit.state, (0.0, 0.05)
+    if abs(start[0]) > 1e-12 and start[0] * start[2] > 0:
+        clock = (0.0, -0.05)
+    path = solve_ivp(rates, clock, start, "DOP853", rtol=1e-13, atol=1e-15, events=crosses)
+    there = path.y_events[0][-1] if path.y_events[0].size and name != "Pi1" else start
+    assert there[1] == pytest.approx(known["y"], abs=1e-9)
+    assert abs(there[2]) == pytest.approx(known.get("px", 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("ratio", (1e-7, 0.01215, 0.3, 0.5))
+def test_landmarks_are_at_rest(ratio):
+    """Nothing moves from a libration point."""
+    model = restricted_three_body(ratio, spatial=True)
+    for name in ("L1", "L2", "L3", "L4", "L5"):
+        place = np.array(model.landmarks[name])
+        pull = model.acceleration(0.0, place, np.zeros(3), model.parameter_values).full()
+        assert np.abs(pull).max() < 1e-9, name
+    assert restricted_three_body(ratio).landmarks["primary"] == (-ratio, 0.0)
+
+
+def test_modes_of_a_libration_point():
+    """Frequencies of L1 in closed form: w^2 = (2 - c + sqrt(9 c^2 - 8 c)) / 2 in the plane, c beside it."""
+    model = restricted_three_body(EARTH_MOON, spatial=True)
+    place = rest_near(model, [0.8, 0.0, 0.0])
+    assert np.allclose(place, model.landmarks["L1"], atol=1e-13)
+    gap = 1 - EARTH_MOON - place[0]
+    pull = (1 - EARTH_MOON) / (place[0] + EARTH_MOON) ** 3 + EARTH_MOON / gap**3
+    planar = np.sqrt((2 - pull + np.sqrt(9 * pull**2 - 8 * pull)) / 2)
+    frequencies, _ = gyroscopic_modes(model, place)
+    assert np.allclose(frequencies, [np.sqrt(pull), planar], rtol=1e-12)
+    for mode in (1, 2):
+        guess = normal_mode(model, mode, 1e-6, place)
+        states = solve_ivp(
+            lambda _, s: [*s[3:], *model.acceleration(0.0, s[:3], s[3:], model.parameter_values).full().ravel()],
+            (0, guess.period / 2), guess.state, "DOP853", rtol=1e-12, atol=1e-14,
+        )  # fmt: skip
+        half = 2 * np.append(place, np.zeros(3)) - guess.state  # half a period on, on the other side of the point
+        assert np.abs(states.y[:, -1] - half).max() < 1e-8
+        assert np.abs(guess.state[[1, 3]]).max() < 1e-15  # begins where the mirror holds it
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    (
+        (lambda model: normal_mode(model, 3, 1e-3, model.landmarks["L1"]), "between 1 and 2, got 3; 2 modes oscillate"),
+        (lambda model: normal_mode(model, 1, 1e-3, [0.5, 0.2, 0.1]), r"0.1\] is not an equilibrium"),
+        (lambda model: rest_near(model, [0.5]), "shape .1,. for 3 coordinates"),
+        (lambda model: rest_near(model, [-EARTH_MOON, 0.0, 0.0]), "no equilibrium found from"),
+        (lambda model: restricted_three_body(spatial=1), "spatial: must be true or false, got 1"),
+    ),
+)
+def test_wrong_equilibria_are_said(wrong, message):
+    with pytest.raises(InputError, match=message):
+        wrong(restricted_three_body(EARTH_MOON, spatial=True))
+
+
+def test_an_unknown_landmark_is_said(tmp_path):
+    text = (ROOT / "problems" / "families" / "lyapunov-l1.toml").read_text(encoding="utf-8")
+    (tmp_path / "wrong.toml").write_text(text.replace('"L1"', '"L6"'), encoding="utf-8")
+    with pytest.raises(InputError, match="unknown 'L6'; the landmarks of this system are primary, secondary, L1"):
+        load_problem(tmp_path / "wrong.toml")
+
+
+@pytest.mark.parametrize(("name", "symmetry"), (("lyapunov-l1", "mirror"), ("vertical-l1", "mirror+plane")))
+def test_small_orbits_about_a_libration_point(name, symmetry):
+    """Certified, their action too, which is a millionth of what each half of the loop adds to it."""
+    orbit = solved(name, "families")
+    assert orbit.symmetry == symmetry and abs(orbit.action) < 1e-5
+    other = certify(replace(orbit, action=orbit.action * (1 + 1e-7)))
+    assert "action" in other.failures
+
+
+def test_false_orbits_past_the_moon_are_rejected():
+    """A speed or a period off in the eighth digit is no orbit, however errors grow."""
+    orbit = solved("sharp-3")
+    for wrong in (
+        replace(orbit, state=orbit.state * np.array([1, 1, 1, 1 + 1e-8])),
+        replace(orbit, period=orbit.period * (1 + 1e-8)),
+        replace(orbit, state=orbit.state + np.array([1e-8, 0, 0, 0])),
+    ):
+        assert {"closure", "distance"} & set(certify(wrong).failures)
+    far = replace(orbit, floquet_multipliers=orbit.floquet_multipliers * (1 + 1e-5))
+    assert "floquet_multipliers" in certify(far).failures
+
+
+def test_a_hyperbolic_pair_is_unstable_whatever_its_small_multiplier():
+    """mu = 5e4: an error of 1e-6 in the matrix spoils the pair's product, not the verdict; at mu = 1 it does."""
+    assert analyse(np.diag([5e4, 2e-5 + 1e-6])).stability == "unstable"
+    turn = np.array([[np.cos(1e-4), -np.sin(1e-4)], [np.sin(1e-4), np.cos(1e-4)]]) * (1 + 5e-7)
+    assert analyse(turn).stability == "marginal"
+
+
+def test_the_mirror_of_a_plane_is_called_axis():
+    model = restricted_three_body(spatial=True)
+    both = named("mirror+plane", model)
+    assert [called(one, model).name for one, _ in both.narrower()] == ["mirror+plane", "mirror", "axis", "plane"]
+    assert called(Symmetry(), model).name == "none"
+
+
+def test_three_unequal_bodies_keep_their_integrals():
+    """Energy and angular momentum of a motion in Jacobi coordinates."""
+    model, state = three_bodies(1.0, 2.0, 0.5), np.array([1.0, 0.1, -0.3, 1.6, 0.2, 1.0, -0.6, 0.1])
+    p = model.parameter_values
+
+    def rates(_, s):
+        return [*s[4:], *model.acceleration(0.0, s[:4], s[4:], p).full().ravel()]
+
+    end = solve_ivp(rates, (0.0, 3.0), state, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    for one in model.invariants:
+        assert float(one.value(end[:4], end[4:], p)) == pytest.approx(float(one.value(state[:4], state[4:], p)), 1e-9)
+
+
+def test_pictures_mark_bodies_and_libration_points(tmp_path):
+    """From every side that the motion has, with a name on each axis; no links of what has none."""
+    orbit = solved("howell-halo-2")
+    written = {one.name for one in save_figures(orbit, tmp_path)}
+    assert written == {"time_histories.png", "phase_portraits.png", "energy_error.png", "path.png"}
+    figure = path_views(orbit, build_model(orbit.system))
+    assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes] == [("x", "y"), ("x", "z"), ("y", "z")]
+    assert {one.get_text() for one in figure.axes[1].texts} >= {"secondary", "L1"}
+    flat = solved("sharp-3")
+    (axes,) = path_views(flat, build_model(flat.system)).axes
+    assert {one.get_text() for one in axes.texts} == {"primary", "secondary", "L1", "L2", "L3", "L4", "L5"}
+    assert not has_path(van_der_pol()) and not has_path(henon_heiles())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", TABLE, ids=lambda one: f"{float(one['x0']):g} {float(one['ydot0']):.5f}")
+def test_orbits_past_a_primary_are_certified(known):
+    """Twenty-three with perpendicular crossings: speed, period and trace of extended precision."""
+    x0, speed, period = (float(known[key]) for key in ("x0", "ydot0", "period"))
+    model, guess = restricted_three_body(float(known["ratio"])), Guess([x0, 0, 0, speed], period)
+    orbit = find_orbit(Problem(model, guess, pin(x=x0), "mirror"))
+    assert orbit.certificate.passed, orbit.certificate.failures
+    assert orbit.state[3] == pytest.approx(speed, abs=1e-11)
+    assert orbit.period == pytest.approx(period, rel=1e-11)
+    assert trace(orbit) == pytest.approx(float(known["trace_minus_2"]), rel=1e-4)
+
+
+def test_the_table_reaches_as_far_as_sharps():
+    """Multipliers to 3.5e4 and periods to 182; he has 3.6e4 and 184."""
+    assert len(TABLE) >= 20
+    assert max(abs(float(one["trace_minus_2"])) for one in TABLE) > 3.5e4
+    assert max(float(one["period"]) for one in TABLE) > 170
+    assert sum(len(one["ydot0"].lstrip("-").replace(".", "")) >= 16 for one in TABLE) == len(TABLE)
+
+
+@pytest.mark.slow
+def test_from_a_libration_point_to_near_rectilinear_halos_by_commands(tmp_path, monkeypatch):
+    """Planar, halo and axial family of L1, the last one from the vertical family too: ends say what is there."""
+    monkeypatch.chdir(tmp_path)
+
+    def family(*arguments, name):
+        options = ("--no-figures", "--out", ".", "--name", name)
+        run = CliRunner().invoke(cli, ["continue", *map(str, arguments), *options])
+        assert run.exit_code == 0, run.output
+        return load_family(tmp_path / name / "family.json")
+
+    folder, file = ROOT / "problems" / "families", "planar/family.json"
+    forward = ("--direction", "forward", "--points")
+    planar = family(folder / "lyapunov-l1.toml", *forward, 50, name="planar")
+    vertical = family(folder / "vertical-l1.toml", *forward, 56, name="vertical")
+    halo = family(file, "--switch", 0, "--points", 80, name="halo")
+    axial, other = (
+        family(file, "--switch", 1, name="axial"),
+        family("vertical/family.json", "--switch", 0, name="other"),
+    )
+    assert [(one.kind, round(-2 * one.energy, 5)) for one in planar.events[:2]] == [
+        ("branch_point", 3.17435), ("branch_point", 3.02139),
+    ]  # fmt: skip
+    assert {one.symmetry for one in halo.points} == {"mirror"} and {one.symmetry for one in axial.points} == {"axis"}
+    near = [one for one in halo.points if one.stability == "elliptic"]
+    assert near and all(
+        abs(one.period - 2.15) < 0.05 for one in near
+    )  # near-rectilinear: stable, and close to the Moon
+    (end,) = halo.ends
+    assert end.kind == "singularity" and "q = [ 0.9879  0.     -0.00" in end.reason
+    assert np.linalg.norm(halo.points[-1].state[:3] - [1 - EARTH_MOON, 0, 0]) < 3e-3
+    for one, met in ((axial, vertical), (other, planar)):
+        (joined,) = one.ends
+        assert joined.kind == "merged"
+        births = [event.energy for event in met.events if event.kind == "branch_point"]
+        assert min(abs(one.events[-1].energy - energy) for energy in births) < 1e-7
