@@ -10,6 +10,7 @@ import numpy as np
 from orbitfinder.errors import InputError
 from orbitfinder.exports.auto import auto_files
 from orbitfinder.exports.source import JULIA, C, Source, c_number, c_numbers, source_of, straight_line
+from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
@@ -80,6 +81,9 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     """
     if to not in FORMATS:
         raise InputError(f"to: unknown format {to!r}; use one of {', '.join(FORMATS)}")
+    model = model or build_model(orbit.system)
+    if model.hybrid is not None and to != "csv":
+        raise InputError(f"to: {to} files know no events, and this system is hybrid; use csv")
     files = FORMATS[to](source_of(orbit, model))
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)

@@ -109,16 +109,19 @@ class Refiner:
     def orbit(self, refined: Refined, with_certificate: bool = True) -> Orbit:
         """The Orbit of a refined one, measured and certified (hundredths of a second); freed parameters, at which it
         was found, become those of its system."""
-        with self._alone:
-            orbit, model = self._measured(refined)
+        orbit, model = self.measured(refined)
         return certified(orbit, model) if with_certificate else orbit
 
+    def measured(self, refined: Refined) -> tuple[Orbit, Model]:
+        """The Orbit (without certificate) of a refined one, and its Model."""
+        with self._alone:
+            return self._measured(refined)
+
     def _measured(self, refined: Refined) -> tuple[Orbit, Model]:
-        """The Orbit (without certificate) and its Model."""
-        if self.flow is None:
-            return self._hybrid(refined), self.problem.model
-        values = {name: float(one) for name, one in zip(self.problem.free, refined.free, strict=True)}
+        values = {name: float(one) for name, one in zip(self.problem.free, refined.free, strict=False)}
         turns, model = tuple(int(k) for k in refined.turns), with_parameters(self.problem.model, values)
+        if self.flow is None:
+            return hybrid_orbit(replace(without_choice(self.problem), model=model), refined), model
         guess = Guess(refined.state, refined.period)
         problem = replace(without_choice(self.problem), model=model, guess=guess, winding=turns)
         mesh = uniform(problem.boundary.fraction, len(refined.nodes), refined.steps)
@@ -131,12 +134,6 @@ class Refiner:
             if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
                 break
         return marched(problem, march, w, whole, found, flow.units), model
-
-    def _hybrid(self, refined: Refined) -> Orbit:
-        """The Orbit (without certificate) of a motion with impacts, which carries no freed parameters."""
-        if refined.free.size:
-            raise InputError("free: an Orbit carries no freed parameters; put their values into the model")
-        return hybrid_orbit(self.problem, refined)
 
     @cached_property
     def _whole(self) -> Equations:
@@ -209,7 +206,8 @@ def _check_square(problem: Problem) -> None:
         raise InputError("symmetry: brake orbits under constraints are not refined warm; use find_orbit")
     count = problem.count()
     if count.freedom:
-        raise CountError(f"pin: {count} leave {count.freedom} to choose; warm refinement needs as many pins")
+        who = "warm refinement" if problem.model.hybrid is None else "a hybrid system"
+        raise CountError(f"pin: {count} leave {count.freedom} to choose; {who} needs as many pins")
 
 
 def _checked(guess: Guess, problem: Problem) -> Guess:
