@@ -20,7 +20,7 @@ def signatures(report_orbits):
 def test_images_and_phase_shifts_are_the_same_orbit(signatures):
     """Reflection, time reversal, both, each from another point of the loop."""
     for one in signatures.values():
-        for image in images(one.loop):
+        for image in images(one.loop, len(one.angles)):
             assert same_orbit(one, replace(one, loop=np.roll(image, LOOP_SAMPLES // 3, axis=0)))
 
 

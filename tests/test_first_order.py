@@ -1,15 +1,20 @@
 """First-order systems and Hamilton's equations: known orbits, two formulations, planted failures, files."""
 
+import ctypes
 import json
+import subprocess
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.special import ellipk
 
 import orbitfinder as of
+from orbitfinder.cli.group import cli
 from orbitfinder.errors import CountError, InputError
+from orbitfinder.guesses.modes import first_order_modes
 from orbitfinder.loops.symmetry import symmetries_of
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.problemfile.read import load_problem
@@ -240,7 +245,8 @@ def test_a_symmetry_that_the_equations_lack_is_refused():
         of.Problem(model, of.Guess([-3.9, 5.6, 0.03], 5.88), of.pin(energy=1.0))
 
 
-KNOWN = ("brusselator", "fitzhugh-nagumo", "hodgkin-huxley", "lorenz", "rossler", "three-body-halo")
+KNOWN = ("brusselator", "fitzhugh-nagumo", "hodgkin-huxley", "lorenz", "rossler", "three-body-halo",
+         "three-body-lyapunov")  # fmt: skip
 
 
 @pytest.mark.parametrize("name", KNOWN)
@@ -249,3 +255,121 @@ def test_gallery(name):
     orbit = of.find_orbit(load_problem(f"problems/gallery/{name}.toml"))
     assert orbit.certificate.passed, orbit.certificate.failures
     assert "expected_period" in {check.name for check in orbit.certificate.checks}
+
+
+def test_rossler_family_doubles_where_its_multiplier_is_minus_one(tmp_path):
+    """In c from 3.2 to 2.6: one period doubling, at an orbit whose multiplier, found apart, is -1; kept in its file."""
+    start = of.find_orbit(of.Problem(of.systems.rossler(), of.Guess([-3.9, 5.6, 0.03], 5.88)))
+    family = of.follow_family(start, "c", until=2.6, out=tmp_path)
+    (doubling,) = [event for event in family.events if event.kind == "period_doubling"]
+    assert doubling.certified and doubling.parameter == pytest.approx(2.832445028, abs=2e-9)
+    there = of.systems.rossler(c=doubling.parameter)
+    orbit = of.find_orbit(of.Problem(there, of.Guess(doubling.state, doubling.period)))
+    assert orbit.floquet_multipliers[0].real == pytest.approx(-1.0, abs=1e-8)
+    again = of.load_family(next(tmp_path.rglob("family.json")))
+    assert np.isnan(again.points[0].energy) and again.points[0].winding == (0, 0, 0)
+    assert of.certify(again.points[-1]).passed
+    doubled = of.switch_branch(again, 0, settings=of.FamilySettings(points=2))
+    branch = of.follow_family(doubled, until=2.9)
+    assert branch.points[-1].period == pytest.approx(2 * doubling.period, rel=1e-2)
+
+
+def test_halo_orbits_leave_the_planar_family():
+    """From the libration point: mode, planar family, branch points of the trial, and a switch that leaves the plane."""
+    model = of.systems.restricted_three_body_canonical(ratio=0.01215057)
+    guess = of.guesses.normal_mode(model, 2, 0.02, [0.837, 0, 0, 0, 0.837, 0])
+    settings = of.FamilySettings(directions="forward", points=12)
+    family = of.follow_family(of.Problem(model, guess, symmetry="mirror"), settings=settings)
+    first = next(event for event in family.events if event.kind == "branch_point")
+    assert first.parameter == pytest.approx(-1.58717591, abs=1e-8) and first.certified
+    halo = of.follow_family(of.switch_branch(family, 0), points=3)
+    assert abs(halo.points[-1].state[2]) > 1e-3 and of.certify(halo.points[-1]).passed
+
+
+def test_free_top_is_followed_in_energy_at_its_momentum():
+    """Of two parameters of the family one is held: the square of the momentum stays."""
+    model = rigid_body()
+    orbit = of.find_orbit(of.Problem(model, of.Guess([0.3, 0.3, 1.0], 20.0), of.pin(energy=0.24, square=1.2)))
+    family = of.follow_family(orbit, until=0.25, model=model)
+    last = family.points[-1]
+    assert last.energy == pytest.approx(0.25, abs=1e-12) and last.state @ last.state == pytest.approx(1.2, abs=1e-11)
+
+
+def test_modes_of_an_equilibrium():
+    """Eigenvalues against closed forms: the Brusselator's at (1, B), and those of L1 whose product is known."""
+    place, values, _ = first_order_modes(of.systems.brusselator(rate=2.1), [0.9, 2.0])
+    assert place == pytest.approx([1.0, 2.1], abs=1e-12)
+    assert values == pytest.approx([0.05 + 1j * np.sqrt(1 - 0.05**2)], abs=1e-12)
+    cycle = of.find_orbit(of.Problem(of.systems.brusselator(rate=2.1),
+                          of.guesses.normal_mode(of.systems.brusselator(rate=2.1), 1, 0.3, [1, 2])))  # fmt: skip
+    assert cycle.certificate.passed and cycle.stability == "asymptotically stable"
+    with pytest.raises(InputError, match="guess.mode: must be between 1 and 1, got 2"):
+        of.guesses.normal_mode(of.systems.brusselator(rate=2.1), 2, 0.3, [1, 2])
+    with pytest.raises(InputError, match="equilibrium: shape"):
+        of.guesses.normal_mode(of.systems.brusselator(rate=2.1), 1, 0.3, [1])
+
+
+def test_what_cannot_be_done_is_said():
+    """Search, proof, peak rates: a sentence and no traceback."""
+    model = of.systems.restricted_three_body_canonical()
+    with pytest.raises(InputError, match="search: draws its starts by kinetic and potential energy"):
+        of.search(model, -1.5, (2.0, 4.0), "atlas.sqlite")
+    clock = of.systems.brusselator()
+    orbit = of.find_orbit(of.Problem(clock, of.Guess([3.6, 1.3], 7.2)))
+    with pytest.raises(InputError, match="first-order systems cannot be proved yet"):
+        of.prove(orbit)
+    with pytest.raises(InputError, match="min_peak_rate is about velocities"):
+        of.Problem(clock, of.Guess([3.6, 1.3], 7.2), free=("rate",), objective="min_peak_rate")
+
+
+def test_largest_amplitude_of_a_clock():
+    """max_amplitude over a range of a parameter ends at the range's end."""
+    clock = of.systems.brusselator(rate=2.1)
+    guess = of.guesses.normal_mode(clock, 1, 0.3, [1, 2])
+    problem = of.Problem(clock, guess, free=("rate",), objective="max_amplitude", bounds={"rate": (2.05, 2.5)})
+    orbit = of.find_orbit(problem)
+    assert orbit.certificate.passed and orbit.provenance["free"]["rate"] == pytest.approx(2.5, abs=1e-9)
+
+
+def test_pictures_and_exports(tmp_path):
+    """Figures without energy or links, a moving state, and C that evaluates to the same rates."""
+    orbit = of.find_orbit(load_problem("problems/gallery/hodgkin-huxley.toml"))
+    assert {one.name for one in of.save_figures(orbit, tmp_path)} == {"time_histories.png", "phase_portraits.png"}
+    clip = of.orbit_clip(orbit)
+    assert clip.points.shape[1:] == (2, 1) and np.ptp(clip.points, axis=0) == pytest.approx(1.0, abs=0.05)
+    for to in ("csv", "auto", "julia", "c"):
+        of.export_orbit(orbit, to, tmp_path)
+    assert "energy" not in (tmp_path / "hodgkin_huxley.c").read_text().split("*/")[0]
+    library = tmp_path / "rates.so"
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", library, tmp_path / "hodgkin_huxley.c", "-lm"], check=True)
+    call, found = ctypes.CDLL(str(library)).hodgkin_huxley_rhs, (ctypes.c_double * 4)()
+    state, current = (ctypes.c_double * 4)(*orbit.state), (ctypes.c_double * 1)(10.0)
+    call(ctypes.c_double(0.0), state, current, current, found)
+    wanted = of.systems.hodgkin_huxley().rate(0.0, orbit.state, [10.0]).full().ravel()
+    assert np.array(found) == pytest.approx(wanted, rel=1e-14)
+
+
+def test_command_line(tmp_path):
+    """run, verify, simulate and page of an orbit without energy: exit code 0, and JSON that has null for it."""
+    runner = CliRunner()
+    made = runner.invoke(cli, ["run", "problems/gallery/brusselator.toml", "-o", str(tmp_path), "--json"])
+    assert made.exit_code == 0 and json.loads(made.stdout)["results"][0]["energy"] is None
+    orbit = str(tmp_path / "brusselator" / "orbit.json")
+    assert runner.invoke(cli, ["verify", orbit]).exit_code == 0
+    moved = runner.invoke(cli, ["simulate", "problems/gallery/brusselator.toml", "--json"])
+    assert moved.exit_code == 0 and json.loads(moved.stdout)["energy"] is None
+    shown = runner.invoke(cli, ["page", orbit, "-o", str(tmp_path / "site")])
+    assert shown.exit_code == 0 and "none is conserved" in "".join(
+        page.read_text() for page in (tmp_path / "site").rglob("*.html")
+    )
+
+
+def test_an_atlas_tells_orbits_of_a_clock_apart(tmp_path):
+    """One orbit begun at two of its instants is one orbit; its energy is 0 in the index and nan in the Orbit."""
+    clock = of.systems.brusselator()
+    one = of.find_orbit(of.Problem(clock, of.Guess([3.6, 1.3], 7.2)))
+    same = of.find_orbit(of.Problem(clock, of.Guess(one.samples[len(one.samples) // 3], 7.2)))
+    with of.Atlas(tmp_path / "a.sqlite", clock.system, write=True) as atlas:
+        assert atlas.add(one) == (1, True) and atlas.add(same) == (1, False)
+        assert atlas.rows()[0].energy == 0.0 and np.isnan(atlas.orbit(1).energy)
+    assert of.load_orbit(f"{tmp_path}/a.sqlite#1").period == one.period

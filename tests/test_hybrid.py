@@ -478,7 +478,7 @@ def test_what_knows_no_events_refuses(walker, tmp_path):
         of.export_orbit(walker, "c", tmp_path)
     assert of.export_orbit(walker, "csv", tmp_path)[0].read_text().startswith("t,theta,phi")
     with pytest.raises((IntegrationError, ConvergenceError), match="no event|singular|overflow"):
-        of.find_orbit(of.Problem(model, of.Guess([0.0, 0.0, 1e150, 0.0], 3.9)))
+        of.find_orbit(of.Problem(model, of.Guess([0.2, 0.4, 9.0, 0.0], 3.9)))
 
 
 def test_a_freed_parameter_becomes_the_orbits_own():

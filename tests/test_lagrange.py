@@ -181,3 +181,18 @@ def test_unknown_names_and_undeclared_points_are_refused():
         model.state_index("x")
     with pytest.raises(InputError, match="declares no points"):
         positions(model, [[0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("symmetries", "message"),
+    [
+        ({"mirror": (1,)}, r"symmetries: 'mirror' is \[1\]; give 1 or -1 for each of 2 coordinates"),
+        ({"mirror": (1, 0)}, r"give 1 or -1 for each of 2"),
+        ({"mirror": (-1, -1)}, r"not all alike"),
+        ({"a b": (1, -1)}, r"'a b' is no name"),
+    ],
+)
+def test_symmetries_that_cannot_be_meant(symmetries, message):
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    with pytest.raises(InputError, match=message):
+        lagrange(ca.sumsqr(v) / 2, ca.sumsqr(q) / 2, Symbols(q, v), symmetries=symmetries)

@@ -273,7 +273,7 @@ def test_a_failed_write_leaves_the_former_page(failure, tmp_path, monkeypatch):
         ('{"format": "something"}', "'something' is not an orbit"),
         ('[{"format": "orbitfinder/orbit"}]', r"file.json\[0\]: version: this orbitfinder reads 1"),
         (json.dumps(document() | {"period": -1.0}), "not finite or not positive"),
-        (json.dumps(document() | {"state": [0.1, 0.2, 0.3]}), "3 numbers; coordinates and then as many velocities"),
+        (json.dumps(document() | {"state": [1, 2, 3, 4, 5]}), "5 numbers; coordinates and then as many velocities"),
         (json.dumps(document() | {"state": ["x"]}), "malformed entry"),
         ('{"format": "orbitfinder/family", "version": 1}', "name: missing"),
         (json.dumps({"format": "orbitfinder/family", "version": 1, "name": "f", "system": {}, "parameter": "energy",
@@ -657,7 +657,7 @@ def test_points_are_picked_evenly_along_the_curve():
 def test_resampling_follows_the_rates():
     times = np.linspace(0, 2 * np.pi, 9)
     states = np.column_stack([np.sin(times), np.cos(times)])
-    seen = resampled(times, states, 2 * np.pi, 50)
+    seen = resampled(times, states, 2 * np.pi, 50, 1)
     moments = np.linspace(0, 2 * np.pi, 50, endpoint=False)
     assert np.abs(seen[:, 0] - np.sin(moments)).max() < 2e-3
 

@@ -255,7 +255,7 @@ def test_from_a_libration_point_to_near_rectilinear_halos_by_commands(tmp_path, 
     forward = ("--direction", "forward", "--points")
     planar = family(folder / "lyapunov-l1.toml", *forward, 50, name="planar")
     vertical = family(folder / "vertical-l1.toml", *forward, 56, name="vertical")
-    halo = family(file, "--switch", 0, "--points", 80, name="halo")
+    halo = family(file, "--switch", 0, "--points", 64, name="halo")
     axial, other = (
         family(file, "--switch", 1, name="axial"),
         family("vertical/family.json", "--switch", 0, name="other"),
@@ -269,7 +269,7 @@ def test_from_a_libration_point_to_near_rectilinear_halos_by_commands(tmp_path, 
         abs(one.period - 2.15) < 0.05 for one in near
     )  # near-rectilinear: stable, and close to the Moon
     (end,) = halo.ends
-    assert end.kind == "singularity" and "q = [ 0.9879  0.     -0.00" in end.reason
+    assert end.kind == "point limit"  # near the Moon the steps are short, and the family goes on
     assert np.linalg.norm(halo.points[-1].state[:3] - [1 - EARTH_MOON, 0, 0]) < 3e-3
     for one, met in ((axial, vertical), (other, planar)):
         (joined,) = one.ends

@@ -79,7 +79,7 @@ class ClosedLoop:
     def signature(self) -> Signature:
         """What it is recognised by."""
         angles = tuple(map(bool, self.problem.model.angular))
-        return Signature(*self.numbers, resampled(self.times, self.states), angles)
+        return Signature(*self.numbers, resampled(self.times, self.states, len(angles)), angles)
 
 
 def attempt(

@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.atlas.starts import STRATEGIES
-from orbitfinder.atlas.store import RESTORE, Atlas
+from orbitfinder.atlas.starts import DECLARED, STRATEGIES
+from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import plural
-from orbitfinder.records.reading import json_document, read_as
 
 
 @dataclass(frozen=True)
@@ -57,8 +56,7 @@ class Stratum:
 class Summary:
     """Some searches of an atlas, or all of them, in numbers.
 
-    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits;
-    `mirrors` are symmetries of the system that nobody declared.
+    `strata` are the orbits met, by energy and symmetry; `stalled` counts starts that stalled near degenerate orbits.
     """
 
     __repr__ = brief("orbits", "starts")
@@ -71,7 +69,6 @@ class Summary:
     yields: tuple[Yield, ...]
     failures: Mapping[str, int]
     strata: tuple[Stratum, ...]
-    mirrors: tuple[str, ...] = ()
 
     @property
     def estimate(self) -> tuple[float, float]:
@@ -86,10 +83,7 @@ class Summary:
     @property
     def remarks(self) -> tuple[str, ...]:
         """The estimate and what it does not cover, a sentence each."""
-        begun = sum(one.starts for one in self.yields if one.strategy == "mirror")
-        unseen = "was imposed by no start, and images under it count apart"
-        mirrored = (f"the system's mirror {one} {unseen}; {begun} began on it" for one in self.mirrors)
-        return (*remarks(self.strata, self.stalled), *mirrored)
+        return remarks(self.strata, self.stalled)
 
     def document(self) -> dict[str, Any]:
         """The same for `--json`; no standard error where nothing was met only once: there is nothing to judge by."""
@@ -114,7 +108,6 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
         f"SELECT reason, count(*) FROM starts WHERE outcome = 'failed' AND {where} GROUP BY reason ORDER BY 2 DESC, 1",
         values,
     )
-    methods = atlas.select([str], f"SELECT method FROM searches WHERE {where.replace('search ', 'id ')}", values)
     yields = tuple(Yield(*row) for row in counted)
     return Summary(
         orbits=len(atlas),
@@ -125,14 +118,7 @@ def summarise(atlas: Atlas, searches: Sequence[int] | None = None) -> Summary:
         yields=yields,
         failures=dict(failed),
         strata=stratified(atlas, where, values),
-        mirrors=tuple(sorted({one for (method,) in methods for one in _mirrors(method, str(atlas.path))})),
     )
-
-
-def _mirrors(method: str, where: str) -> tuple[str, ...]:
-    """The undeclared mirrors that a search started from."""
-    known = read_as(dict[str, Any], json_document(method.encode(), f"{where}: method", RESTORE), where, RESTORE)
-    return read_as(tuple[str, ...], known.get("mirrors", []), where, RESTORE)  # type: ignore[no-any-return]
 
 
 def stratified(atlas: Atlas, where: str, values: Sequence[int]) -> tuple[Stratum, ...]:
@@ -185,7 +171,8 @@ def stratum(energy: float, symmetry: str, counts: np.ndarray, made: Mapping[str,
 
 def reaches(strategy: str, symmetry: str) -> bool:
     """True when starts of a strategy can end in an orbit of a symmetry: when it has all that they impose."""
-    imposed = STRATEGIES[strategy][0] if strategy in STRATEGIES else "none"
+    named = strategy.removeprefix(DECLARED) if strategy.startswith(DECLARED) else "none"
+    imposed = STRATEGIES[strategy][0] if strategy in STRATEGIES else named
     return imposed == "none" or set(imposed.split("+")) <= set(symmetry.split("+"))
 
 

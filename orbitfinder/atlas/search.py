@@ -93,9 +93,7 @@ def register(atlas: Atlas, request: Request, context: Context, alone: bool = Fal
     A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it. One that is
     `alone` continues from no orbits of other energies: what other shards know of those is unknown here.
     """
-    names = context.model.state_names[: context.model.degrees_of_freedom]
-    mirrored = {"mirrors": [mirror.moves(names) for mirror in context.mirrors]} if context.mirrors else {}
-    method = json.dumps({"method": METHOD, "strategies": context.strategies} | mirrored)
+    method = json.dumps({"method": METHOD, "strategies": context.strategies})
     key = [request.target.energy, *request.target.periods, request.seed, method]
     with explained(atlas.path), transaction(atlas.connection):
         atlas.connection.execute(

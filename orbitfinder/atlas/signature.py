@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.symmetry import USUAL
 from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.orbits.closure import alone, between
 from orbitfinder.orbits.measure import dense
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.orbit import Orbit, unconserved
 
 Numbers = tuple[float, float, float]
 """Energy (J), minimal period (s) and |action| (J s) of an orbit: what its images share."""
@@ -26,6 +27,8 @@ LOOP_SAMPLES = 512
 """States that a signature keeps of its loop."""
 AGREEMENT = 1e-7
 """Energy, period and action of one orbit found twice differ by less than this, relative."""
+LEAST = 1e-3
+"""Share of how far angles move, a radian for each length, that other coordinates count as at least, and vice versa."""
 DISTANCE = 5e-3
 """Loops of one orbit lie over each other to this, relative to the motion's extent; interpolated rates err by 1e-3."""
 PHASE_STEPS = 4
@@ -36,10 +39,10 @@ BIN = 1e-6
 
 @dataclass(frozen=True)
 class Signature:
-    """What an orbit is recognised by: energy (J), minimal period (s), |action| (J s) and its loop.
+    """What an orbit is recognised by: energy (J, 0 where none is conserved), minimal period (s), |action| (J s), loop.
 
-    `loop` holds `LOOP_SAMPLES` states (k x 2n) at equal times over the period, without the closing
-    one; `angles` says which coordinates count modulo 2 pi.
+    `loop` holds `LOOP_SAMPLES` states (k x d) at equal times over the period, without the closing
+    one; `angles` says which coordinates (n, of a first-order system d) count modulo 2 pi.
     """
 
     energy: float
@@ -76,20 +79,17 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
     if len(samples) < 2:
         times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     return Signature(
-        energy=orbit.energy,
+        energy=0.0 if unconserved(orbit) else orbit.energy,
         period=orbit.period,
         action=abs(orbit.action),
-        loop=resampled(times, samples),
+        loop=resampled(times, samples, model.degrees_of_freedom),
         angles=tuple(map(bool, model.angular)),
     )
 
 
-def resampled(times: np.ndarray, states: np.ndarray) -> np.ndarray:
+def resampled(times: np.ndarray, states: np.ndarray, n: int) -> np.ndarray:
     """`LOOP_SAMPLES` states at equal times of a period whose states at other equal times are given, its end too."""
-    n, period = states.shape[1] // 2, float(times[-1])
-    moments = np.arange(LOOP_SAMPLES) * period / LOOP_SAMPLES
-    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
-    return np.hstack([spline(moments), spline(moments, 1)])
+    return between(times, states, n, np.arange(LOOP_SAMPLES) * float(times[-1]) / LOOP_SAMPLES)
 
 
 def same_orbit(first: Signature, second: Signature) -> bool:
@@ -117,25 +117,38 @@ def distance(first: Signature, second: Signature) -> float:
     """
     if first.loop.shape != second.loop.shape:
         return float("inf")
+    n = len(first.angles)
     scale = _extents(first.loop, first.angles)
-    return min(_aligned(first, image, scale) for image in images(second.loop))
+    return min(_aligned(first, image, scale) for image in images(second.loop, n))
 
 
-def images(loop: np.ndarray) -> Iterator[np.ndarray]:
-    """The loop, its reflection, its time reversal and both (k x 2n each)."""
+def images(loop: np.ndarray, n: int) -> Iterator[np.ndarray]:
+    """The loop, its reflection, its time reversal and both (k x 2n each); of a first-order system the loop alone."""
     yield loop
-    for one in USUAL:
-        image = loop @ one.matrix(loop.shape[1] // 2).T
+    for one in USUAL if n < loop.shape[1] else ():
+        image = loop @ one.matrix(n).T
         yield image if one.sense > 0 else np.roll(image[::-1], 1, axis=0)
 
 
 def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
-    """One scale (2n) for angles, at most pi, one for other coordinates, and likewise for rates."""
+    """One scale (2n) for angles, at most pi, one for other coordinates, and likewise for rates; of a first-order state
+    each component's own.
+
+    What hardly moves beside the others is measured in `LEAST` of what they move, a radian for each of their lengths or
+    the other way round, and its rate by the clock of what does.
+    """
     n, turning = len(angles), np.asarray(angles, bool)
+    if n == loop.shape[1]:
+        return alone(np.ptp(loop, axis=0))
     sizes = np.concatenate([np.ptp(loop[:, :n], axis=0), np.abs(loop[:, n:]).max(axis=0)])
-    for group in (turning, ~turning):
-        for half in (sizes[:n], sizes[n:]):
-            half[group] = max(float(half[group].max(initial=0.0)), 1e-300)
+    lengths = float(np.abs(loop[:, :n])[:, ~turning].max(initial=0.0))
+    bent, stretched = (float(sizes[:n][group].max(initial=0.0)) for group in (turning, ~turning))
+    beside = LEAST * min(stretched / max(lengths, 1e-300), 1.0), LEAST * lengths * min(bent, 1.0)
+    for group, least in ((turning, beside[0]), (~turning, beside[1])):
+        for half, floor in ((sizes[:n], least), (sizes[n:], 0.0)):
+            half[group] = max(float(half[group].max(initial=0.0)), floor, 1e-300)
+    clock = float(np.max(sizes[n:] / sizes[:n]))
+    sizes[n:] = np.maximum(sizes[n:], LEAST * clock * sizes[:n])
     return np.concatenate([np.where(turning, np.minimum(sizes[:n], np.pi), sizes[:n]), sizes[n:]])
 
 
@@ -145,7 +158,7 @@ def _aligned(first: Signature, image: np.ndarray, scale: np.ndarray) -> float:
     The phase is found among the samples, then between them by Gauss-Newton steps on the gap to that
     state, and the shifted image is compared with the whole loop.
     """
-    count, n = image.shape[0], image.shape[1] // 2
+    count, n = image.shape[0], len(first.angles)
     gaps = np.abs(wrapped(image - first.loop[0], first.angles) / scale).max(axis=1)
     path = _path(image, first.period, n, first.angles)
     grid, found = np.arange(count) * first.period / count, np.inf
@@ -171,6 +184,10 @@ def _path(loop: np.ndarray, period: float, n: int, angles: Sequence[bool]) -> Ca
     """States (k x 2n) of a closed loop at any times (k), by Hermite splines through its unwrapped coordinates."""
     closed = np.vstack([loop, loop[:1]])
     steps = wrapped(np.diff(closed, axis=0), angles)
-    whole = closed[0] + np.vstack([np.zeros((1, 2 * n)), np.cumsum(steps, axis=0)])
-    spline = CubicHermiteSpline(np.linspace(0.0, period, len(whole)), whole[:, :n], whole[:, n:])
+    whole = closed[0] + np.vstack([np.zeros((1, loop.shape[1])), np.cumsum(steps, axis=0)])
+    times = np.linspace(0.0, period, len(whole))
+    if n == loop.shape[1]:
+        through = CubicSpline(times, whole)
+        return lambda moments: np.asarray(through(moments % period))
+    spline = CubicHermiteSpline(times, whole[:, :n], whole[:, n:])
     return lambda moments: np.hstack([spline(moments % period), spline(moments % period, 1)])

@@ -8,7 +8,7 @@ Close returns as starting points: D. P. Lathrop, E. J. Kostelich, Physical Revie
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -27,8 +27,10 @@ from orbitfinder.loops.symmetry import (
     REVERSAL,
     SYMMETRIES,
     Involution,
+    Symmetry,
+    declared,
     off_centre,
-    undeclared_mirrors,
+    with_mirrors,
 )
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.mechanics.scales import given_lengths, snapped
@@ -51,8 +53,9 @@ STEP_ERROR = 1e-7
 MOST_HALVINGS = 12
 REACHES = 2.0 ** np.arange(-100, 100)
 """Distances from the equilibrium at which the energy shell is looked for."""
-HALVES = (REVERSAL.name, "mirror")
-"""Strategies that begin in the fixed set of a reversal and look for the next return to it, half a period on."""
+DECLARED = "declared-"
+"""In front of the name of a reversal that the system has or declares: such starts begin in its fixed set, look for the
+next return to it, and solve half a period."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ class Context:
 
     Equations and flows by the symmetry imposed (only those that the model has), the step (s) of the
     cheap stage, the equilibrium and the normal modes about it, the strategies that take turns, the lengths (n) of the
-    energy shell, the model's mirrors.
+    energy shell.
     """
 
     model: Model
@@ -81,7 +84,8 @@ class Context:
     shapes: np.ndarray
     strategies: tuple[str, ...]
     lengths: np.ndarray
-    mirrors: tuple[Involution, ...] = ()
+    declared: Mapping[str, Involution] = field(default_factory=dict)
+    """the system's own reversals, by strategy"""
 
     @property
     def units(self) -> np.ndarray:
@@ -108,21 +112,27 @@ class Start:
 def context_of(model: Model, target: Target) -> Context:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     check(model, target)
+    model = with_mirrors(model)
     place = resting_place(model, target.energy)
     prepare(model)
-    found = undeclared_mirrors(model)
     lengths = shell_lengths(model, place, target.energy)
     origin = np.append(np.where(lengths == 1.0, 0.0, lengths), np.zeros(lengths.size))
-    known = [*(name for name, one in SYMMETRIES.items() if one.held_by(model, origin)), *["mirror"] * bool(found)]
+    own = {
+        f"{DECLARED}{one.name}": one for one in declared(model)
+        if one.sense < 0 and Symmetry((one,)).held_by(model, origin)
+    }  # fmt: skip
+    known = [name for name, one in SYMMETRIES.items() if one.held_by(model, origin)]
     imposed = {"none"} | {symmetry for symmetry, _ in STRATEGIES.values()}
-    unfolded = {name: SYMMETRIES[name].unfolded(model) for name in known if name in imposed}
+    chosen = {name: SYMMETRIES[name] for name in known if name in imposed}
+    chosen |= {one.name: Symmetry((one,)) for one in own.values()}
+    unfolded = {name: one.unfolded(model) for name, one in chosen.items()}
     one = Context(
         model, target,
-        equations={name: Equations(model, SYMMETRIES[name], alone=True) for name in unfolded},
+        equations={name: Equations(model, one, alone=True) for name, one in chosen.items()},
         flows={},
         step=0.0, equilibrium=place, shapes=normal_modes(model, place)[1],
-        strategies=tuple(name for name in TURNS if possible(name, known)), mirrors=found,
-        lengths=lengths,
+        strategies=(*(name for name in TURNS if possible(name, known)), *own, *(own if len(own) == 1 else ())),
+        declared=own, lengths=lengths,
     )  # fmt: skip
     units = tuple(map(float, one.units)) if np.any(one.units != 1.0) else ()
     flows = {name: build_flow(model, (), kinds, units=units) for name, kinds in unfolded.items()}
@@ -148,7 +158,7 @@ def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
 
 def possible(name: str, known: Sequence[str]) -> bool:
     """True when the model has the symmetries that a strategy relies on."""
-    return (name if name in HALVES else STRATEGIES[name][0]) in known
+    return (name if name == REVERSAL.name else STRATEGIES[name][0]) in known
 
 
 def calibrated(context: Context) -> float:
@@ -188,6 +198,11 @@ def check(model: Model, target: Target) -> None:
             "search: works in minimal coordinates, not on systems under constraints; give minimal_linkage(...) from "
             "Python, or use find with a guess"
         )
+    if model.rates is not None:
+        raise InputError(
+            "search: draws its starts by kinetic and potential energy, which a first-order system has not; find its "
+            "orbits from close returns of a simulation ([guess] state and duration), or from modes of equilibria"
+        )
     names = [one.name for one in model.invariants]
     if not model.conservative or model.forced or len(names) != 1:
         raise InputError(
@@ -204,13 +219,17 @@ def check(model: Model, target: Target) -> None:
 def make_start(context: Context, seed: int, index: int) -> Start:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
     name = strategy_of(context, index)
-    symmetry, propose = STRATEGIES[name]
     random = np.random.default_rng([seed, index])
+    if name in context.declared:
+        one = context.declared[name]
+        symmetry, state = one.name, _fixed(context, one, random)
+        return Start(index, name, symmetry, state, _return_time(context, name, state, random))
+    symmetry, propose = STRATEGIES[name]
     state = propose(context, random)
     if name == "recurrence":
         state, period = _recurrence(context, state, random)
     else:
-        period = _return_time(context, name if name in HALVES else symmetry, state, random)
+        period = _return_time(context, name if name == REVERSAL.name else symmetry, state, random)
     return Start(index, name, symmetry, state, period)
 
 
@@ -292,10 +311,10 @@ def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
     return on_shell(context, context.equilibrium, context.lengths * random.normal(size=n))
 
 
-def _mirrored(context: Context, random: np.random.Generator) -> np.ndarray:
-    """In the fixed set of one of the model's mirrors: some coordinates at 0 (or a half turn), the others at rest."""
-    signs = np.asarray(context.mirrors[random.integers(len(context.mirrors))].signs)
+def _fixed(context: Context, one: Involution, random: np.random.Generator) -> np.ndarray:
+    """In the fixed set of a reversal: some coordinates at 0 (or a half turn), the others at rest."""
     angles = context.model.angular
+    signs = np.broadcast_to(one.signs, angles.size)
     for _ in range(ATTEMPTS):
         q = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), random_position(context, random))
         if potential(context, q) < context.target.energy:
@@ -313,13 +332,11 @@ STRATEGIES: Mapping[str, tuple[str, Callable[[Context, np.random.Generator], np.
     "recurrence": (NONE.name, _random_state),
     "centre": (REFLECTION.name, _centre),
     REVERSAL.name: (NONE.name, _crossing),
-    "mirror": (NONE.name, _mirrored),
 }
 """Name -> (symmetry imposed, proposal of a state on the energy shell)."""
 TURNS = (
     "recurrence", BRAKE.name, "random", REVERSAL.name, "brake-modes", "recurrence", REFLECTION.name, BRAKE.name,
     "normal-modes", "recurrence", "random", "brake-modes", "rest-symmetric", BRAKE.name, "recurrence", "centre",
-    "mirror", "mirror",
 )  # fmt: skip
 """Strategies in the order of their turns; those with few orbits to find (the most symmetric) have fewer."""
 
@@ -328,8 +345,8 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
     n, angular, states = context.model.degrees_of_freedom, context.model.angular, states / np.tile(context.lengths, 2)
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
-    if symmetry in HALVES:
-        known = REVERSAL.maps if symmetry == REVERSAL.name else context.mirrors
+    if symmetry == REVERSAL.name or symmetry in context.declared:
+        known = (context.declared[symmetry],) if symmetry in context.declared else REVERSAL.maps
         scaled = states / np.repeat([1.0, rate], n)
         each = (np.abs(off_centre(mirror, scaled, angular)).max(axis=1) for mirror in known)
         return min(each, key=lambda gap: float(gap[0]))
@@ -351,7 +368,8 @@ def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.
 
 def _return_time(context: Context, symmetry: str, state: np.ndarray, random: np.random.Generator) -> float:
     """A period at which the boundary condition nearly holds, drawn from the nearest few."""
-    fraction = 0.5 if symmetry in HALVES else SYMMETRIES[symmetry].fraction
+    half = symmetry == REVERSAL.name or symmetry in context.declared
+    fraction = 0.5 if half else SYMMETRIES[symmetry].fraction
     low, high = context.target.periods
     times, states = simulated(context, state, fraction * high)
     gaps = boundary_gap(context, symmetry, states)

@@ -262,7 +262,7 @@ class Atlas:
             raise InputError("orbit: not certified; an atlas holds certified orbits only, certify it first")
         periods, actions = signature.bins
         numbers = [
-            periods, actions, orbit.energy, orbit.period, orbit.action, orbit.symmetry, orbit.stability,
+            periods, actions, signature.energy, orbit.period, orbit.action, orbit.symmetry, orbit.stability,
             float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, packed(orbit),
         ]  # fmt: skip
         cursor = self.connection.execute(

@@ -67,6 +67,8 @@ class Outcome:
     """the freed physical parameters' values"""
     failures: tuple[str, ...] = ()
     written: tuple[str, ...] = ()
+    reduction: str = ""
+    """what the orbit is relative in, with the momenta held; or that it is a relative equilibrium"""
 
     @property
     def passed(self) -> bool:
@@ -145,6 +147,9 @@ def progress(name: str, iteration: Iteration) -> Progress:
 
 def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
     """Write the result under the name it deserves; figures only of certified orbits."""
+    from orbitfinder.mechanics.catalogue import with_parameters
+    from orbitfinder.orbits.reduction import reduction
+
     certificate, folder = orbit.certificate, job.out / job.name
     passed = certificate is not None and certificate.passed
     written = [save_orbit(orbit, folder / ("orbit.json" if passed else "rejected.json"))]
@@ -164,6 +169,7 @@ def _written(job: Job, orbit: Orbit, model: Model, began: float) -> Outcome:
         orbit.symmetry,
         dict(orbit.provenance.get("free", {})), failures,
         tuple(str(path) for path in written),
+        reduction(with_parameters(model, orbit.provenance.get("free", {})), orbit),
     )  # fmt: skip
 
 

@@ -59,6 +59,8 @@ def _print_outcome(outcome: Outcome) -> None:
         + f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
         + "".join(f", {name} = {value!r}" for name, value in outcome.chosen.items())
     )
+    if outcome.reduction:
+        text(f"  {outcome.reduction}")
     if outcome.failures:
         text(f"  failed checks: {', '.join(outcome.failures)}")
     text(

@@ -18,6 +18,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.exports.source import FORTRAN, Source, dense_states, fortran_number, straight_line
+from orbitfinder.loops.symmetry import turned
 
 UNFOLDING, ENERGY, PERIOD, FIRST = 1, 2, 11, 15
 """Places in PAR: the first unfolding, the energy (for output), the period (AUTO's rule), physical parameters."""
@@ -134,16 +135,17 @@ def _boundary(source: Source) -> str:
     """Closure and phase conditions (the integral of generator(old).(new - old)) where AUTO's own do not suffice."""
     if not _symmetries(source):
         return NO_BOUNDARY
-    n, lines, work = source.model.degrees_of_freedom, [], 1
-    x, p = ca.SX.sym("x", 2 * n), ca.SX.sym("p", len(source.model.parameter_names))
+    n, size, lines, work = source.model.degrees_of_freedom, len(source.model.state_names), [], 1
+    x, p = ca.SX.sym("x", size), ca.SX.sym("p", len(source.model.parameter_names))
     for k, generator in enumerate(_symmetries(source), start=2):
         along = ca.Function("along", [x, p], [generator(x[:n], x[n:], p)])
         body, extent = straight_line(along, FORTRAN, ["x", "p"], ["along"])
         work = max(work, extent)
         lines += [*body, f"FI({k}) = dot_product(along, U - UOLD)"]
-    turns = [2 * np.pi * k for k in source.orbit.winding] + [0.0] * n
+    turned_by = turned(source.model, np.array(source.orbit.winding), source.orbit.shift)
+    turns = [2 * np.pi * float(k) for k in turned_by] + [0.0] * (size - n)
     loop = [f"FB({i}) = U1({i}) - U0({i}) - ({fortran_number(turn)})" for i, turn in enumerate(turns, start=1)]
-    return BOUNDARY.format(loop=_parameters_in_par(loop), work=work, size=2 * n, phases=_parameters_in_par(lines))
+    return BOUNDARY.format(loop=_parameters_in_par(loop), work=work, size=size, phases=_parameters_in_par(lines))
 
 
 def _legend() -> list[str]:
@@ -158,7 +160,7 @@ def _parameters_in_par(lines: list[str]) -> str:
 
 
 def _func(source: Source) -> str:
-    model, n = source.model, source.model.degrees_of_freedom
+    model, size = source.model, len(source.model.state_names)
     lines, work = straight_line(source.rate, FORTRAN, ["t", "U", "s", "p"], ["F"])
     places = unfolding_places(source)
     before, after = ["t(1) = 0.0d0", *(f"s({k}) = PAR({place})" for k, place in enumerate(places, start=1))], []
@@ -166,10 +168,10 @@ def _func(source: Source) -> str:
         clock, extent = straight_line(model.forcing_period, FORTRAN, ["p"], ["forcing"])
         work = max(work, extent)
         before += [*clock, f"rate = {fortran_number(2 * np.pi)} / forcing(1)"]
-        before += [f"t(1) = atan2(U({2 * n + 2}), U({2 * n + 1})) / rate"]
-        after += _oscillator(2 * n + 1, 2 * n + 2)
+        before += [f"t(1) = atan2(U({size + 2}), U({size + 1})) / rate"]
+        after += _oscillator(size + 1, size + 2)
     if not model.invariants:  # s must act on something to be a parameter
-        after += [f"F({n + i}) = F({n + i}) + s(1) * U({n + i})" for i in range(1, n + 1)]
+        after += [f"F({i + 1}) = F({i + 1}) + s(1) * U({i + 1})" for i in source.rates]
     if _symmetries(source):  # IPS = 4 does not scale time
         after += [f"F = PAR({PERIOD}) * F"]
     return FUNC.format(work=work, unfoldings=len(places), body=_parameters_in_par([*before, *lines, *after]))
@@ -181,7 +183,8 @@ def _oscillator(c: int, s: int) -> list[str]:
 
 
 def _stpnt(source: Source) -> str:
-    values = dict.fromkeys(unfolding_places(source), 0.0) | {ENERGY: source.orbit.energy, PERIOD: source.orbit.period}
+    energy = float(np.nan_to_num(source.orbit.energy))
+    values = dict.fromkeys(unfolding_places(source), 0.0) | {ENERGY: energy, PERIOD: source.orbit.period}
     values |= {FIRST + k: float(value) for k, value in enumerate(source.model.parameter_values)}
     lines = [f"PAR({place}) = {fortran_number(value)}" for place, value in values.items()]
     lines += [f"U({i + 1}) = {fortran_number(value)}" for i, value in enumerate(_with_clock(source)[1][0])]
@@ -190,7 +193,7 @@ def _stpnt(source: Source) -> str:
 
 def _pvls(source: Source) -> str:
     lines, work = straight_line(source.energy, FORTRAN, ["x", "p"], ["e"])
-    size = 2 * source.model.degrees_of_freedom
+    size = len(source.model.state_names)
     return PVLS.format(work=work, size=size, energy=ENERGY, body=_parameters_in_par(lines))
 
 

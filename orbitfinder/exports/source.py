@@ -25,8 +25,9 @@ SAMPLES = 513
 class Source:
     """An orbit ready to be written out.
 
-    `rate(t, x, s, p)` is dx/dt (2n) with unfolding parameters s and all physical parameters p;
-    `energy(x, p)` is the total energy (J). `times` (k, s) and `samples` (k x 2n) cover one period.
+    `rate(t, x, s, p)` is dx/dt (d) with unfolding parameters s and all physical parameters p;
+    `energy(x, p)` is the total energy (J), 0 where there is none. `times` (k, s) and `samples` (k x 2n) cover one
+    period.
     """
 
     orbit: Orbit
@@ -43,13 +44,20 @@ class Source:
         return word if word[:1].isalpha() else f"orbit_{word}"
 
     @property
+    def rates(self) -> range:
+        """Which components of the state, from 0, something may push: the velocities, of a first-order system all."""
+        size = len(self.model.state_names)
+        return range(self.model.degrees_of_freedom % size, size)
+
+    @property
     def heading(self) -> list[str]:
         """Comment lines for the top of a file: what this is and where it comes from."""
         title = " ".join((self.orbit.title or self.orbit.name).split())
         plain = "".join(letter if letter.isprintable() and letter.isascii() else "?" for letter in title)
         return [
             f"{plain.replace('*/', '* /')}",
-            f"period {self.orbit.period!r} s, energy {self.orbit.energy!r} J",
+            f"period {self.orbit.period!r} s"
+            + (f", energy {self.orbit.energy!r} J" if np.isfinite(self.orbit.energy) else ""),
             f"written by orbitfinder {__version__}",
         ]
 
@@ -59,8 +67,8 @@ def source_of(orbit: Orbit, model: Model | None = None) -> Source:
     model = model or build_model(orbit.system)
     n = model.degrees_of_freedom
     rate = vector_field(model, model.parameter_names, model.invariants)
-    x, p = ca.SX.sym("x", 2 * n), ca.SX.sym("p", len(model.parameter_names))
-    total = model.kinetic(x[:n], x[n:], p) + model.potential(x[:n], p)
+    x, p = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names))
+    total = model.kinetic(x[:n], x[n:], p) + model.potential(x[:n], p) if np.isfinite(orbit.energy) else ca.SX(0)
     times, samples = orbit.times, orbit.samples
     if len(samples) < 2:
         times = np.linspace(0.0, orbit.period, SAMPLES)
@@ -130,7 +138,8 @@ C = Language(
         "INV": "1.0 / {0}", "POW": "pow({0}, {1})", "CONSTPOW": "pow({0}, {1})", "ATAN2": "atan2({0}, {1})",
         "FABS": "fabs({0})", "FMIN": "fmin({0}, {1})", "FMAX": "fmax({0}, {1})", "FLOOR": "floor({0})",
         "CEIL": "ceil({0})", "ERF": "erf({0})", "LT": "({0} < {1})", "LE": "({0} <= {1})", "EQ": "({0} == {1})",
-        "IF_ELSE_ZERO": "({0} != 0.0 ? {1} : 0.0)", "SIGN": "(({0} > 0.0) - ({0} < 0.0))",
+        "NOT": "({0} == 0.0)",
+        "NE": "({0} != {1})", "IF_ELSE_ZERO": "({0} != 0.0 ? {1} : 0.0)", "SIGN": "(({0} > 0.0) - ({0} < 0.0))",
         "FMOD": "fmod({0}, {1})", "LOG1P": "log1p({0})", "EXPM1": "expm1({0})",
     },
     ";",
@@ -142,7 +151,9 @@ JULIA = Language(
         "INV": "1.0 / {0}", "POW": "{0} ^ {1}", "CONSTPOW": "{0} ^ {1}", "ATAN2": "atan({0}, {1})",
         "FABS": "abs({0})", "FMIN": "min({0}, {1})", "FMAX": "max({0}, {1})", "FLOOR": "floor({0})",
         "CEIL": "ceil({0})", "SIGN": "sign({0})", "LOG1P": "log1p({0})", "EXPM1": "expm1({0})",
-        "FMOD": "rem({0}, {1})",
+        "FMOD": "rem({0}, {1})", "LT": "Float64({0} < {1})", "LE": "Float64({0} <= {1})",
+        "EQ": "Float64({0} == {1})", "NE": "Float64({0} != {1})", "NOT": "Float64({0} == 0)",
+        "IF_ELSE_ZERO": "({0} != 0 ? {1} : 0.0)",
     },
 )  # fmt: skip
 FORTRAN = Language(
@@ -151,7 +162,9 @@ FORTRAN = Language(
     COMMON | {
         "TWICE": "2.0d0 * {0}", "INV": "1.0d0 / {0}", "POW": "{0} ** {1}", "CONSTPOW": "{0} ** {1}",
         "ATAN2": "atan2({0}, {1})", "FABS": "abs({0})", "FMIN": "min({0}, {1})", "FMAX": "max({0}, {1})",
-        "FMOD": "mod({0}, {1})",
+        "FMOD": "mod({0}, {1})", "LT": "merge(1.0d0, 0.0d0, {0} < {1})", "LE": "merge(1.0d0, 0.0d0, {0} <= {1})",
+        "EQ": "merge(1.0d0, 0.0d0, {0} == {1})", "NE": "merge(1.0d0, 0.0d0, {0} /= {1})",
+        "NOT": "merge(1.0d0, 0.0d0, {0} == 0.0d0)", "IF_ELSE_ZERO": "merge({1}, 0.0d0, {0} /= 0.0d0)",
     },
 )  # fmt: skip
 

@@ -51,7 +51,7 @@ def c_file(source: Source) -> str:
     return C_FILE.format(
         heading="/* " + "\n   ".join(source.heading) + " */",
         word=source.identifier,
-        size=2 * model.degrees_of_freedom,
+        size=len(model.state_names),
         count=len(model.parameter_names),
         unfolded=len(model.invariants),
         parameter_names=", ".join(model.parameter_names) or "no parameters",
@@ -145,9 +145,8 @@ def julia_file(source: Source) -> str:
     lines, work = straight_line(source.rate, JULIA, ["(t,)", "u", "s", "p"], ["du"])
     names, count = [*source.model.parameter_names], len(source.model.invariants)
     unfoldings = [UNFOLDING] if count < 2 else [f"{UNFOLDING}{k + 1}" for k in range(count)]
-    n = source.model.degrees_of_freedom
     if count == 0:
-        lines += [f"du[{n + i}] += par.{UNFOLDING} * u[{n + i}]" for i in range(1, n + 1)]
+        lines += [f"du[{i + 1}] += par.{UNFOLDING} * u[{i + 1}]" for i in source.rates]
     values = [*map(float, source.model.parameter_values), *([0.0] * len(unfoldings))]
     start = 0.0 if count or not names else values[0]
     places = np.unique(np.linspace(0, len(source.times) - 1, SAMPLES).round().astype(int))

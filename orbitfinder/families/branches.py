@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.point import FamilySettings, extent, parameter_value, unknowns_of, winding
+from orbitfinder.families.point import FamilySettings, extent, parameter_value, shift_at, unknowns_of, winding
 from orbitfinder.families.run import parameter_slopes
 from orbitfinder.families.start import (
     Start,
@@ -34,11 +34,12 @@ from orbitfinder.families.start import (
 )
 from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
-from orbitfinder.loops.symmetry import NONE, USUAL, Symmetry, called, declared, named
+from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import SHARE, repeated
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
+from orbitfinder.records.reading import finite
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
@@ -74,9 +75,9 @@ def switch(curve: Curve, event: Event, settings: FamilySettings | None = None) -
         raise InputError(f"event: cannot switch at a {event.kind}; choose one of {', '.join(SWITCHABLE)}")
     settings = settings or FamilySettings()
     found: list[Start] = []
-    for kept, share in (*curve.equations.symmetry.narrower(), (NONE, 0.0)):
+    for kept, share in (*curve.equations.symmetry.narrower(), (replace(curve.equations.symmetry, maps=()), 0.0)):
         symmetry = called(kept, curve.equations.model)
-        if symmetry == NONE and found:
+        if not symmetry.maps and found:
             break
         if len(symmetry.maps) > 1 and event.order % 2 == 0:  # half of an even number of turns is no half turn
             continue
@@ -101,9 +102,10 @@ def _known(start: Start, found: list[Start], cover: Cover, event: Event) -> bool
 
 def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, settings: FamilySettings) -> Cover:
     """The q-fold orbit in a formulation and the kernel of its Jacobian without the family's own tangent."""
-    free, held = unknown_parameters(curve.equations.model, settings)
+    model, symmetry = curve.equations.model, replace(symmetry, relative=curve.equations.symmetry.relative)
+    free, held = unknown_parameters(model, settings, momenta_of(symmetry, model))
     place = _repeated(curve, event, symmetry, share)
-    equations = Equations(repeated(curve.equations.model, event.order), symmetry, free, action=True)
+    equations = Equations(repeated(model, event.order), symmetry, free, action=True)
     moving = curve.equations.links.repeated(event.tangent[curve.equations.size + 1 :], event.order, 0.0)
     again = curve.equations.links.repeated(place.free, event.order)
     place = replace(place, unfolding=np.zeros(equations.march.unfolding), free=again)
@@ -152,14 +154,15 @@ def _turns(curve: Curve, event: Event) -> np.ndarray:
 def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> Unknowns:
     """Nodes and mesh of the event's orbit, `order` times round, over the horizon of a formulation."""
     base, fraction = at_place(curve, unknowns_of(curve, event)), symmetry.fraction
-    n = curve.equations.size // 2
+    n = curve.equations.model.degrees_of_freedom
     each = (base.place.mesh.size - 1) // len(event.shooting_nodes)
     mesh, states = curve.equations.symmetry.whole(base.place.mesh, base.march.states, curve.constant)
     count = mesh.size - 1
     first = int(np.argmin(np.abs(mesh - share)))
     laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
     times = (laps + mesh[index] - mesh[first]) / event.order
-    turn = np.concatenate([2 * np.pi * _turns(curve, event) / event.order, np.zeros(n)])
+    turns = turned(curve.equations.model, np.array(winding(curve)), shift_at(curve, base.place))
+    turn = np.concatenate([2 * np.pi * turns, np.zeros(curve.equations.size - n)])
     nodes = (states[index] + laps[:, None] * turn)[:-1:each]
     nodes[0, n:][symmetry.held(n)[n:]] = 0.0
     return Unknowns(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
@@ -194,7 +197,7 @@ def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
 
 def _symmetric(start: Start) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
-    if start.curve.equations.links:
+    if start.curve.equations.links or start.curve.equations.symmetry.relative:
         return start
     try:
         other = reformulated(start, named(symmetry_of(start.curve, start.found), start.curve.equations.model))
@@ -230,9 +233,8 @@ def _same(one: Start, other: Start, cover: Cover, event: Event) -> bool:
     scale = np.sqrt(cover.curve.weights[: cover.curve.equations.size])
     mine, theirs = (full_samples(start.curve, start.found)[1] * scale for start in (one, other))
     old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] * scale
-    n, size = scale.size // 2, _apart(mine, old)
-    maps = [*USUAL, *declared(cover.curve.equations.model)]
-    images = [theirs, *(theirs @ each.matrix(n).T for each in maps)]
+    model, size = cover.curve.equations.model, _apart(mine, old)
+    images = [theirs, *(theirs @ each.matrix(model.degrees_of_freedom).T for each in involutions(model))]
     feet = [_foot(image, old) for image in images]  # told apart at the same distance from the old orbit
     images = [foot + size / _apart(image, old) * (image - foot) for image, foot in zip(images, feet, strict=True)]
     return min(_apart(mine, image) for image in images) < ALIKE * size
@@ -260,7 +262,7 @@ def _foot(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
 def _moved(start: Start, event: Event) -> np.ndarray:
     """How far energy, period and freed parameters are from the event's."""
     place = start.found.place
-    energy = parameter_value(start.curve, place, "energy") - event.energy
+    energy = np.nan_to_num(parameter_value(start.curve, place, "energy") - event.energy)
     old = np.array([value for name, value in event.free.items() if not name.startswith(SHARE)])
     return np.array([energy, place.period - event.period * event.order, *(place.free[: old.size] - old)])
 
@@ -282,7 +284,7 @@ class Branch:
         """The same in plain numbers."""
         return {
             "family": self.family, "event": self.number, "branch": self.branch, "kind_of_event": self.event.kind,
-            "order": self.event.order, "energy": self.event.energy, "period": self.event.period,
+            "order": self.event.order, "energy": finite(self.event.energy), "period": self.event.period,
         }  # fmt: skip
 
 

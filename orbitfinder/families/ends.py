@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.optimize import brentq
 
@@ -12,7 +14,7 @@ from orbitfinder.families.run import Interval, Run, Step
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct, distance
 from orbitfinder.loops.loop import Condition, Unknowns
-from orbitfinder.loops.symmetry import NONE, REFLECTION, declared, half_period_gaps, recognise
+from orbitfinder.loops.symmetry import NONE, beside, half_period_gaps, involutions, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
@@ -50,6 +52,8 @@ HOMOCLINIC_STEP = 1e-2
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
     curve, found = run.curve, after.found
+    if collapsed(curve, before.found, found) and curve.equations.symmetry.relative:
+        return _steady(curve, before)
     if collapsed(curve, before.found, found):
         where = np.array2string(centre(curve, before.found), precision=6)
         period = before.point.period
@@ -104,11 +108,12 @@ def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
     p, place = curve.equations, found.place
-    n, units = p.size // 2, extents(curve, found.march.states)
-    x = np.concatenate([state[:n], np.zeros(n)])
+    n, units = p.model.degrees_of_freedom, extents(curve, found.march.states)
+    x = np.concatenate([state[:n], np.zeros(p.size - n)])
     for _ in range(MOST_NEWTON):
         slopes = _linearised(curve, place, x, units)
-        step = np.linalg.lstsq(slopes[n:, :n], -p.march.rates(x[None], place.tail)[0][n:], rcond=1e-9)[0]
+        # at rest the first rates, which are the velocities, are 0; a first-order system's are all to be solved for
+        step = np.linalg.lstsq(slopes[-n:, :n], -p.march.rates(x[None], place.tail)[0][-n:], rcond=1e-9)[0]
         x[:n] += step
         if not np.all(np.isfinite(x)) or np.any(np.abs(x - state) > NEAR * units):
             return False
@@ -128,26 +133,30 @@ def _linearised(curve: Curve, place: Unknowns, x: np.ndarray, units: np.ndarray)
 
 def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
     """The end of a family whose motion is somewhere so much faster than elsewhere that its equations are singular."""
-    states, mesh, n = found.march.states, found.place.mesh, curve.equations.size // 2
+    states, mesh, model = found.march.states, found.place.mesh, curve.equations.model
     slopes = curve.equations.march.rates(states, found.place.tail, mesh * found.place.period)
-    speed = np.linalg.norm(slopes[:, n:] / curve.shares, axis=1)
+    n, what = model.degrees_of_freedom, "acceleration" if model.rates is None else "rate"
+    pushed = slopes[:, n:] / curve.shares if n < states.shape[1] else slopes / extents(curve, states)
+    speed = np.linalg.norm(pushed, axis=1)
     usual = float(np.median(np.interp(np.linspace(0, mesh[-1], speed.size), mesh, speed)))
     if not speed.max() > ABRUPT * usual:
         return None
     where = np.array2string(states[int(np.argmax(speed)), :n], precision=4, suppress_small=True)
     return End(
         "singularity",
-        f"the motion comes near a singularity at q = {where} (a collision, say), where its acceleration is "
+        f"the motion comes near a singularity at q = {where} (a collision, say), where its {what} is "
         f"{speed.max() / usual:.3g} times the median; {failure}",
     )
 
 
 def _homoclinic(curve: Curve, found: Solution, state: np.ndarray, grown: float, more: str) -> End:
     energy = parameter_value(curve, found.place, "energy")
-    where = np.array2string(state[: state.size // 2], precision=4, suppress_small=True)
+    n = curve.equations.model.degrees_of_freedom
+    where = np.array2string(state[:n], precision=4, suppress_small=True)
+    level = f" at energy {energy:.9g} J" if np.isfinite(energy) else ""
     return End(
         "homoclinic",
-        f"the period blows up ({found.place.period:.6g} s, {grown:.3g} times the shortest) at energy {energy:.9g} J, "
+        f"the period blows up ({found.place.period:.6g} s, {grown:.3g} times the shortest){level}, "
         f"slowest near q = {where}{more}",
     )
 
@@ -158,9 +167,9 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
     Turning points are not slow in this sense: the speed includes the scaled acceleration.
     """
     p, place = curve.equations, found.place
-    states, n = found.march.states, p.size // 2
+    states = found.march.states
     slopes = p.march.rates(states, place.tail, place.mesh * place.period)
-    speed = np.sqrt(slopes**2 @ curve.weights[: 2 * n])
+    speed = np.sqrt(slopes**2 @ curve.weights[: p.size])
     weights = np.diff(place.mesh)
     slow = 0.5 * (speed[1:] + speed[:-1]) < SLOW * speed.max()
     return float(weights[slow].sum() / weights.sum()), states[np.argmin(speed)]
@@ -168,19 +177,43 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
 
 def centre(curve: Curve, found: Solution) -> np.ndarray:
     """The middle of an orbit's configurations (n): where a shrinking family is going."""
-    held, q = curve.equations.symmetry.centre(curve.constant), found.march.states[:, : curve.equations.size // 2]
+    n = curve.equations.model.degrees_of_freedom
+    held, q = curve.equations.symmetry.centre(curve.constant), found.march.states[:, :n]
     return np.asarray(np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held))
 
 
 def collapsed(curve: Curve, before: Solution, found: Solution) -> bool:
     """Whether the last step went through an equilibrium: the orbit is now on the other side of its middle."""
-    n = curve.equations.size // 2
-    weights = curve.weights[: 2 * n]
-    one = before.place.nodes[0] - np.concatenate([centre(curve, before), np.zeros(n)])
-    other = found.place.nodes[0] - np.concatenate([centre(curve, found), np.zeros(n)])
+    n, relative = curve.equations.model.degrees_of_freedom, curve.equations.symmetry.relative
+    weights, still = curve.weights[: curve.equations.size], np.zeros(curve.equations.size - n)
+    paths = [_beside_shifts(s.march.states, relative) for s in (before, found)]
+    rates = [0.5 * (path[:, n:].max(axis=0) + path[:, n:].min(axis=0)) if relative else still for path in paths]
+    middles = [centre(curve, s) for s in (before, found)] if not relative else [
+        0.5 * (path[:, :n].max(axis=0) + path[:, :n].min(axis=0)) for path in paths
+    ]  # fmt: skip
+    one, other = (path[0] - np.concatenate(parts) for path, *parts in zip(paths, middles, rates, strict=True))
     moved = float(np.sqrt(weights @ (other - one) ** 2))
-    sizes = [np.ptp(s.march.states[:, :n], axis=0) * np.sqrt(weights[:n]) for s in (before, found)]
+    sizes = [np.ptp(path[:, :n], axis=0) * np.sqrt(weights[:n]) for path in paths]
     return bool(np.sum(weights * one * other) < 0 and np.max(sizes) < 3 * moved)
+
+
+def _beside_shifts(states: np.ndarray, relative: Sequence[Sequence[float]]) -> np.ndarray:
+    """States (k x 2n) with the coordinates brought back along the directions that an orbit is relative in."""
+    n = states.shape[1] // 2
+    return np.array([[*beside(one[:n], relative), *one[n:]] for one in states]) if relative else states
+
+
+def _steady(curve: Curve, before: Step) -> End:
+    """The end of a family that shrinks to a relative equilibrium, by its last orbit before it."""
+    shift, period = before.point.shift, before.point.period
+    rates = ", ".join(f"{name} by {by / period:.9g} a second" for name, by in shift.items())
+    states = _beside_shifts(before.found.march.states, curve.equations.symmetry.relative)
+    middle = 0.5 * (states.max(axis=0) + states.min(axis=0))[: states.shape[1] // 2]
+    return End(
+        "relative equilibrium",
+        f"the orbits shrink to a relative equilibrium at q = {np.array2string(middle, precision=6)}, which moves "
+        f"{rates}, period {period:.9g} s",
+    )
 
 
 def returned(curve: Curve, before: Step, after: Step) -> End | None:
@@ -249,8 +282,7 @@ def merged(interval: Interval, at: float) -> End | None:
     elif name not in (NONE.name, symmetry.name):
         what = f"of symmetry {name}"
     elif symmetry.forward is None:
-        mirrors = [*REFLECTION.maps, *(one for one in declared(model) if one.sense > 0)]
-        gaps = [half_period_gaps(one, states, model.angular).max() for one in mirrors]
+        gaps = [half_period_gaps(one, states, model.angular).max() for one in involutions(model) if one.sense > 0]
         what = "that is its own mirror image" if min(gaps) < JOINED * extent else ""
     if not what or not mirrored(interval, at):
         return None

@@ -32,6 +32,7 @@ from orbitfinder.families.passages import (
 from orbitfinder.families.point import FamilySettings, freed, parameter_value
 from orbitfinder.families.run import Interval, Sample, is_real
 from orbitfinder.loops.continued import Curve
+from orbitfinder.loops.symmetry import momenta_of
 from orbitfinder.orbits.floquet import ERROR_FLOOR
 from orbitfinder.records.family import Event
 
@@ -56,8 +57,10 @@ def _slope(name: str) -> Measure:
 
 def folds(interval: Interval) -> Iterator[Test]:
     """Every fold of the interval."""
-    free = interval.curve.equations.free
-    for name in free or ("energy", "period"):
+    p, held = interval.curve.equations, {one.quantity for one in interval.curve.conditions}
+    kept = [one for k, one in enumerate(p.model.invariants) if k in held]
+    swept = momenta_of(p.symmetry, p.model) if any(one.generator is None for one in kept) else ("energy",)
+    for name in p.free or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
         if interval.first.slopes[name] * interval.last.slopes[name] < 0:
             yield Test("fold", name, _slope(name))
 

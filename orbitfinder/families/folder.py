@@ -21,6 +21,7 @@ from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
+from orbitfinder.loops.symmetry import turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
@@ -132,7 +133,8 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     check = ClosureCheck(model) if model.hybrid is None else HybridCheck(model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
-        closure = check(point.state, point.period, np.array(winding(curve)), allowed, point.free)
+        turns = turned(curve.equations.model, np.array(winding(curve)), point.shift)
+        closure = check(point.state, point.period, turns, allowed, point.free)
         if not closure <= allowed:
             raise InputError(
                 f"{folder / JOURNAL}: the point at {journal.header['parameter']} {point.value:.9g} closes only to "

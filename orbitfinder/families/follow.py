@@ -154,7 +154,7 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
         kept = [*_within(points, origin, reach), final[0]]
         return Batch(run.direction, _ordered(kept), tuple(_within(events, origin, reach)), end)
     ended = end_at(run, before, after)
-    if ended is not None and ended.kind == "equilibrium":
+    if ended is not None and ended.kind in ("equilibrium", "relative equilibrium"):
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
         turned = one.kind == "fold" and one.detail != "period"

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.point import FamilySettings, unknowns_of, winding
+from orbitfinder.families.point import FamilySettings, shift_at, unknowns_of, winding
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import curve_of, full_samples
 from orbitfinder.integrate.cvodes import build_flow
@@ -72,7 +72,7 @@ def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
         symmetry=recognise(times, states, model), winding=winding(curve),
         floquet_multipliers=floquet.multipliers, pair_defect=floquet.pair_defect, stability=floquet.stability,
         unfolding=(), nodes=event.state[None], times=np.zeros(0), samples=np.zeros((0, event.state.size)),
-        tolerance=CLOSURE,
+        tolerance=CLOSURE, shift=shift_at(curve, found.place),
     )  # fmt: skip
 
 

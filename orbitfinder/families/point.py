@@ -13,8 +13,11 @@ from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
+from orbitfinder.loops.symmetry import shifting, turned
 from orbitfinder.mechanics.hybrid import SHARE
-from orbitfinder.orbits.closure import carried
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import lengths
+from orbitfinder.orbits.closure import alone, carried
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import crossed_early
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
@@ -81,20 +84,18 @@ def make_point(
     parts = list(found.march.transitions * units / units[:, None])
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
-    free, turned = freed(curve, place), winding(curve)
-    closure = 0.0 if check is None else check(place.nodes[0], place.period, np.array(turned), allowed, free, units)
+    free, shift = freed(curve, place), shift_at(curve, place)
+    turns = turned(p.model, np.array(winding(curve)), shift)
+    closure = 0.0 if check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
-    defect = closure
-    if check is not None and grown > PIECEWISE:
-        defect, growth = piecewise_defect(curve, found, check, free)
-        if not defect <= CLOSURE * growth:
-            raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
+    defect = closure if check is None or grown <= PIECEWISE else checked_pieces(curve, found, check, free)
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",
         system=system_at(p.model.system, {k: v for k, v in free.items() if not k.startswith(SHARE)}),
-        winding=turned,
+        winding=winding(curve),
+        shift=shift,
         nodes=place.nodes[:1],
         times=np.zeros(0),
         samples=np.zeros((0, p.size)),
@@ -122,6 +123,14 @@ def make_point(
     )
 
 
+def checked_pieces(curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:
+    """The largest gap between the pieces of an orbit. Raises `ConvergenceError` when they do not fit."""
+    defect, growth = piecewise_defect(curve, found, check, free)
+    if not defect <= CLOSURE * growth:
+        raise ConvergenceError(f"the pieces of the orbit fit only to {defect:.2g} with growth {growth:.3g}")
+    return defect
+
+
 def piecewise_defect(
     curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]
 ) -> tuple[float, float]:
@@ -134,7 +143,7 @@ def piecewise_defect(
     across = np.maximum(np.abs(first) * units, np.abs(last) * units).max(axis=1)
     durations = np.diff(place.edges) * place.period
     ends = check.ends(place.nodes, durations, free, units)
-    boundary = first @ place.nodes[0] + last @ ends[-1] - curve.constant
+    boundary = first @ place.nodes[0] + last @ ends[-1] - curve.equations.aimed(curve.constant)
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
     growth = max(np.linalg.norm(matrix * units / units[:, None], 2) for matrix in found.march.transitions)
     return float(np.abs(gaps).max()), max(1.0, float(growth))
@@ -143,6 +152,17 @@ def piecewise_defect(
 def winding(curve: Curve) -> tuple[int, ...]:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
     return tuple(int(k) for k in curve.equations.symmetry.turns(curve.constant))
+
+
+def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:
+    """How far a relative orbit of a family shifts in a period, by name."""
+    symmetry = curve.equations.symmetry
+    known = shifting(symmetry, curve.equations.model)
+    if not known:
+        return {}
+    end = curve.equations.ends(place)[-1]
+    amounts = symmetry.shifts(symmetry.settled(curve.constant, place.nodes[0], end))
+    return {name: float(amounts[symmetry.relative.index(one.direction)]) for name, one in known.items()}
 
 
 def unknowns_of(curve: Curve, member: FamilyPoint | Event) -> Unknowns:
@@ -157,9 +177,18 @@ def freed(curve: Curve, place: Unknowns) -> dict[str, float]:
     return dict(zip(curve.equations.free, map(float, place.free), strict=True))
 
 
+def length(model: Model, states: np.ndarray) -> np.ndarray:
+    """What coordinates (n) are measured in (see `mechanics.scales.lengths`); of a first-order state each by itself."""
+    if model.rates is None:
+        return lengths(model, states)
+    return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0)))
+
+
 def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
     n = curve.shares.size
+    if n == states.shape[1]:
+        return np.asarray(np.maximum(alone(np.ptp(states, axis=0)), LEAST * np.abs(states).max(axis=0)))
     parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
     sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
     return np.concatenate([size * curve.shares for size in sizes])
@@ -167,7 +196,7 @@ def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
 
 def extent(curve: Curve, found: Solution) -> float:
     """How far the configurations of an orbit are apart in a family's metric."""
-    n = curve.equations.size // 2
+    n = curve.equations.model.degrees_of_freedom
     return max(float(np.sqrt(curve.weights[:n] @ np.ptp(found.march.states[:, :n], axis=0) ** 2)), 1e-300)
 
 

@@ -125,6 +125,9 @@ def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[st
     _, slope, free = p.quantities_at(place.nodes[0], place.free)
     energy = float(slope[p.energy] @ head[:size] + free[p.energy] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
+    for one, by_state, by_free in zip(p.model.invariants, slope, free, strict=False):
+        if one.generator is not None:
+            slopes[one.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
     slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.free)}
     return slopes | {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
 

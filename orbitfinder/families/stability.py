@@ -109,7 +109,9 @@ def _transitions(curve: Curve, found: Solution) -> np.ndarray:
 
 
 def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
-    """A^-1 by symplecticity, C A^-1 C'^-1 = -J (C' A C^-1)^T J in canonical coordinates."""
+    """A^-1 by symplecticity, C A^-1 C'^-1 = -J (C' A C^-1)^T J in canonical coordinates; as it is without."""
+    if not curve.equations.symplectic:
+        return np.linalg.inv(matrix)
     place, end = found.place, found.march.ends[-1]
     before = curve.equations.momentum_slopes(place.nodes[0], place.free)
     after = curve.equations.momentum_slopes(end, place.free)

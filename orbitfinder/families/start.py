@@ -12,24 +12,38 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.point import FamilySettings, parameter_value, span
+from orbitfinder.families.point import FamilySettings, length, parameter_value, span
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import arc_states, remeshed, settled
-from orbitfinder.loops.problem import Guess, Problem, clock, pinned
-from orbitfinder.loops.symmetry import NONE, Symmetry, moved, named, off_centre, recognise, symmetries_of
+from orbitfinder.loops.problem import Guess, Problem, clock, clocked, pinned
+from orbitfinder.loops.symmetry import (
+    NONE,
+    Symmetry,
+    knowing,
+    momenta_of,
+    moved,
+    named,
+    off_centre,
+    recognise,
+    related,
+    shifting,
+    shifts_of,
+    symmetries_of,
+)
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import lengths
-from orbitfinder.orbits.find import find_orbit
+from orbitfinder.orbits.find import find_orbit, natural_pin
 from orbitfinder.orbits.hybrid import first_unknowns
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import read_as
 
 FIRST_STEPS = 160
 """Runge-Kutta steps in one period of a guess, before there is an error estimate to go by."""
+LOOKS = (40, 160, 640)
+"""... in one segment, to see where a motion goes"""
 SAMPLES = 512
 
 
@@ -53,16 +67,17 @@ def begin(
     """
     settings = settings or FamilySettings()
     problem = as_problem(origin, model)
-    free, held = unknown_parameters(problem.model, settings)
-    if free and problem.model.conservative:
-        return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held)
+    free, held = unknown_parameters(problem.model, settings, momenta_of(problem.boundary, problem.model))
+    by_momentum = bool(problem.relative) and settings.parameter in momenta_of(problem.boundary, problem.model)
+    if (free and problem.model.conservative) or by_momentum:
+        return _freed(begin(problem, replace(settings, parameter="energy"), symmetry), free, held, settings.parameter)
     wanted = problem.symmetry if symmetry == "auto" else symmetry
     base = replace(problem, symmetry=NONE.name) if wanted != problem.symmetry else problem
     chosen = bool(problem.free or problem.constraints) or problem.objective != "nearest" or problem.forcing_cycles > 1
     start = (_found_first if chosen else _tried)(base, free)
-    if symmetry == "auto" and problem.model.hybrid is None:
+    if symmetry == "auto" and problem.model.hybrid is None and not problem.relative:
         wanted = symmetry_of(start.curve, start.found)
-    return reformulated(start, named(wanted, problem.model))
+    return reformulated(start, related(named(wanted, problem.model), problem.model, problem.relative))
 
 
 def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
@@ -84,40 +99,48 @@ def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
     """The Problem whose solution an orbit is, in minimal coordinates."""
     if isinstance(origin, Problem):
         return minimal_problem(origin)
-    model = model or build_model(origin.system)
-    energy = next((one.name for one in model.invariants if one.generator is None), None)
-    return minimal_problem(Problem(
+    model = knowing(model or build_model(origin.system), origin.symmetry)
+    energy = next(iter(ungenerated(model)), None)
+    problem = Problem(
         model, Guess(origin.state, origin.period), (Pin(energy, origin.energy),) if energy else (),
-        winding=origin.winding, name=origin.name,
-    ))  # fmt: skip
+        winding=origin.winding, name=origin.name, relative=tuple(origin.shift),
+    )  # fmt: skip
+    held = [one for one in natural_pin(problem, origin.state) if one.name in momenta_of(problem.boundary, model)]
+    return minimal_problem(replace(problem, pin=(*problem.pin, *held)) if held else problem)
 
 
-def unknown_parameters(model: Model, settings: FamilySettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def unknown_parameters(
+    model: Model, settings: FamilySettings, momenta: tuple[str, ...] = ()
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """(freed physical parameters, names of what is held) for a continuation parameter. Raises `InputError`.
 
-    Momenta are never held: an orbit closes for one value of each, at which nothing drifts.
+    `momenta` of the coordinates that orbits are relative in are held, or one of them is followed and the energy held.
+    Others are not: an orbit closes for one value of each, at which nothing drifts.
     """
     name = settings.parameter
-    if name in ("energy", "period", *model.state_names):
+    turning = {one.name for one in model.invariants if one.generator is not None}
+    if name in ("energy", "period", *model.state_names, *turning):
         if not model.conservative:
             raise InputError(
                 f"parameter: orbits of this system do not come in families by {name}; continue in a physical parameter"
                 f" ({', '.join(model.parameter_names[:20]) or 'it has none'})"
             )
-        return (), ()
+        if name not in momenta:
+            return (), momenta
+        return (), ("energy", *(one for one in momenta if one != name))
     if name not in model.parameter_names:
-        conserved = ["energy", "period", *model.state_names] if model.conservative else []
+        conserved = ["energy", "period", *turning, *model.state_names] if model.conservative else []
         known = [*conserved, *model.parameter_names]
         raise InputError(f"parameter: unknown {name!r}{closest(name, known)}; use one of {', '.join(known[:20])}")
     if not model.conservative:
-        return (name,), ()
+        return (name,), momenta
     if settings.hold not in ("energy", "period"):
         raise InputError(f"hold: must be energy or period, got {settings.hold!r}")
-    return (name,), (settings.hold,)
+    return (name,), (settings.hold, *momenta)
 
 
-def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
-    """The same orbit on the curve on which physical parameters vary and what is held keeps its value."""
+def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...], name: str) -> Start:
+    """The same orbit on the curve on which a parameter of this name varies and what is held keeps its value."""
     old, place = base.curve, base.found.place
     model = old.equations.model
     equations = Equations(model, old.equations.symmetry, free, action=True)
@@ -125,7 +148,7 @@ def _freed(base: Start, free: tuple[str, ...], held: tuple[str, ...]) -> Start:
     numbers = [shares.get(name, value) for name, value in zip(equations.free, equations.numbers, strict=True)]
     place = replace(place, free=np.array(numbers))
     curve = replace(curve_at(equations, place, held), constant=old.constant)
-    return corrected(curve, place, _own_aim(curve, place))
+    return corrected(curve, place, _own_aim(curve, place, name))
 
 
 def _start(problem: Problem, free: tuple[str, ...]) -> Start:
@@ -134,8 +157,9 @@ def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     place = equations.unknowns(state[None], problem.guess.period, uniform(fraction, 1, int(FIRST_STEPS * fraction)))
     if equations.links:
         place = first_unknowns(equations, problem.guess, 1, rounded(FIRST_STEPS / equations.links.count))
-    curve = curve_at(equations, place, turns=problem.turns)
-    pin = None if free or not problem.pin else problem.pin[0]
+    momenta, pins = momenta_of(problem.boundary, problem.model), [] if free else list(problem.pin)
+    curve = curve_at(equations, place, momenta, problem.turns, {one.name: one.value for one in problem.pin})
+    pin = next((one for one in pins if one.name not in momenta), None)
     aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
     return _measured(corrected(curve, place, aim))
 
@@ -151,36 +175,65 @@ def _measured(start: Start) -> Start:
 
 
 def curve_at(
-    equations: Equations, place: Unknowns, held: tuple[str, ...] = (), turns: np.ndarray | None = None
+    equations: Equations,
+    place: Unknowns,
+    held: tuple[str, ...] = (),
+    turns: np.ndarray | None = None,
+    given: Mapping[str, float] | None = None,
 ) -> Curve:
-    """The curve with its boundary constant and held values taken at a place near it.
+    """The curve with its boundary constant and held values, those not `given`, taken at a place near it.
 
     The constants are multiples of pi: a symmetric motion may be symmetric about an upright link.
     """
     model, symmetry = equations.model, equations.symmetry
-    steps = uniform(symmetry.fraction, len(place.nodes), 40)
-    states = equations.march.states(place.nodes, steps, place.tail)
+    alone = ungenerated(model)[1:]
+    steps, states = _looked_at(equations, place)
     whole, end = None if symmetry.maps else turns, states[-1]
     if equations.links:
         end = equations.links.passed(place, equations.ends(replace(place, mesh=steps)))[0][-1]
     constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, whole)
     values = equations.quantities_at(place.nodes[0], place.free)[0]
     names = [one.name for one in model.invariants]
-    known = {"period": place.period} | dict(zip(names, map(float, values), strict=False))
+    known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
-    fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in held if one in known)
-    return make_curve(equations, constant, place, fixed, lengths(model, states))
+    kept = dict.fromkeys((*held, *alone))
+    fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in kept if one in known)
+    return make_curve(equations, constant, place, fixed, length(model, states))
+
+
+def ungenerated(model: Model) -> tuple[str, ...]:
+    """The invariants that no symmetry belongs to, by name: the energy, of a free top its momentum too.
+
+    Each is a parameter of the family; all but the first, in which it is followed, are held.
+    """
+    return tuple(one.name for one in model.invariants if one.generator is None)
+
+
+def _looked_at(equations: Equations, place: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    """A mesh over a place and the states on it, by as few steps as reach its end: near a pole 40 are too few."""
+    for count in LOOKS:
+        try:
+            steps = uniform(equations.symmetry.fraction, len(place.nodes), count)
+            return steps, equations.march.states(place.nodes, steps, place.tail)
+        except IntegrationError:
+            if count == LOOKS[-1]:
+                raise
+    raise AssertionError("unreachable")
 
 
 def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -> Curve:
     """The very curve that the `curve` entry of a journal or family.json stands for."""
     known = read_as(CurveEntry, entry, "curve", "continue the family again")
+    model = knowing(model, known.symmetry)
     if known.symmetry not in symmetries_of(model):
         raise InputError(f"curve: unknown symmetry {known.symmetry!r}; continue the family again")
     unknown_parameters(model, settings)
     for name in known.free:
         model.parameter_index(name)
-    equations = Equations(model, named(known.symmetry, model), known.free, action=True)
+    if not set(known.relative) <= set(shifts_of(model)):
+        raise InputError(f"curve.relative: {list(known.relative)} is not of this system; continue the family again")
+    symmetry = related(named(known.symmetry, model), model, known.relative)
+    equations = Equations(model, symmetry, known.free, action=True)
     wanted = equations.size, equations.size + 1 + len(known.free)
     if (known.constant.shape, known.weights.shape) != (wanted[:1], wanted[1:]) or not np.all(known.weights > 0):
         raise InputError("curve: constant or weights do not fit the system; continue the family again")
@@ -196,7 +249,9 @@ def entry_of(curve: Curve) -> dict[str, Any]:
     """What `curve_of` rebuilds the conditions of a curve from: invariants held by number, the period, or the clock."""
     held = [[one.quantity, one.value] for one in curve.conditions if one.normal is None]
     period = next((one.value for one in curve.conditions if one.normal is not None and one.quantity is None), None)
-    return {"held": held, "period": period} | ({"cycles": curve.cycles} if curve.cycles else {})
+    relative = list(shifting(curve.equations.symmetry, curve.equations.model))
+    more = {"cycles": curve.cycles, "relative": relative}
+    return {"held": held, "period": period} | {name: value for name, value in more.items() if value}
 
 
 @dataclass(frozen=True)
@@ -211,11 +266,13 @@ class CurveEntry:
     period: float | None
     cycles: int = 0
     """periods of the forcing in one period, 0 without a forcing"""
+    relative: tuple[str, ...] = ()
+    """cyclic coordinates along which the orbits come back shifted"""
 
 
-def _own_aim(curve: Curve, place: Unknowns) -> Condition:
-    """The first freed parameter, or else the energy, at the value that it has at a place."""
-    name = next(iter(curve.equations.free), "energy")
+def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:
+    """The parameter of a name, the first freed one or else the energy, at the value that it has at a place."""
+    name = name or next(iter(curve.equations.free), "energy")
     return pinned(curve.equations, name, parameter_value(curve, place, name))
 
 
@@ -247,7 +304,7 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
     seen = symmetries_of(model)[recognise(times, states, model)]
     candidates = [one for one, _ in seen.narrower()]
     if not model.conservative:  # symmetries that reverse time need no dissipation
-        candidates = [Symmetry((seen.forward,))] if seen.forward else []
+        candidates = [replace(seen, maps=(seen.forward,))] if seen.forward else []
     models = (model, moved(model, curve.equations.free))
     kept = (one.name for one in candidates if all(one.held_by(each, states[0], curve.cycles) for each in models))
     return next(kept, NONE.name)
@@ -256,17 +313,17 @@ def symmetry_of(curve: Curve, found: Solution) -> str:
 def _symmetric_state(curve: Curve, times: np.ndarray, states: np.ndarray, symmetry: Symmetry) -> np.ndarray:
     """The state at the instant nearest to the fixed set that the horizon starts in, moved into it."""
     model, one = curve.equations.model, symmetry.maps[0]
-    n = model.degrees_of_freedom
+    half = states.shape[1] // 2
     tail = np.concatenate([[times[-1]], np.zeros(curve.equations.march.unfolding), curve.equations.numbers])
     slopes = curve.equations.march.rates(states, tail)
-    clock = np.concatenate([1.0 / curve.shares, times[-1] / (2 * np.pi) / curve.shares])
+    clock = clocked(model, times[-1] / (2 * np.pi)) / np.tile(curve.shares, states.shape[1] // curve.shares.size)
     away = off_centre(one, states[:-1] * clock, model.angles)
     k = int(np.argmin(np.abs(away).max(axis=1)))
-    first, _ = symmetry.rows(n)
-    speed = (first @ (slopes[k] * clock))[:n]
+    first, _ = symmetry.rows(model.degrees_of_freedom)
+    speed = (first @ (slopes[k] * clock))[:half]
     moment = times[k] - float(away[k] @ speed) / max(float(speed @ speed), 1e-300)
     state = np.asarray(CubicHermiteSpline(times, states, slopes)(moment % times[-1]))
-    return np.asarray(state - np.linalg.pinv(first[:n]) @ off_centre(one, state[None], model.angles)[0])
+    return np.asarray(state - np.linalg.pinv(first[:half]) @ off_centre(one, state[None], model.angles)[0])
 
 
 def full_samples(curve: Curve, found: Solution, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:

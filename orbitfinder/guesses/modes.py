@@ -6,7 +6,8 @@ Source: J. Nocedal, S. J. Wright, Numerical Optimization, section 18.1 (the redu
 To every imaginary pair of eigenvalues i w of an equilibrium of a conservative system, of which no
 other is an integer multiple, belongs a family of periodic orbits whose period tends to 2 pi / w and
 whose shape to the linear mode (A. M. Lyapunov, 1907; K. R. Meyer, D. C. Offin, Introduction to
-Hamiltonian Dynamical Systems and the N-Body Problem (2017), section 9.2). Under constraints the small motions
+Hamiltonian Dynamical Systems and the N-Body Problem (2017), section 9.2); a pair that crosses the imaginary axis
+as a parameter changes gives birth to a cycle likewise (E. Hopf, 1942). Under constraints the small motions
 are those of Z^T (d2L/dtheta2) Z u = w^2 Z^T M Z u, Z a basis of the null space of J.
 """
 
@@ -21,12 +22,12 @@ from scipy.optimize import minimize, root
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError, plural
-from orbitfinder.integrate.equations import at_rest, linearised, under_constraints
+from orbitfinder.integrate.equations import accelerations, at_rest, linearised, under_constraints
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
-from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.mechanics.model import Model, counted, wrapped
 from orbitfinder.mechanics.scales import given_lengths, masses_of, snapped
 
 DESCENTS = 16
@@ -35,6 +36,10 @@ FLAT = 1e-4
 STARTS = 24
 """Assemblies, drawn with a fixed seed, from which the lowest equilibrium is looked for."""
 NEWTON_STEPS = 60
+AT_REST = 1e-10
+"""Rates of a first-order system below this share of what they are made of are those of an equilibrium."""
+ELLIPSE = 64
+"""Intervals of the ellipse that stands for a mode"""
 
 
 def equilibria(model: Model) -> list[np.ndarray]:
@@ -219,18 +224,21 @@ def normal_mode(
     """Guess on a linear normal mode: `mode` counts from 1, slowest first; largest deviation `amplitude` (rad or m).
 
     The motion starts at rest at its turning point; that of a gyroscopic system (a rotating frame), whose modes count
-    among those that oscillate, where a symmetry that the model declares has its instant. Raises `InputError` when
-    there is no such mode or when the equilibrium is unstable in it.
+    among those that oscillate, where a symmetry that the model declares has its instant. Of a first-order system the
+    modes are the pairs of complex eigenvalues at the equilibrium that Newton's method finds from `equilibrium`. Raises
+    `InputError` when there is no such mode or when the equilibrium is unstable in it.
     """
     n = model.degrees_of_freedom
+    if not (np.isfinite(amplitude) and amplitude > 0):
+        raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
+    if model.rates is not None:
+        return _first_order_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
     if model.gyroscopic is not None and model.conservative:
         return _gyroscopic_mode(model, mode, amplitude, np.zeros(n) if equilibrium is None else equilibrium)
     if isinstance(mode, bool) or not 1 <= mode <= n:
         raise InputError(
             f"guess.mode: must be between 1 and {n}, got {mode}; this system has {plural(n, 'normal mode')}"
         )
-    if not (np.isfinite(amplitude) and amplitude > 0):
-        raise InputError(f"guess.amplitude: must be positive and finite, got {amplitude}; give an angle in rad")
     squared, shapes = normal_modes(model, equilibrium)
     chosen = float(squared[mode - 1])
     if mode - 1 not in oscillating(squared):
@@ -244,8 +252,54 @@ def normal_mode(
     return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
 
 
+def first_order_modes(
+    model: Model, equilibrium: Sequence[float] | np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The equilibrium (d) of a first-order system near a state, its eigenvalues r + i w with w > 0 and their vectors.
+
+    The slowest first; w (rad/s) is the mode's frequency and r its growth. Raises `InputError`.
+    """
+    place = np.asarray(equilibrium, float)
+    if place.shape != (model.degrees_of_freedom,):
+        raise InputError(f"equilibrium: shape {place.shape} for {counted(model)}; give one number each")
+    if model.forced:
+        raise InputError("guess.mode: a forced system does not rest; give a state, its forcing has the period")
+    rates = accelerations(model)
+    slope = rates.jacobian()
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        return np.asarray(slope(0.0, x, 0)[1].full())
+
+    found = root(lambda x: rates(0.0, x).full().ravel(), place, jac=slopes, tol=1e-14).x
+    matrix, left = slopes(found), rates(0.0, found).full().ravel()
+    size = np.abs(matrix) @ np.maximum(np.abs(found), np.abs(found - place))
+    if not np.all(np.abs(left) <= AT_REST * np.maximum(size, size.max())):
+        raise InputError(f"guess.equilibrium: none is found from {place.tolist()}; give a state nearer to it")
+    values, vectors = np.linalg.eig(matrix)
+    turning = np.flatnonzero(values.imag > np.sqrt(OSCILLATES) * np.abs(values).max(initial=0.0))
+    turning = turning[np.argsort(values[turning].imag)]
+    return found, values[turning], vectors[:, turning]
+
+
+def _first_order_mode(model: Model, mode: int, amplitude: float, equilibrium: Sequence[float] | np.ndarray) -> Guess:
+    """One turn of the ellipse x* + a Re(u exp(i w t)) that a pair of eigenvalues goes round."""
+    place, values, vectors = first_order_modes(model, equilibrium)
+    if isinstance(mode, bool) or not 1 <= mode <= values.size:
+        raise InputError(
+            f"guess.mode: must be between 1 and {values.size}, got {mode}; the equilibrium at {place.tolist()} has "
+            f"{plural(values.size, 'pair')} of complex eigenvalues"
+        )
+    shape, frequency = vectors[:, mode - 1], float(values[mode - 1].imag)
+    shape = amplitude * shape / shape[np.abs(shape).argmax()]
+    times = np.linspace(0.0, 2 * np.pi / frequency, ELLIPSE + 1)
+    states = place + np.real(np.exp(1j * frequency * times)[:, None] * shape)
+    return Guess(states[0], float(times[-1]), times, states)
+
+
 def rest_near(model: Model, place: Sequence[float] | np.ndarray) -> np.ndarray:
     """Coordinates (n) of the equilibrium that Newton's method finds from a place. Raises `InputError`."""
+    if model.rates is not None:
+        return first_order_modes(model, place)[0]
     start, slopes = np.asarray(place, float), linearised(model)
     if start.shape != (model.degrees_of_freedom,):
         raise InputError(f"guess.equilibrium: shape {start.shape} for {model.degrees_of_freedom} coordinates")

@@ -26,7 +26,7 @@ from orbitfinder.mechanics.model import vector_field as field_of
 
 LOOKS = 8
 """Times at which guards are looked at within a step, at least"""
-DEEPEST, FINE = 12, 1e-4
+DEEPEST, FINE = 8, 1e-4
 """Halvings between two looks until a cubic is this near to a guard's value, relative to its range"""
 MOST_STEPS = 20_000
 MOST_EVENTS = 10_000
@@ -329,7 +329,7 @@ class _Watch:
         seen = moment, self.height(x), self.climb(x)
         self.range = max(self.range, abs(seen[1]))
         off = abs(0.5 * (a[1] + b[1]) + span / 8 * (a[2] - b[2]) - seen[1])
-        if depth == 0 or off <= max(FINE * self.range, self.floor):
+        if depth == 0 or not off > max(FINE * self.range, self.floor):
             return [seen, b]
         return [*self._between(a, seen, dense, depth - 1), *self._between(seen, b, dense, depth - 1)]
 

@@ -142,6 +142,11 @@ class Variables:
         return quantity(self.model, name, self.start, self.period, self.parameters)
 
     @property
+    def rate(self) -> ca.MX:
+        """x' (d) at t = 0."""
+        return self.model.rate(0.0, self.start, self.parameters)
+
+    @property
     def acceleration(self) -> ca.MX:
         """a(0, q, v, p) (n) at t = 0."""
         n = self.model.degrees_of_freedom

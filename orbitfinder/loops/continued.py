@@ -16,6 +16,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
+from orbitfinder.loops.problem import clocked
 from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
 NEWTON_READY = 1e-11
@@ -75,14 +76,14 @@ def make_curve(
 ) -> Curve:
     """The curve through (or near) w; its metric is fixed there once for the whole family.
 
-    `unit` is what coordinates (n) are measured in (see `mechanics.scales.lengths`).
+    `unit` is what coordinates (n) are measured in (see `point.length`).
     """
-    n = equations.size // 2
-    clock = (w.period / (2 * np.pi)) ** 2
+    n = equations.model.degrees_of_freedom
+    sizes = np.tile(np.broadcast_to(unit, n), equations.size // n)
     relative = 1.0 / parameter_sizes(equations.model, equations.free, w.free) ** 2
     with np.errstate(over="ignore"):  # what comes of a period that is too small is said where it is integrated
         pace = np.square(1.0 / w.period)
-    weights = np.concatenate([np.ones(n) / unit**2, np.full(n, clock) / unit**2, [pace], relative])
+    weights = np.concatenate([clocked(equations.model, w.period / (2 * np.pi)) ** 2 / sizes**2, [pace], relative])
     return Curve(equations, constant, conditions, weights=weights)
 
 

@@ -3,9 +3,14 @@
 The unknowns are w = (nodes, T, s, freed parameters), and only this file knows that order. The rows are
 
     x_{k+1} - x(end of segment k)         continuity
-    B0 x_0 + B1 x(end) - c                the link that closes the loop: the period, or a symmetry of a part of it
+    P (B0 x_0 + B1 x(end) - c)            the link that closes the loop: the period, or a symmetry of a part of it
     normals (x_0 - reference)             phases: time, and what else shifts an orbit into another
     conditions                            pins, what is held, the aim that picks one orbit of a family
+
+P is 1. A relative orbit comes back up to a shift along k cyclic coordinates, x(T) = x(0) + sum_j d_j g_j: its P leaves
+out the k rows that such a shift changes, and d is read off the motion. The count, of m momenta in all: 2n - k rows and
+1 + m phases (time, and the shift of each momentum) in 2n + 1 + (1 + m) unknowns (a state, T, and an unfolding of the
+energy and of each momentum). 1 + k conditions pick one orbit, such as the energy and the momenta of the k coordinates.
 
 Nothing here integrates (see `integrate.march`) or solves (see `loops.newton`).
 """
@@ -183,8 +188,18 @@ class Equations:
 
     @cached_property
     def boundary(self) -> tuple[np.ndarray, np.ndarray]:
-        """B0 and B1 (d x d)."""
-        return self.symmetry.rows(self.model.degrees_of_freedom)
+        """P B0 and P B1 (r x d)."""
+        first, last = self.symmetry.rows(self.model.degrees_of_freedom)
+        return (first, last) if self.asked is None else (self.asked @ first, self.asked @ last)
+
+    @cached_property
+    def asked(self) -> np.ndarray | None:
+        """P (r x d), None where all rows are asked."""
+        return self.symmetry.asked(self.model.degrees_of_freedom)
+
+    def aimed(self, constant: np.ndarray) -> np.ndarray:
+        """P c of the boundary rows' constants (d)."""
+        return constant if self.asked is None else np.asarray(self.asked @ constant)
 
     @cached_property
     def quantities(self) -> ca.Function:
@@ -313,6 +328,10 @@ class Links:
             after[place], guards[k] = reset, guard.item()
         return after, guards
 
+    def after(self, arc: int, x: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """The state (d) after the event that ends an arc at x."""
+        return self._passes[arc](x, free)[0].ravel()
+
     def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, Inner]:
         """Transitions and columns through the resets, and the guards' rows (`Linearised.inner`)."""
         transitions, columns, places = path.transitions.copy(), path.columns.copy(), self.ends(len(path.ends))
@@ -383,7 +402,7 @@ class Loop:
         links, guards = self.equations.links, NONE_SUCH
         if links:
             ends, guards = links.passed(w, ends)
-        closing = first @ w.nodes[0] + last @ ends[-1] - self.constant
+        closing = first @ w.nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant)
         rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self.normals @ (w.nodes[0] - self.reference)]
         return np.concatenate([*rows, self.values(w, self.conditions), guards])
 
@@ -391,7 +410,7 @@ class Loop:
         """The same rows as an expression of CasADi."""
         first, last = (ca.sparsify(ca.DM(one)) for one in self.equations.boundary)
         rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
-        rows.append(first @ nodes[0] + last @ ends[-1] - self.constant)
+        rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
         rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
         head = ca.vertcat(nodes[0], period, free)
         model = self.equations.model
@@ -409,11 +428,11 @@ class Loop:
         """The derivatives of the rows."""
         first, last = self.equations.boundary
         slopes, size = self.slopes(w, self.conditions), self.equations.size
-        more = len(self.normals) + len(slopes)
-        tail = np.zeros((size + more, 1 + w.unfolding.size + w.free.size))
+        more, before = len(self.normals) + len(slopes), len(first) + len(self.normals)
+        tail = np.zeros((len(first) + more, 1 + w.unfolding.size + w.free.size))
         if len(slopes):
-            tail[size + len(self.normals) :, 0] = slopes[:, size]
-            tail[size + len(self.normals) :, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
+            tail[before:, 0] = slopes[:, size]
+            tail[before:, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
         links, transitions, columns = self.equations.links, path.transitions, path.columns
         inner: Inner | None = None
         if links:

@@ -23,7 +23,7 @@ from orbitfinder.loops.conditions import (
     is_parameter,
 )
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
-from orbitfinder.loops.symmetry import Symmetry, named, time_dependent
+from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.hybrid import with_cycle
@@ -91,8 +91,10 @@ class Problem:
     """What to find. `pin=()` takes the orbit nearest to the guess; of a chain or linkage as a DAE, the guess's state
     and the winding may be given for its links instead of its coordinates.
 
-    `symmetry` is none | brake | reflection | reversal | brake+reflection, or one that the model declares;
-    `winding` the whole turns of each coordinate in one period; `segments` the shooting intervals of the
+    `symmetry` is none | brake | reflection | reversal | brake+reflection, or one that the model declares or, called
+    mirror (mirror-x where there are several), has: signs of coordinates with time reversed;
+    `winding` the whole turns of each coordinate in one period; `relative` the cyclic coordinates (or conserved momenta
+    of other shifts) along which the orbit need not come back; `segments` the shooting intervals of the
     horizon (None: chosen from the instability of the guess); `tolerance` the closure that the certificate
     asks for; `free` physical parameters the solver may change (one that is pinned and not free has that value);
     `expected` {"period": (value, tolerance)} that the result must agree with.
@@ -123,9 +125,11 @@ class Problem:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     constraints: tuple[Constraint, ...] = ()
     phase_condition: Expression | None = None
+    relative: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
+        object.__setattr__(self, "model", knowing(self.model, self.symmetry))
         if self.model.constraint is not None and self.model.constraint.lift is not None:
             self._lift(self.model.degrees_of_freedom // 3)
         self._settle()
@@ -163,7 +167,13 @@ class Problem:
     @property
     def boundary(self) -> Symmetry:
         """The symmetry as a boundary condition."""
-        return named(self.symmetry, self.model)
+        return related(named(self.symmetry, self.model), self.model, self.relative)
+
+    @property
+    def shifts(self) -> tuple[Shift, ...]:
+        """The shifts up to which a relative orbit comes back. Raises `InputError`."""
+        known = shifts_of(self.model) if self.relative else {}
+        return tuple(known[name] for name in self.relative)
 
     @property
     def forcing_cycles(self) -> int:
@@ -185,7 +195,7 @@ class Problem:
         others = sum(one.generator is not None for one in unfolded)
         equations = {
             "defects": size * (intervals - 1),
-            "boundary": size,
+            "boundary": size - len(self.relative),
             "phase conditions": int(not symmetry.reverses and not self.model.forced and not self.model.hybrid) + others,
             "guards": arcs,
             "forcing period": int(self.model.forced),
@@ -267,6 +277,7 @@ def _check(problem: Problem) -> None:
     model, guess = problem.model, problem.guess
     state = np.asarray(guess.state, float)
     _check_state(model, state)
+    _check_relative(problem)
     symmetry, n = problem.boundary, model.degrees_of_freedom
     _check_winding(problem)
     if problem.segments is not None and problem.segments < 1:
@@ -315,6 +326,7 @@ def _check_hybrid(problem: Problem) -> None:
     """`InputError` for what orbits of hybrid systems cannot be asked for."""
     asked = {
         "symmetry": problem.symmetry != "none",
+        "relative": bool(problem.relative),
         "objective": problem.objective != "nearest",
         "coordinate": problem.coordinate is not None,
         "bounds": bool(problem.bounds),
@@ -344,6 +356,10 @@ def _check_objective(problem: Problem) -> None:
         if problem.coordinate not in problem.model.state_names[:n]:
             known = ", ".join(problem.model.state_names[:n])
             raise InputError(f"coordinate: unknown {problem.coordinate!r}; this system has {known}")
+    if named == PEAKS[1] and problem.model.rates is not None:
+        raise InputError(
+            "objective: min_peak_rate is about velocities, which a first-order system has not; give a callable"
+        )
     phased = not symmetry.reverses and not problem.model.forced
     if not phased and (named == "min_peak_rate" or problem.phase_condition is not None):
         raise InputError(
@@ -384,6 +400,35 @@ def _check_winding(problem: Problem) -> None:
         raise InputError(
             f"winding: a {problem.symmetry} orbit comes back, so {list(problem.winding)} cannot hold; "
             "use symmetry = 'none' or 'reversal' for running orbits"
+        )
+
+
+def _check_relative(problem: Problem) -> None:
+    """`InputError` unless the orbit may shift along what `relative` names."""
+    if not problem.relative:
+        return
+    model, known = problem.model, shifts_of(problem.model)
+    if model.constraint is not None:
+        raise InputError("relative: not known in redundant coordinates; describe the system in minimal ones (lagrange)")
+    for name in problem.relative:
+        if name not in known:
+            raise InputError(
+                f"relative: {name!r} is no cyclic coordinate{closest(name, known)}; a shift must leave the equations "
+                f"as they are and keep a momentum, as that of {', '.join(known) or 'none of this system'} does"
+            )
+    if len(set(problem.relative)) < len(problem.relative):
+        raise InputError(f"relative: {list(problem.relative)} names a coordinate twice; name each once")
+    moved = np.any([known[name].direction for name in problem.relative], axis=0)
+    if np.any(moved & ~named(problem.symmetry, model).may_turn(moved.size)):
+        raise InputError(
+            f"relative: a {problem.symmetry} orbit comes back, so nothing shifts; leave relative out, or use "
+            "symmetry = 'none'"
+        )
+    first = [int(np.flatnonzero(known[name].direction)[0]) for name in problem.relative]
+    if problem.winding is not None and any(problem.winding[k] for k in first):
+        raise InputError(
+            f"winding: {list(problem.winding)} turns a coordinate of relative = {list(problem.relative)}, whose shift "
+            "is found; set it to 0"
         )
 
 
@@ -436,13 +481,17 @@ def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.nd
     model, n = problem.model, problem.model.degrees_of_freedom
     if problem.boundary.maps or problem.winding is not None or end is None:
         return boundary_constants(problem, w.nodes, end)
-    turns = whole_turns(model, w.nodes[0], end)
+    turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative)
     return np.concatenate([np.zeros(n) if turns is None else 2 * np.pi * turns, np.zeros(w.nodes.shape[1] - n)])
 
 
-def whole_turns(model: Model, start: np.ndarray, end: np.ndarray) -> np.ndarray | None:
-    """Whole turns of each angle (n) between two states, None when they do not come near whole numbers."""
+def whole_turns(
+    model: Model, start: np.ndarray, end: np.ndarray, relative: Sequence[Sequence[float]] = ()
+) -> np.ndarray | None:
+    """Whole turns of each angle (n) between two states beside a shift along `relative` directions; None when they do
+    not come near whole numbers."""
     turned = np.where(model.angles, (end - start)[: model.degrees_of_freedom] / (2 * np.pi), 0.0)
+    turned = beside(turned, relative)
     whole = np.round(turned)
     return whole if np.all(np.abs(turned - whole) <= WINDING_MARGIN) else None
 

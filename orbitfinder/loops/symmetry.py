@@ -131,6 +131,8 @@ class Symmetry:
     maps: tuple[Involution, ...] = ()
     first_order: bool = False
     """the state is the coordinates alone, without their rates"""
+    relative: tuple[tuple[float, ...], ...] = ()
+    """directions (n each) along which the motion need not come back: it returns up to a shift"""
 
     def coordinates(self, size: int) -> int:
         """n, how many components of a state (d) are coordinates: half of them, or of a first-order system all."""
@@ -216,6 +218,26 @@ class Symmetry:
             return np.concatenate([begin, begin + _fixed(first, n).rows @ travelled if first == last else 0 * begin])
         return np.concatenate([begin, nearest(last, end)])
 
+    def asked(self, n: int) -> np.ndarray | None:
+        """The combinations (r x 2n) of the rows that no shift along `relative` changes; None where all are asked."""
+        return _asked(self, n) if self.relative else None
+
+    def settled(self, constant: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """The constants with the shift that a motion from `start` to `end` of the part (2n each) has."""
+        if not self.relative:
+            return constant
+        n = self.coordinates(start.size)
+        first, last = self.rows(n)
+        along = last[:, :n] @ np.transpose(self.relative)
+        missed = first @ start + last @ end - constant
+        return np.asarray(constant + along @ np.linalg.lstsq(along, missed)[0])
+
+    def shifts(self, constant: np.ndarray) -> np.ndarray:
+        """How far a period takes the motion along each of `relative`, from constants that are `settled`."""
+        n = self.coordinates(constant.size)
+        moved = self.displaced(constant)[1][:n] - 2 * np.pi * self.turns(constant)
+        return np.asarray(np.linalg.lstsq(np.reshape(self.relative, (-1, n)).T, moved)[0])
+
     def implied(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """The constants (2n) that coordinates at start and end have themselves, rates' ones 0: for drawing."""
         n = self.coordinates(start.size)
@@ -244,7 +266,8 @@ class Symmetry:
         n = self.coordinates(constant.size)
         if len(self.maps) > self.reverses:
             return np.zeros(n, int)
-        return np.round(self.displaced(constant)[1][:n] / (2 * np.pi)).astype(int)
+        turned = self.displaced(constant)[1][:n] / (2 * np.pi)
+        return np.round(beside(turned, self.relative)).astype(int)
 
     def may_turn(self, n: int) -> np.ndarray:
         """Which coordinates (n) may make whole turns in a period."""
@@ -268,7 +291,8 @@ class Symmetry:
 
         Without the rows' constants the states' own are taken.
         """
-        constant = self.implied(states[0], states[-1]) if constant is None else constant
+        given = self.implied(states[0], states[-1]) if constant is None else constant
+        constant = self.settled(given, states[0], states[-1])
         if self.reverses:
             _, (last, moved) = self.about(constant)
             times = np.concatenate([times, 2 * times[-1] - times[-2::-1]])
@@ -289,8 +313,10 @@ class Symmetry:
         gap = last @ states[-1] + (0.0 if self.reverses else first @ states[0])
         kept = np.any(last != 0, axis=1)
         where = np.any(last[:, :n] != 0, axis=1)
-        kept &= ~where | self.reverses
+        kept &= ~where | self.reverses | self.first_order
         constant = self.constants(angles, states[0], states[-1]) * where
+        if self.first_order and not self.reverses:
+            constant = np.where(angles, 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0)
         units = (np.abs(last) * _moved(states, n)).max(axis=1)
         return float((np.abs(gap - constant) / np.where(kept, units, 1.0))[kept].max())
 
@@ -378,6 +404,22 @@ class Symmetry:
         return True
 
 
+def beside(moved: np.ndarray, directions: Sequence[Sequence[float]]) -> np.ndarray:
+    """What is left of how far coordinates moved (n) when each direction's first coordinate is brought back along it."""
+    for direction in np.asarray(directions, float):
+        first = int(np.flatnonzero(direction)[0])
+        moved = moved - moved[first] / direction[first] * direction
+    return moved
+
+
+@lru_cache(maxsize=64)
+def _asked(symmetry: Symmetry, n: int) -> np.ndarray:
+    along = symmetry.rows(n)[1][:, :n] @ np.transpose(symmetry.relative)
+    if np.all(np.count_nonzero(along, axis=0) == 1):
+        return np.delete(np.eye(len(along)), np.flatnonzero(along.any(axis=1)), axis=0)
+    return np.asarray(np.linalg.svd(along)[0][:, along.shape[1] :].T)
+
+
 @lru_cache(maxsize=64)
 def _rows(symmetry: Symmetry, n: int) -> tuple[np.ndarray, np.ndarray]:
     if not symmetry.reverses:
@@ -422,16 +464,22 @@ def _usual_alone(model: Model) -> tuple[Involution, ...]:
     return Involution(BRAKE_MAP.name, BRAKE_MAP.sense, (1,) * half + (-1,) * half, first_order=True), mirror
 
 
+def involutions(model: Model) -> tuple[Involution, ...]:
+    """The usual involutions of a model and those that it declares."""
+    return (*(USUAL if model.rates is None else _usual_alone(model)), *declared(model))
+
+
 def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
     """The symmetries that a Problem of this model may ask for, by name: the usual ones and those it declares."""
     own = declared(model)
     if model.rates is not None:
-        own = (*_usual_alone(model), *own)
+        own = involutions(model)
         pairs = [(first, last) for first in own for last in own if first.sense < last.sense]
         alone = (ALONE, *(Symmetry(maps, True) for maps in (*((one,) for one in own), *pairs)))
         return {one.name: one for one in alone}
     backward = [BRAKE_MAP, *(one for one in own if one.sense < 0)]
     pairs = [(first, last) for first in backward for last in own if last.sense > 0]
+    pairs += [(one, REFLECTION_MAP) for one in own if one.sense < 0]
     found = (*SYMMETRIES.values(), *(Symmetry((one,)) for one in own), *map(Symmetry, pairs))
     return {one.name: one for one in found} if own else SYMMETRIES
 
@@ -442,6 +490,64 @@ def named(name: str, model: Model) -> Symmetry:
     if name not in known:
         raise InputError(f"symmetry: unknown {name!r}; use one of {', '.join(known)}")
     return known[name]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A constant direction (n) along which the equations do not change, and the name of the momentum kept with it."""
+
+    direction: tuple[float, ...]
+    momentum: str
+
+
+def shifts_of(model: Model) -> Mapping[str, Shift]:
+    """The shifts of a model by name: its cyclic coordinates, and the momenta kept with other constant directions."""
+    n, found, random = model.degrees_of_freedom, {}, np.random.default_rng(0)
+    states = random.normal(0, 1.0, (2, len(model.state_names)))
+    for one in model.invariants:
+        if one.generator is None:
+            continue
+        here, there = (one.generator(x[:n], x[n:], model.parameter_values).full().ravel() for x in states)
+        if np.array_equal(here, there) and not np.any(here[n:]) and np.any(here[:n]):
+            moving = np.flatnonzero(here[:n])
+            name = model.state_names[moving[0]] if moving.size == 1 else one.name
+            found[name] = Shift(tuple(map(float, here[:n])), one.name)
+    return found
+
+
+def related(symmetry: Symmetry, model: Model, names: Sequence[str]) -> Symmetry:
+    """A symmetry of orbits that come back up to shifts by name, those of `shifts_of`."""
+    if not names:
+        return symmetry
+    known = shifts_of(model)
+    return replace(symmetry, relative=tuple(known[name].direction for name in names))
+
+
+def shifting(symmetry: Symmetry, model: Model) -> Mapping[str, Shift]:
+    """What `relative` of a symmetry is called in a model."""
+    known = shifts_of(model) if symmetry.relative else {}
+    return {name: one for name, one in known.items() if one.direction in symmetry.relative}
+
+
+def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.ndarray:
+    """How far coordinates (n) go in a period, in 2 pi: whole turns, and what an orbit shifts by name.
+
+    Raises `InputError` where the system has no such shift.
+    """
+    known, found = shifts_of(model) if shift else {}, turns
+    for name, amount in shift.items():
+        if name not in known or not np.isfinite(amount):
+            raise InputError(
+                f"shift: {name} = {amount} is none of this system, which has {', '.join(known) or 'no'} shifts; the "
+                "record contradicts its system, run the problem again"
+            )
+        found = found + amount / (2 * np.pi) * np.asarray(known[name].direction)
+    return found
+
+
+def momenta_of(symmetry: Symmetry, model: Model) -> tuple[str, ...]:
+    """The momenta that are kept with what orbits of a symmetry are relative in."""
+    return tuple(one.momentum for one in shifting(symmetry, model).values())
 
 
 def called(symmetry: Symmetry, model: Model) -> Symmetry:
@@ -511,21 +617,41 @@ def _apart(
 
 
 def undeclared_mirrors(model: Model) -> tuple[Involution, ...]:
-    """What runs time backwards with signs that differ, of the usual ones none, tried at a few states."""
+    """What runs time backwards with signs that differ, of usual and declared ones none, tried at a few states.
+
+    It is called mirror, or mirror-x after the coordinates that it turns where there are several.
+    """
     n, random = model.degrees_of_freedom, np.random.default_rng(0)
-    if n > MOST_COORDINATES or model.rates is not None:
+    if n > MOST_COORDINATES or model.constraint is not None or model.rates is not None:
         return ()
     lengths, clock = surroundings(model, np.zeros(n))
     states = random.normal(0, 1.0, (4, 2, n)) + np.array([np.ones(n), np.zeros(n)])
+    known = {signs for _, sense, signs in model.symmetries if sense < 0}
+    signs = [one for one in product((1, -1), repeat=n) if len(set(one)) > 1 and one not in known]
+    candidates = [Involution("mirror", -1, one) for one in signs]
     states *= np.array([lengths, lengths / clock])
-    candidates = (Involution("mirror", -1, signs) for signs in product((1, -1), repeat=n) if len(set(signs)) > 1)
 
     def kept(one: Involution) -> bool:
         return all(
             apart <= MIRRORED * size for apart, size in (_apart(model, one, (0.0, *x), 0.0, lengths) for x in states)
         )
 
-    return tuple(filter(kept, candidates))
+    found, names = [one for one in candidates if kept(one)], model.state_names[:n]
+    if len(found) + len(model.symmetries) < 2:
+        return tuple(found)
+    turned = ["-".join(name for name, sign in zip(names, one.signs, strict=True) if sign < 0) for one in found]  # type: ignore[arg-type]
+    return tuple(replace(one, name=f"mirror-{which}") for one, which in zip(found, turned, strict=True))
+
+
+def with_mirrors(model: Model) -> Model:
+    """The Model with the mirrors that nobody declares declared."""
+    found = tuple((one.name, one.sense, one.signs) for one in undeclared_mirrors(model))
+    return replace(model, symmetries=(*model.symmetries, *found)) if found else model  # type: ignore[arg-type]
+
+
+def knowing(model: Model, name: str) -> Model:
+    """The Model, with its mirrors declared where the name of a symmetry is one of theirs."""
+    return model if name in SYMMETRIES or name in symmetries_of(model) else with_mirrors(model)
 
 
 # ---- recognition -------------------------------------------------------------------------------------------
@@ -538,7 +664,7 @@ def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool 
     """
     angles = model.angular
     if model.rates is not None:
-        return _first_order(states, (*_usual_alone(model), *(declared(model) if own else ())), angles)
+        return _first_order(states, involutions(model) if own else _usual_alone(model), angles)
     states = states / np.tile(proportions(model, states[0]), 2)
     found = [one for one in QUARTER.maps if has(one, times, states, angles)]
     for one in (REVERSAL_MAP, *(declared(model) if own else ())):

@@ -160,6 +160,7 @@ def lagrange(
     points: ca.SX | None = None,
     centres: ca.SX | None = None,
     system: Mapping[str, Any] | None = None,
+    symmetries: Mapping[str, Sequence[int]] | None = None,
     scales: Mapping[str, float] | None = None,
 ) -> Model:
     """Model of a system given by its kinetic and potential energy (CasADi SX expressions).
@@ -168,6 +169,8 @@ def lagrange(
     Q(t, q, v, p). T may have terms linear in v (moving pivots, rotating frames). First integrals are
     detected: the Jacobi integral ("energy") when Q and time are absent, and the momenta of absent
     coordinates; pass `invariants=()` or your own to override (find_orbit checks their drift).
+    `symmetries` declare reversals (q_i, t) -> (s_i q_i, -t) by name, as {"mirror": (1, -1)}: orbits that have one are
+    labelled, found over half a period and searched for; the equations are tried when one is asked for.
     `names` are the coordinates' names (rates get a trailing "dot"); `scales` gives sizes to measure in,
     of coordinates and parameters by name or `length` of all coordinates that are no angles, where no
     motion shows them yet (modes, searches). Raises `InputError` when an energy is not a scalar, depends
@@ -190,8 +193,22 @@ def lagrange(
         angles=turning,
         points=polyline("points", points, [q, p]),
         centres=polyline("centres", centres, [q, p]),
+        symmetries=_reversals(symmetries or {}, q.numel()),
     )
     return with_scales(model, scales)
+
+
+def _reversals(symmetries: Mapping[str, Sequence[int]], count: int) -> tuple[tuple[str, int, tuple[int, ...]], ...]:
+    """Declared reversals as a Model keeps them; `InputError` unless each has a sign for every coordinate."""
+    for name, signs in symmetries.items():
+        if len(signs) != count or not set(signs) <= {1, -1} or len(set(signs)) < min(count, 2):
+            raise InputError(
+                f"symmetries: {name!r} is {list(signs)}; give 1 or -1 for each of {count} coordinates, not all alike "
+                "(those need no declaration)"
+            )
+        if not name.replace("-", "_").isidentifier():
+            raise InputError(f"symmetries: {name!r} is no name; use letters, digits, - and _")
+    return tuple((name, -1, tuple(int(sign) for sign in signs)) for name, signs in symmetries.items())
 
 
 def mechanical_model(

@@ -225,6 +225,65 @@ def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     )  # fmt: skip
 
 
+def spherical_pendulum(length: float = 1.0, mass: float = 1.0, gravity: float = 9.8) -> Model:
+    """A point mass on a rod of `length` (m) that swings any way: theta from the downward vertical, phi about it (rad).
+
+    Nothing depends on phi, so that the momentum about the vertical is conserved: orbits are relative in it, or turn
+    whole times. Period and turn of a swing are elliptic integrals (E. T. Whittaker, Analytical Dynamics, section 55).
+    """
+    made = ingredients(2, {"length": length, "mass": mass}, {"gravity": gravity})
+    (theta, phi), (u, w), arm = (made.q[0], made.q[1]), (made.v[0], made.v[1]), made["length"]
+    kinetic = made["mass"] * arm**2 * (u**2 + (ca.sin(theta) * w) ** 2) / 2
+    bob = arm * ca.vertcat(ca.cos(theta), ca.sin(theta) * ca.cos(phi))
+    return made.model(
+        "spherical_pendulum", kinetic, -made["mass"] * made["gravity"] * bob[0], names=["theta", "phi"],
+        angles=[True, True], points=ca.horzcat(ca.SX.zeros(2), bob), centres=bob,
+    )  # fmt: skip
+
+
+def swinging_spring(length: float = 1.0, mass: float = 1.0, stiffness: float = 29.4, gravity: float = 9.8) -> Model:
+    """A mass on a massless spring of natural length `length` (m) that swings any way, in cylinder coordinates.
+
+    z (m, down), r (m, from the vertical axis) and phi (rad, about it); the momentum about the axis is conserved, and
+    keeps r from 0. In its vertical plane it is `spring_pendulum`, where P. Lynch is quoted.
+    """
+    made = ingredients(3, {"length": length, "mass": mass, "stiffness": stiffness}, {"gravity": gravity})
+    (z, r, phi), v = (made.q[0], made.q[1], made.q[2]), made.v
+    stretch = ca.sqrt(z**2 + r**2) - made["length"]
+    bob = ca.vertcat(z, r * ca.cos(phi))
+    return made.model(
+        "swinging_spring", made["mass"] * (v[0] ** 2 + v[1] ** 2 + (r * v[2]) ** 2) / 2,
+        made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * z, names=["z", "r", "phi"],
+        angles=[False, False, True], points=ca.horzcat(ca.SX.zeros(2), bob), centres=bob,
+    )  # fmt: skip
+
+
+def turning_three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 1.0, gravitation: float = 1.0) -> Model:
+    """Three point masses that attract each other in a plane, in a frame that turns with two of them.
+
+    r and phi: distance and direction of the second from the first (m, rad), which never meet; u and w: the third from
+    the centre of mass of these two, along their line and across it; the centre of mass of all is at rest. Nothing
+    depends on phi, whose momentum is the angular momentum, so that orbits are periodic up to a rotation.
+    Source: E. T. Whittaker, Analytical Dynamics, chapter 13.
+    """
+    made = ingredients(4, {"mass1": mass1, "mass2": mass2, "mass3": mass3, "gravitation": gravitation})
+    (r, phi, u, w), v = ca.vertsplit(made.q), made.v
+    one, two, three = (made[f"mass{k}"] for k in (1, 2, 3))
+    pair = one + two
+    first, second = -two / pair * r, one / pair * r
+    kinetic = one * two / pair * (v[0] ** 2 + (r * v[1]) ** 2) / 2
+    kinetic += three * pair / (pair + three) * ((v[2] - v[1] * w) ** 2 + (v[3] + v[1] * u) ** 2) / 2
+    near, far = (ca.sqrt((u - place) ** 2 + w**2) for place in (first, second))
+    turn = ca.vertcat(ca.horzcat(ca.cos(phi), -ca.sin(phi)), ca.horzcat(ca.sin(phi), ca.cos(phi)))
+    places = turn @ ca.horzcat(ca.vertcat(first, 0), ca.vertcat(second, 0), ca.vertcat(u, w))
+    places -= ca.repmat(places @ ca.vertcat(one, two, three) / (pair + three), 1, 3)
+    pull = one * two / r + one * three / near + two * three / far
+    return made.model(
+        "turning_three_bodies", kinetic, -made["gravitation"] * pull,
+        names=["r", "phi", "u", "w"], angles=[False, True, False, False], points=places, centres=places,
+    )  # fmt: skip
+
+
 def pendulum_on_cart(
     cart: float = 1.0, mass: float = 1.0, length: float = 1.0, gravity: float = 9.8, stiffness: float = 0.0
 ) -> Model:
@@ -468,7 +527,7 @@ FUNCTIONS: dict[str, Callable[..., Model]] = {
     for one in (
         brusselator, cart_chain, double_well, duffing, fitzhugh_nagumo, forced_duffing, forced_pendulum, henon_heiles,
         hodgkin_huxley, lorenz, pendulum_on_cart, planar_oscillator, restricted_three_body,
-        restricted_three_body_canonical, rossler, rotating_hoop, spring_pendulum, three_bodies, van_der_pol,
-        vibrated_pendulum,
+        restricted_three_body_canonical, rossler, rotating_hoop, spherical_pendulum, spring_pendulum, swinging_spring,
+        three_bodies, turning_three_bodies, van_der_pol, vibrated_pendulum,
     )
 }  # fmt: skip

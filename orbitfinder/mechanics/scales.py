@@ -116,7 +116,7 @@ def _pushed(model: Model, state: np.ndarray, n: int) -> np.ndarray:
 
 def _alone(sizes: np.ndarray) -> tuple[float, ...]:
     """The units of a first-order state (d): each component by itself, that at 0 as the largest."""
-    units = snapped(np.where(sizes > 0, sizes, sizes.max()))
+    units = snapped(np.where(sizes > 1e-9 * sizes.max(), sizes, sizes.max()))
     return () if np.all(units == 1.0) else tuple(float(one) for one in units)
 
 

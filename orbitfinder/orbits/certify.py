@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,16 +11,17 @@ from scipy.optimize import linear_sum_assignment
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.loops.symmetry import NONE, recognise, symmetries_of, symplectic
+from orbitfinder.loops.symmetry import NONE, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import with_cycle
 from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
-from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents
+from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents, shift_along
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
-from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, off_motion, second_gap, turned
+from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, off_motion, second_gap, turned_further
+from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.family import FamilyPoint
-from orbitfinder.records.orbit import Certificate, Check, Orbit, digest, orbit_to_document
+from orbitfinder.records.orbit import SHIFT, Certificate, Check, Orbit, digest, orbit_to_document
 
 COVERS = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89, 97, 101)
 """A recorded period is tested for being so many times another: of any multiple, one of its prime factors."""
@@ -83,13 +84,14 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     model = model or build_model(orbit.system)
     if model.hybrid is not None and not model.hybrid.cycle:
         model = with_cycle(model, orbit.system.get("cycle", ()))
-    turns = _turns(orbit, model)
+    whole = _turns(orbit, model)
+    turns = turned(model, whole, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
         return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
     if model.hybrid is not None:
-        return _hybrid_certificate(orbit, model, turns, allowed)
+        return _hybrid_certificate(orbit, model, whole, allowed)
     cycles, pictured = model.forcing_cycles(orbit.period), _pictured(orbit)
-    covers = [k for k in COVERS if cycles % k == 0 and not np.any(turns % k)]
+    covers = [k for k in COVERS if cycles % k == 0 and not np.any(whole % k)]
     shares = _shares(covers)
     moments = np.concatenate([orbit.period * shares.ravel(), *(times for _, times, _, _ in pictured)])
     try:
@@ -110,9 +112,9 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         if model.conservative
         else None,
         _forcing_check(orbit, model),
-        *_premises(model, evidence, turns),
-        _minimal_period(orbit, covers, allowed.cover, evidence),
-        _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, "extent of the motion"),
+        *_premises(model, evidence, whole, orbit.shift),
+        _minimal_period(orbit, covers, allowed.cover, evidence, turns),
+        _at_least("not_equilibrium", _motion(evidence, model), allowed.motion, _moving(model, orbit)),
         _at_most("trivial_multipliers", evidence.trivial, max(allowed.trivial, passing), "flow and gradients are kept")
         if model.invariants or not model.forced
         else None,
@@ -163,6 +165,7 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
                  allowed.unfolding + 10 * found.gap, "back at 0, per period") if any(orbit.unfolding) else None,
         *_hybrid_record_checks(orbit, evidence, model, allowed, scale),
         *_expected_checks(orbit, model),
+        Check("shift", 1.0, 0.0, False, "hybrid orbits shift along nothing") if orbit.shift else None,
         *_hybrid_premises(model, evidence, turns),
         *_hybrid_pictures(orbit, model, evidence),
         *(Check("ignored", 0.0, 0.0, True, text) for text in model.hybrid.ignored),
@@ -177,7 +180,7 @@ def _hybrid_premises(model: Model, evidence: HybridEvidence, turns: np.ndarray) 
         if not model.angular[k]:
             yield Check("winding", float(abs(turns[k])), 0.0, False, f"{name} turns and is not an angle")
         else:
-            found = turned(model, evidence.arcs, int(k))
+            found = turned_further(model, evidence.arcs, int(k))
             yield _at_most("winding", found, EXACT, f"modes, guards and resets with {name} a turn further")
 
 
@@ -262,12 +265,18 @@ def _constraint_checks(
     if model.constraint is None:
         return []
     defect = constraint_defect(model, orbit.state, evidence.extents)
-    turns = np.asarray(orbit.winding, int)
+    turns = turned(model, np.asarray(orbit.winding), orbit.shift)
     returned = native_closure(model, orbit.state, orbit.period, turns, evidence.extents)
     return [
         _at_most("constraint", defect, allowed.constraint, "largest |phi|, |J v| of the state, relative"),
         _at_most("native_closure", returned, allowed.native_closure * scale, "IDAS on the native DAE"),
     ]
+
+
+def _moving(model: Model, orbit: Orbit) -> str:
+    """The note of what moves."""
+    more = "" if orbit.shift else reduction(model, orbit)
+    return "extent of the motion" + (f"; a {more}" if more else "")
 
 
 def _motion(evidence: Evidence, model: Model) -> float:
@@ -296,17 +305,19 @@ def _shares(covers: Sequence[int]) -> np.ndarray:
     return np.array([[1 / k, (k // 2) / k] for k in covers]).reshape(-1, 2)
 
 
-def _minimal_period(orbit: Orbit, covers: Sequence[int], tolerance: float, evidence: Evidence) -> Check | None:
+def _minimal_period(
+    orbit: Orbit, covers: Sequence[int], tolerance: float, evidence: Evidence, turns: np.ndarray
+) -> Check | None:
     """The smallest distance between x(T/k), x(j T/k) and x(0), k prime, in extents of the motion.
 
     Both: a motion that lingers where it starts is near x(0) after T/k without having been anywhere. Shorter
-    periods are possible only where the turns, and the periods of a forcing, can be divided by k.
+    periods are possible only where the whole turns, and the periods of a forcing, can be divided by k.
     """
     if not covers:
         return None
     shares = _shares(covers).ravel()
-    turned = 2 * np.pi * shares[:, None] * np.asarray(orbit.winding)
-    shift = np.hstack([turned, np.zeros((len(turned), orbit.state.size - len(orbit.winding)))])
+    moved = 2 * np.pi * shares[:, None] * turns
+    shift = np.hstack([moved, np.zeros((len(moved), orbit.state.size - turns.size))])
     far = np.abs((evidence.reached[: shares.size] - shift - orbit.state) / evidence.extents).max(axis=1)
     found = far.reshape(-1, 2).max(axis=1)
     note = f"nearest early return at T/{covers[int(found.argmin())]}"
@@ -386,6 +397,11 @@ def _record_checks(orbit: Orbit, evidence: Evidence, model: Model, allowed: Tole
     defect = max(evidence.floquet.pair_defect, abs(orbit.pair_defect))
     if paired or defect:
         checks.append(_at_most("pair_defect", defect, pairs, "reciprocal pairs, as recorded and as found"))
+    if orbit.shift:
+        ends, turns = (evidence.states[0], evidence.states[-1]), np.asarray(orbit.winding)
+        there = shift_along(model, orbit.shift, *ends, turns)
+        off = max(abs(there[name] - by) for name, by in orbit.shift.items()) / float(evidence.extents.max())
+        checks.append(_at_most("shift", off, held * scale, "recorded - recomputed, in extents of the motion"))
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
     return checks
@@ -401,6 +417,7 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 
     A family's point claims the symmetry of its formulation only, and may have more.
     """
+    model = knowing(model, orbit.symmetry)
     names = [
         recognise(evidence.times, evidence.states, model, own=own)
         for own in (True, False)[: 1 + bool(model.symmetries)]
@@ -432,22 +449,27 @@ def _expected_checks(orbit: Orbit, model: Model) -> list[Check]:
     for name, (value, tolerance) in orbit.expected.items():
         if name in ("period", "energy", "action"):
             found = getattr(orbit, name)
+        elif name.removeprefix(SHIFT) in orbit.shift and name.startswith(SHIFT):
+            found = orbit.shift[name.removeprefix(SHIFT)]
         elif name in model.parameter_names:
             found = model.parameter_values[model.parameter_index(name)]
         else:
-            raise InputError(f"expected: unknown quantity {name!r}; use period, energy, action or a physical parameter")
+            raise InputError(
+                f"expected: unknown quantity {name!r}; use period, energy, action, a physical parameter, or "
+                f"{SHIFT}NAME of a relative orbit"
+            )
         checks.append(_at_most(f"expected_{name}", abs(found - value), tolerance, f"against {value!r}"))
     return checks
 
 
-def _premises(model: Model, evidence: Evidence, turns: np.ndarray) -> list[Check]:
+def _premises(model: Model, evidence: Evidence, turns: np.ndarray, shift: Mapping[str, float]) -> list[Check]:
     """What a certificate would otherwise take on trust: that the system is what its description says.
 
-    A period declared for the forcing, the absence of time, angles that turn and invariants are tried on the
-    equations themselves, at seeded states about the motion.
+    A period declared for the forcing, the absence of time, angles that turn, cyclic coordinates and invariants are
+    tried on the equations themselves, at seeded states about the motion.
     """
     near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
-    return [near.time_dependence(), *near.windings(turns), *near.invariants()]
+    return [near.time_dependence(), *near.windings(turns), *near.shifts(shift), *near.invariants()]
 
 
 class _Nearby:
@@ -496,6 +518,16 @@ class _Nearby:
             turned[:, k] += 2 * np.pi
             there = self._accelerations(self.moments, turned)
             yield _at_most("winding", self._differ(there), EXACT, f"equations of motion with {name} a turn further")
+
+    def shifts(self, shift: Mapping[str, float]) -> Iterator[Check]:
+        """The equations are the same further along what a relative orbit shifts in, by any amount."""
+        known, n = shifts_of(self.model), self.model.degrees_of_freedom
+        for name, amount in shift.items():
+            by = np.random.default_rng(1).uniform(0.1, 1.0, (TRIED, 1)) * (abs(amount) + self.units[:n].max())
+            moved = np.hstack([by * known[name].direction, np.zeros((TRIED, self.units.size - n))])
+            there = self._accelerations(self.moments, self.rows + moved)
+            note = f"equations of motion further along {name}, which {known[name].momentum} is held for"
+            yield _at_most("cyclic", self._differ(there), EXACT, note)
 
     def invariants(self) -> Iterator[Check]:
         """Each declared invariant is constant along the motion."""

@@ -14,13 +14,13 @@ which sees the shear that the multipliers do not. The distance to the true orbit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from orbitfinder.loops.symmetry import STILL
+from orbitfinder.loops.symmetry import STILL, shifts_of
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import masses_of
 
@@ -109,6 +109,18 @@ def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
     return np.concatenate(extents(moved, rushed, masses_of(model.kinetic, states[0], model), period))
 
 
+def shift_along(
+    model: Model, names: Iterable[str], start: np.ndarray, end: np.ndarray, turns: np.ndarray
+) -> dict[str, float]:
+    """How far a motion from `start` to `end` (2n each) goes by name along shifts of a model, beside whole turns (n)."""
+    chosen = list(names)
+    if not chosen:
+        return {}
+    known, moved = shifts_of(model), (end - start)[: turns.size] - 2 * np.pi * turns
+    directions = np.array([known[name].direction for name in chosen])
+    return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved)[0]), strict=True))
+
+
 def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray | float) -> np.ndarray:
     """States at moments from dense samples (k x d), by cubics; n of the components are coordinates, others rates."""
     if n == states.shape[1]:
@@ -120,7 +132,7 @@ def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray |
 def gap(
     start: np.ndarray, end: np.ndarray, turns: np.ndarray | Sequence[int], units: np.ndarray | float = 1.0
 ) -> float:
-    """Largest component of x(T) - x(0) - 2 pi k, in `units`."""
+    """Largest component of x(T) - x(0) - 2 pi k, in `units`; k of a relative orbit are no whole numbers."""
     return float(np.abs((end - start - shift(turns, start.size)) / units).max())
 
 

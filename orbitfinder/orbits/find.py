@@ -43,8 +43,9 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import between, extents_of, gap
 from orbitfinder.orbits.long_chain import find_long_chain, suits
-from orbitfinder.orbits.measure import dense, measure, provenance
+from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen
+from orbitfinder.orbits.reduction import steady
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.orbit import Orbit
 
@@ -136,7 +137,7 @@ def winding_of(problem: Problem, flow: Flow, nodes: np.ndarray) -> tuple[int, ..
             end = end_state(flow, nodes[-1], duration, guess.period - duration)
         except IntegrationError:
             return None
-    turns = whole_turns(model, nodes[0], end)
+    turns = whole_turns(model, nodes[0], end, problem.boundary.relative)
     return None if turns is None else tuple(int(k) for k in turns)
 
 
@@ -229,6 +230,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     unfolding = acting(refined.flow, found.nodes, found.unfolding)
     orbit = measure(refined.problem, refined.flow, found.nodes, found.period, unfolding)
     _within(problem, orbit)
+    _periodic(problem, orbit)
     said |= provenance(problem, settings, began) | _choice(problem, refined.problem.model)
     if flow.units:
         said["scales"] = dict(zip(problem.model.state_names, flow.units, strict=True))
@@ -306,6 +308,17 @@ def _within(problem: Problem, orbit: Orbit) -> None:
         raise ConvergenceError(
             f"no orbit found: the search went round an orbit of period {orbit.period:.6g} s several times, which is "
             f"outside bounds.period [{low:g}, {high:g}]; start nearer to an orbit of that period"
+        )
+
+
+def _periodic(problem: Problem, orbit: Orbit) -> None:
+    """`ConvergenceError` for a relative equilibrium, which comes back up to a shift after any time at all."""
+    rates = steady(problem.model, orbit.state, orbit.period) if problem.relative and not problem.free else {}
+    if rates:
+        moving = ", ".join(f"{name} = {rate:.9g}" for name, rate in rates.items())
+        raise ConvergenceError(
+            f"no orbit found: the search fell on a relative equilibrium, whose steady rates are {moving} a second, so "
+            "that it has no period of its own; start farther from it, or leave relative out and give its winding"
         )
 
 
@@ -393,13 +406,14 @@ def _held(problem: Problem, natural: tuple[Pin, ...], period: float) -> tuple[Pi
 
 
 def natural_pin(problem: Problem, state: np.ndarray) -> tuple[Pin, ...]:
-    """The pins that hold an orbit where it is in its family: its energy, and of general first-order systems every
-    invariant that no symmetry belongs to; nothing where none is conserved.
+    """The pins that hold an orbit where it is in its family: its energy, the momenta of what it is relative in, and of
+    general first-order systems every invariant that no symmetry belongs to; nothing where none is conserved.
     """
     n = problem.model.degrees_of_freedom
-    values = problem.model.parameter_values
+    values, kept = problem.model.parameter_values, {one.momentum for one in problem.shifts}
     alone = [one for one in problem.model.invariants if one.generator is None] or problem.model.invariants[:1]
-    return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in alone)
+    held = [one for one in problem.model.invariants if one in alone or one.name in kept]
+    return tuple(Pin(one.name, float(one.value(state[:n], state[n:], values))) for one in held)
 
 
 def _minimal(shooting: Shooting, w: np.ndarray, settings: SolveSettings) -> tuple[Shooting, np.ndarray]:
@@ -429,6 +443,6 @@ def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float
         if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
             continue
         reached = between(times, states, n, period / cover)
-        if gap(states[0], reached, problem.turns // cover, units) < tolerance:
+        if gap(states[0], reached, shift_of(problem, states[0], states[-1])[1] / cover, units) < tolerance:
             return cover
     return 1

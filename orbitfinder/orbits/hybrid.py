@@ -7,7 +7,7 @@ automaton itself, which watches all guards and does not know where an arc should
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -65,15 +65,33 @@ def cycle_from(
 
 def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int) -> Unknowns:
     """The unknowns of a guess: its cycle simulated, `segments` and `steps` of each in every arc."""
-    arcs = cycle_from(equations.model, np.asarray(guess.state, float), ROUGH, PATIENCE * guess.period)
+    model = with_parameters(equations.model, guess.free)
+    arcs = cycle_from(model, np.asarray(guess.state, float), ROUGH, PATIENCE * guess.period)
     durations = np.array([arc.duration for arc in arcs])
     period = float(durations.sum())
     nodes = [_sampled(arc, segments) for arc in arcs]
-    free = equations.numbers.copy()
+    free = model.parameter_values[[model.parameter_index(name) for name in equations.free]]
     last = free.size - (len(arcs) - 1)
     free[last:] = durations[:-1] / period
     mesh = np.linspace(0.0, 1.0, len(arcs) * segments * steps + 1)
     return equations.unknowns(np.vstack(nodes), period, mesh, free)
+
+
+def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
+    """The unknowns of a guess whose arcs last as long, in shares of its period, as those of unknowns nearby."""
+    free, steps, x = like.free.copy(), like.steps, np.asarray(guess.state, float)
+    for name, value in guess.free.items():
+        free[equations.free.index(name)] = value
+    w, nodes = replace(like, period=float(guess.period), free=free), list[np.ndarray]()
+    ends = equations.links.ends(len(like.nodes))
+    for k in range(len(like.nodes)):
+        nodes.append(x)
+        if k == len(like.nodes) - 1:
+            break
+        arc = k // (len(like.nodes) // equations.links.count)
+        x = equations.march.arcs[arc].ends(x[None], like.mesh[k * steps : (k + 1) * steps + 1], w.tail)[0]
+        x = equations.links.after(arc, x, free) if k in ends else x
+    return replace(w, nodes=np.array(nodes))
 
 
 def _sampled(arc: Arc, segments: int) -> np.ndarray:
@@ -244,7 +262,7 @@ def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
     return float(own.kinetic(x[:n], x[n:], own.parameter_values))
 
 
-def turned(model: Model, arcs: Sequence[Arc], k: int) -> float:
+def turned_further(model: Model, arcs: Sequence[Arc], k: int) -> float:
     """The largest relative difference of rates, guards and resets along a motion with angle k a turn further."""
     automaton, turn, worst = Automaton(model), 2 * np.pi * np.eye(arcs[0].states.shape[1])[k], 0.0
     for arc in arcs:

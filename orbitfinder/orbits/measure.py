@@ -29,11 +29,11 @@ from orbitfinder.loops.polish import (
     tail_of,
 )
 from orbitfinder.loops.problem import Problem, boundary_constants
-from orbitfinder.loops.symmetry import recognise, symplectic
+from orbitfinder.loops.symmetry import recognise, symplectic, turned
 from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.model import energy as total_energy
-from orbitfinder.orbits.closure import gap, shift
+from orbitfinder.orbits.closure import gap, shift, shift_along
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy
 from orbitfinder.records.orbit import Orbit
 
@@ -61,7 +61,7 @@ def whole_period(
     steps = max(w.steps, rounded(samples / len(nodes)))
     states = march.states(nodes, uniform(1.0, len(nodes), steps), _untouched(march, w))
     states[::steps] = [*nodes, states[-1]]  # the node, not the end of the segment before it
-    states[-1] = nodes[0] + shift(problem.turns, nodes.shape[1])
+    states[-1] = nodes[0] + shift(shift_of(problem, nodes[0], states[-1])[1], nodes.shape[1])
     return nodes, np.linspace(0.0, w.period, len(states)), states
 
 
@@ -117,6 +117,7 @@ def recorded(
     floquet: Floquet,
 ) -> Orbit:
     """The Orbit (without certificate) that begins at the first of its nodes and is at `end` after a period."""
+    shift, turns = shift_of(problem, nodes[0], end)
     return Orbit(
         name=problem.name,
         title=problem.title,
@@ -126,7 +127,7 @@ def recorded(
         period=period,
         energy=total_energy(problem.model, nodes[0]),
         action=action,
-        closure=gap(nodes[0], end, problem.turns),
+        closure=gap(nodes[0], end, turns),
         symmetry=recognise(times, samples, problem.model),
         winding=tuple(int(k) for k in problem.turns),
         floquet_multipliers=floquet.multipliers,
@@ -138,7 +139,14 @@ def recorded(
         samples=samples,
         tolerance=problem.tolerance,
         expected=problem.expected,
+        shift=shift,
     )
+
+
+def shift_of(problem: Problem, start: np.ndarray, end: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
+    """How far a relative orbit from `start` to `end` (2n each, a period apart) shifts, and its turns with that (n)."""
+    found = shift_along(problem.model, problem.relative, start, end, problem.turns)
+    return found, turned(problem.model, problem.turns, found)
 
 
 def provenance(problem: Problem, settings: SolveSettings, began: float) -> dict[str, Any]:

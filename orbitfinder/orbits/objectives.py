@@ -25,6 +25,7 @@ from orbitfinder.loops.conditions import Constraint, Variables
 from orbitfinder.loops.ipopt import Callback, SolveSettings, solve_nlp
 from orbitfinder.loops.problem import PEAKS, Guess, Problem, guessed_nodes
 from orbitfinder.loops.shooting import Shooting, transcribe
+from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.measure import dense, full_period
@@ -95,7 +96,7 @@ def _crossing(
     """
     problem, flow = shooting.problem, shooting.flow
     trivial = trivial_count(problem.model)
-    if not problem.model.conservative or 2 * problem.model.degrees_of_freedom - trivial != 4:
+    if not symplectic(problem.model) or len(problem.model.state_names) - trivial != 4:
         raise stalled
     opposite = Constraint(lambda known: ca.trace(known.monodromy) - trivial, name="opposite indices")
     single = problem.count().freedom == 1
@@ -169,10 +170,12 @@ def _stopped(shooting: Shooting, w: np.ndarray) -> str:
 def _extents(shooting: Shooting, w: np.ndarray) -> np.ndarray:
     """How far each unknown may sensibly move: the motion's extents, the period, the parameters' own sizes."""
     found = shooting.at(w)
-    parts = np.hsplit(found.nodes, 2)
-    n = parts[0].shape[1]
-    largest = [max(float(np.ptp(part, axis=0).max()), float(np.abs(part).max()) / 2) for part in parts]
-    node = np.concatenate([np.full(n, largest[0]), np.full(n, max(largest[1], largest[0] / found.period))])
+    node = np.maximum(np.ptp(found.nodes, axis=0), np.abs(found.nodes).max(axis=0) / 2)
+    if shooting.problem.model.rates is None:
+        n = node.size // 2
+        places, rates = float(node[:n].max()), float(node[n:].max())
+        node = np.repeat([places, max(rates, places / found.period)], n)
+    node = np.where(node > 0, node, max(float(node.max()), 1e-300))
     free = np.maximum(np.abs(found.free), 1e-3)
     return np.asarray(found.joined(node, found.period, np.inf, free) / shooting.units)
 
@@ -232,7 +235,7 @@ def _at_peak(problem: Problem, place: int, times: np.ndarray, states: np.ndarray
     clock = np.concatenate([times[top:] - times[top], times[1 : top + 1] + times[-1] - times[top]])
     return replace(
         problem, guess=Guess(moved[0], float(times[-1]), clock, moved), coordinate=None,
-        objective=_aim(place, n, float(np.sign(moved[0, place]))), phase_condition=None if resting else _flat(place, n),
+        objective=_aim(place, n, float(np.sign(moved[0, place]))), phase_condition=None if resting else _flat(place),
     )  # fmt: skip
 
 
@@ -241,9 +244,9 @@ def _aim(place: int, n: int, sign: float) -> Callable[[Variables], object]:
     return lambda variables: (-sign if place < n else sign) * variables.start[place]
 
 
-def _flat(place: int, n: int) -> Callable[[Variables], object]:
+def _flat(place: int) -> Callable[[Variables], object]:
     """The time derivative of a state component at t = 0."""
-    return lambda variables: variables.start[place + n] if place < n else variables.acceleration[place - n]
+    return lambda variables: variables.rate[place]
 
 
 def _orbit(shooting: Shooting, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -264,17 +267,19 @@ def instability(model: Model) -> Callable[[Variables], ca.MX]:
     there are no non-trivial multipliers.
     """
     trivial = trivial_count(model)
-    others = 2 * model.degrees_of_freedom - trivial
+    others = len(model.state_names) - trivial
     if others < 1:
         raise InputError("objective: this system has no non-trivial Floquet multipliers; min_instability has no sense")
-    if model.conservative and others == 2:
+    if symplectic(model) and others == 2:
         return lambda variables: (0.5 * (ca.trace(variables.monodromy) - trivial)) ** 2
-    largest = _Largest(2 * model.degrees_of_freedom, trivial, model.conservative)
+    largest = _Largest(len(model.state_names), trivial, symplectic(model))
     return lambda variables: largest(variables.monodromy)
 
 
 def trivial_count(model: Model) -> int:
     """How many multipliers are 1 on every orbit: two for each invariant, or one for the flow."""
+    if model.rates is not None and not model.hamiltonian:  # an invariant's multiplier has no partner
+        return len(model.invariants) + int(not model.forced)
     return 2 * len(model.invariants) if model.invariants else int(not model.forced)
 
 

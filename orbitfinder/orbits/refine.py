@@ -37,7 +37,7 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.hybrid import first_unknowns, hybrid_orbit
+from orbitfinder.orbits.hybrid import carried, first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import RESOLVED, SAMPLES, action, marched, whole_period
 from orbitfinder.records.orbit import Orbit
 
@@ -86,8 +86,15 @@ class Refiner:
             return self._refined(guess, pin)
 
     def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None) -> Refined:
-        pins = _pins(self.problem, pin)
-        w = self._start(_checked(guess or self.problem.guess, self.problem), pins)
+        pins, given = _pins(self.problem, pin), _checked(guess or self.problem.guess, self.problem)
+        if self._first is None or given is self.problem.guess:
+            return self._solved(self._start(given, pins), pins)
+        try:
+            return self._solved(carried(self.equations, self._first, given), pins)
+        except (ConvergenceError, IntegrationError):
+            return self._solved(self._simulated(given), pins)
+
+    def _solved(self, w: Unknowns, pins: Sequence[Pin]) -> Refined:
         path = self.equations.varied(w)
         loop = loop_of(self.problem, self.equations, w, path.ends[-1], pins)
         scales = measured_in(self.problem.model, w.nodes, w.period)
@@ -159,7 +166,7 @@ class Refiner:
         Freed parameters start where they are pinned, else where the guess says, else at the model's own values.
         """
         if self._first is not None:
-            return self._first if guess is self.problem.guess else self._simulated(guess)
+            return self._first
         own = zip(self.problem.free, self.equations.numbers, strict=True)
         known = {**dict(own), **guess.free, **{one.name: one.value for one in pins}}
         free = np.array([known[name] for name in self.problem.free], float)

@@ -29,6 +29,7 @@ from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.schema import SYSTEMS, FindTable, GuessTable, ProblemTable, Table, check_name, sentence
+from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
 
 LARGEST_TOML = 5_000_000
@@ -159,6 +160,7 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         pin=pin(**(find.pin or {})),
         symmetry=find.symmetry,
         winding=None if find.winding is None else tuple(find.winding),
+        relative=tuple(find.relative),
         segments=find.segments,
         tolerance=find.tolerance,
         free=tuple(find.free),
@@ -176,11 +178,17 @@ def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float
     """Known numbers by name, physical parameters among them."""
     numbers = table.expected.model_dump(exclude_none=True)
     parameters = numbers.pop("parameters", {})
+    shifts = {f"{SHIFT}{name}": number for name, number in numbers.pop("shift", {}).items()}
+    if unknown := set(table.expected.shift) - set(table.find.relative):
+        raise InputError(f"expected.shift: {sorted(unknown)[0]!r} is not in find.relative, which is what shifts")
     for name in parameters:
         if name not in model.parameter_names:
             known = ", ".join(model.parameter_names[:12])
             raise InputError(f"expected.parameters: unknown {name!r}; this system has {known}")
-    return {key: (float(number["value"]), float(number["tolerance"])) for key, number in (numbers | parameters).items()}
+    return {
+        key: (float(number["value"]), float(number["tolerance"]))
+        for key, number in (numbers | parameters | shifts).items()
+    }
 
 
 def _start(table: ProblemTable, model: Model, problem: Problem | None) -> np.ndarray | None:
@@ -241,6 +249,8 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
             return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
+        if model.rates is not None:
+            raise InputError("guess.mode: a first-order system takes one mode with one amplitude; give numbers")
         modes = given.mode if isinstance(given.mode, list) else [given.mode]
         sizes = given.amplitude if isinstance(given.amplitude, list) else [given.amplitude]
         return normal_mode_sum(model, modes, sizes)

@@ -238,10 +238,15 @@ class FindTable(Table):
     symmetry: Annotated[str, AfterValidator(_known_symmetry)] = Field(
         "none",
         description="symmetry imposed on the orbit: none, brake, reflection, reversal (q(-t) = -q(t), running orbits "
-        "included), brake+reflection, or one that a Python system declares (mirror of restricted_three_body)",
+        "included), brake+reflection, or one that a Python system declares or has (mirror of restricted_three_body)",
     )
     winding: list[int] | None = Field(
         None, description="whole turns of each coordinate in one period, one whole number per coordinate"
+    )
+    relative: list[str] = Field(
+        [],
+        description='cyclic coordinates along which the orbit comes back shifted by what is found, such as ["phi"]; '
+        "each leaves room for one pin more, such as its momentum, momentum_phi",
     )
     segments: int | None = Field(
         None, ge=1, le=MOST_SEGMENTS, description="shooting segments, at least 1; chosen automatically when left out"
@@ -332,6 +337,9 @@ class ExpectedTable(Table):
     action: ExpectedNumber | None = Field(None, description="integral of p dq in J s, as { value, tolerance }")
     parameters: dict[str, ExpectedNumber] = Field(
         {}, description="freed physical parameters by name, as { length3 = { value, tolerance } }"
+    )
+    shift: dict[str, ExpectedNumber] = Field(
+        {}, description="shifts of a relative orbit in a period by name, as { phi = { value, tolerance } }"
     )
 
 

@@ -119,6 +119,8 @@ def _find(document: Mapping[str, Any]) -> dict[str, Any]:
         pin = {"energy": float(document["energy"])} if "energy" in invariants else {}
     turns = [int(k) for k in document.get("winding") or ()]
     chosen = ({"pin": pin} if pin else {}) | ({"winding": turns} if any(turns) else {})
+    if document.get("shift"):
+        chosen["relative"] = list(document["shift"])
     return chosen | {"tolerance": float(document.get("tolerance", 1e-12))}
 
 

@@ -67,6 +67,11 @@ def check_provable(model: Model) -> None:
     """`InputError` unless the theorem covers the Model: autonomous, and the energy its only integral."""
     if model.constraint is not None:
         raise InputError("system: linkages (systems under constraints) cannot be proved yet; prove a chain")
+    if model.rates is not None:
+        raise InputError(
+            "system: first-order systems cannot be proved yet, the theorem is about accelerations; describe it by "
+            "lagrange(...) where it has a Lagrangian, as restricted_three_body is"
+        )
     if model.forced or not model.conservative or model.forces is not None:
         raise InputError("system: forced and dissipative systems cannot be proved yet; the theorem fixes the energy")
     if len(model.invariants) != 1:

@@ -150,6 +150,11 @@ def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | Non
         raise InputError(
             f"state: {plural(orbit.state.size, 'number')} for {plural(n, 'coordinate')}; run the problem again"
         )
+    if orbit.shift:
+        raise InputError(
+            f"shift: {', '.join(orbit.shift)} is found with the orbit, and proofs are of orbits that come back; give "
+            "one that closes after whole turns (find.winding)"
+        )
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(period) and period > 0):
         raise InputError("state: state or period is not a usable number; run the problem again")
     field = vector_field(accelerations(model))

@@ -206,7 +206,9 @@ class Journal:
 def plain(value: Any) -> Any:
     """JSON-ready: arrays as lists, complex numbers as [re, im], of a point what its family does not say already."""
     if isinstance(value, (FamilyPoint, Event)):
-        return {name: plain(getattr(value, DENSE.get(name, name))) for name in ENTRIES[type(value)]}
+        told = (name for name in ENTRIES[type(value)] if name != "shift" or getattr(value, name))
+        entries = {name: plain(getattr(value, DENSE.get(name, name))) for name in told}
+        return entries if value.energy == value.energy else entries | {"energy": None}  # where none is conserved
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
     if isinstance(value, (Mapping, list, tuple)):
@@ -217,7 +219,7 @@ def plain(value: Any) -> Any:
 def _entries_of(kind: type[FamilyPoint] | type[Event]) -> tuple[str, ...]:
     """What a file says of each point or event; the rest of a point follows from its family."""
     told = {"state", "period", "energy", "action", "closure", "symmetry", "floquet_multipliers", "pair_defect"}
-    told |= {"stability", "unfolding"}
+    told |= {"stability", "unfolding", "shift"}
     family = {one.name for one in dataclasses.fields(Orbit)} - told | {"curve"}
     names = [one.name for one in dataclasses.fields(kind) if kind is Event or one.name not in family]
     return tuple("nodes" if name == DENSE["nodes"] else name for name in names)
@@ -229,11 +231,13 @@ ENTRIES = {kind: _entries_of(kind) for kind in (FamilyPoint, Event)}
 def restored(kind: type[FamilyPoint] | type[Event], document: Mapping[str, Any], where: str = "") -> Any:
     """A FamilyPoint or an Event out of what `plain` made of it; `ValueError` names the entry that is wrong."""
     entries = {DENSE.get(name, name): document[name] for name in ENTRIES[kind] if name in document}
-    found = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}), where)
+    without = {"energy": 0.0} if entries.get("energy", 0.0) is None else {}
+    found = typed(kind, entries | (_untold(entries) if kind is FamilyPoint else {}) | without, where)
+    found = replace(found, energy=float("nan")) if without else found
     named = [name for name in COMPLEX if hasattr(found, name)]
     one = replace(found, **{name: _as_complex(getattr(found, name), f"{where}.{name}") for name in named})
     size, nodes = one.state.size, one.shooting_nodes
-    if one.state.ndim != 1 or size < 2 or size % 2 or not one.period > 0:
+    if one.state.ndim != 1 or not size or not one.period > 0:
         raise ValueError(f"{where}: state of {plural(size, 'number')}, period {one.period}: no orbit")
     if nodes.size and (nodes.shape[1:] != (size,) or not _fits(one.mesh, len(nodes))):
         raise ValueError(f"{where}.nodes: do not fit the state or the mesh")
@@ -251,14 +255,19 @@ def situated(point: FamilyPoint, index: int, name: str, system: Mapping[str, Any
     """A point with what its family knows: its number, its name, its system at the freed parameters, its turns."""
     return replace(
         point, index=index, name=f"{name}-{index}", system=system_at(system, point.free),
-        winding=_turns(curve, point.state.size // 2), samples=np.zeros((0, point.state.size)), curve=curve,
+        winding=_turns(curve, point.state.size), samples=np.zeros((0, point.state.size)), curve=curve,
     )  # fmt: skip
 
 
-def _turns(curve: Mapping[str, Any], n: int) -> tuple[int, ...]:
-    """Whole turns of each of n coordinates in one period; older files say them by the boundary's constants only."""
+def _turns(curve: Mapping[str, Any], size: int) -> tuple[int, ...]:
+    """Whole turns of each coordinate of a state (d) in one period: d of them in a first-order system, else half.
+
+    Older files say them by the boundary's constants only.
+    """
+    n = size // 2
     if "winding" in curve:
-        return tuple(typed(tuple[(int,) * n], curve["winding"], "curve.winding"))  # type: ignore[misc]
+        alone = isinstance(curve["winding"], list) and len(curve["winding"]) == size
+        return tuple(typed(tuple[(int,) * (size if alone else n)], curve["winding"], "curve.winding"))  # type: ignore[misc]
     symmetry, constant = curve.get("symmetry"), np.asarray(curve.get("constant", ()), float)
     if constant.shape != (2 * n,) or symmetry not in ("none", "reversal"):
         return (0,) * n

@@ -27,6 +27,8 @@ from orbitfinder.records.reading import (
 
 FORMAT, VERSION = "orbitfinder/orbit", 1
 AGAIN = "run the problem again"
+SHIFT = "shift_"
+"""In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,8 @@ class Orbit:
     """what was proved of it (see `proof.record`)"""
     record: str | None = None
     """digest of the numbers as written, present on orbits read from a file"""
+    shift: Mapping[str, float] = field(default_factory=dict)
+    """how far it comes back from where it was along the cyclic coordinates that it is relative in (rad, m)"""
 
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
@@ -130,6 +134,8 @@ def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
     }
     document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
     document |= {name: walked(in_words.get(name, getattr(orbit, name)), plain_numbers) for name in ENTRIES}
+    if orbit.shift:
+        document["shift"] = dict(orbit.shift)
     document["record"] = digest(document)
     return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
 
@@ -179,7 +185,8 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
 
 def digest(document: Mapping[str, Any]) -> str:
     """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
-    return content_digest({name: document.get(name) for name in DIGESTED})
+    relative = {"shift": document["shift"]} if document.get("shift") else {}
+    return content_digest({name: document.get(name) for name in DIGESTED} | relative)
 
 
 def save_orbit(orbit: Orbit, path: str | Path) -> Path:
@@ -264,6 +271,7 @@ def orbit_from_document(
         expected = {k: (float(v["value"]), float(v["tolerance"])) for k, v in (document.get("expected") or {}).items()}
         n, tolerance = state.size // 2, float(document.get("tolerance", 1e-12))
         described = {"period", "energy", "action", *document["system"], *document["system"].get("arguments", {})}
+        described |= {f"{SHIFT}{name}" for name in document.get("shift") or {}}
         energy = float("nan") if document["energy"] is None else float(document["energy"])
         if np.isnan(energy) and len(document.get("winding") or ()) != state.size:
             raise ValueError("energy of a mechanical system is missing")
@@ -283,6 +291,7 @@ def orbit_from_document(
             expected=expected, certificate=certificate,
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),
+            shift={str(name): float(by) for name, by in (document.get("shift") or {}).items()},
             proof=dict(document["proof"]) if isinstance(document.get("proof"), Mapping) else None,
         )  # fmt: skip
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:

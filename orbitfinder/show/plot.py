@@ -302,7 +302,7 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
         values = [*family.values("value"), *(event.parameter for event in family.events)]
         places.append(list(zip(values, size[:, which].tolist(), strict=True)))
     _curves(figure, axes, families, places)
-    dress(axes, axis_name(first), f"amplitude of {label(names[which])} ({units(model)[which]})")
+    dress(axes, axis_name(first), f"amplitude of {axis(model, which)}")
     return figure
 
 

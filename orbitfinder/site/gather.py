@@ -25,6 +25,7 @@ from orbitfinder.records.orbit import (
     orbit_from_document,
     orbit_in,
     orbit_to_document,
+    unconserved,
 )
 from orbitfinder.records.orbit import FORMAT as ORBIT
 from orbitfinder.records.reading import json_file
@@ -142,11 +143,10 @@ def _take(file: Path, found: Gathered) -> None:
 def _orbit(document: Any, where: str) -> OrbitFile:
     """One orbit document, checked by building an Orbit from it."""
     orbit = orbit_in(document, where)
-    if orbit.state.ndim != 1 or orbit.state.size < 2 or orbit.state.size % 2:
-        raise InputError(
-            f"{where}: state: {plural(orbit.state.size, 'number')}; coordinates and then as many velocities"
-        )
-    numbers = [orbit.period, orbit.energy, *orbit.state]
+    size = orbit.state.size
+    if orbit.state.ndim != 1 or not size or (size % 2 and len(orbit.winding) != size):
+        raise InputError(f"{where}: state: {plural(size, 'number')}; coordinates and then as many velocities")
+    numbers = [orbit.period, *orbit.state, *([] if unconserved(orbit) else [orbit.energy])]
     if not np.all(np.isfinite(numbers)) or orbit.period <= 0:
         raise InputError(f"{where}: period, energy or state is not finite or not positive; run the problem again")
     try:
@@ -158,7 +158,7 @@ def _orbit(document: Any, where: str) -> OrbitFile:
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
     """The atlas of a JSON list of orbit documents."""
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    orbits.sort(key=lambda one: _order(one.document["energy"], float(one.document["period"])))
+    orbits.sort(key=lambda one: _order(one.document["energy"] or 0.0, float(one.document["period"])))
     chosen = tuple((k + 1, orbits[k]) for k in evenly(len(orbits), MOST_ITEMS))
     return AtlasFile(file.stem, len(orbits), chosen)
 

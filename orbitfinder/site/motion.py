@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
-from orbitfinder.loops.symmetry import NONE, symmetries_of
+from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions, vector_field
+from orbitfinder.orbits.closure import alone, between
 from orbitfinder.records.family import Event, FamilyPoint
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480)
@@ -38,7 +38,7 @@ LEVELS = 32767
 
 @dataclass(frozen=True)
 class Motion:
-    """One period: `states` (k+1 x 2n) at `times` (s), with the names and kinds of the n coordinates.
+    """One period: `states` (k+1 x d) at `times` (s), with the names and kinds of the n coordinates, n = d / 2 or d.
 
     `points` (m x 2 x j, x down and y right, m) are at m equal times, the end left out; `drawn` says
     what they are: "mechanism", or "plane" where the system declares no points.
@@ -52,17 +52,22 @@ class Motion:
     points: np.ndarray
     drawn: str
 
+    @property
+    def partners(self) -> list[int]:
+        """The component that each coordinate is drawn against: its rate, in a first-order system the next one."""
+        n, size = len(self.angles), len(self.names)
+        return [(k + (n if n < size else 1)) % size for k in range(n)]
+
     def at(self, count: int, endpoint: bool = False) -> np.ndarray:
         """States at `count` equal times over the period."""
-        return resampled(self.times, self.states, self.period, count, endpoint)
+        return resampled(self.times, self.states, self.period, count, len(self.angles), endpoint)
 
 
-def resampled(times: np.ndarray, states: np.ndarray, period: float, count: int, endpoint: bool = False) -> np.ndarray:
-    """States at `count` equal times, coordinates by their cubic Hermite spline, velocities by its derivative."""
-    n = states.shape[1] // 2
-    spline = CubicHermiteSpline(times, states[:, :n], states[:, n:])
-    moments = np.linspace(0.0, period, count, endpoint=endpoint)
-    return np.hstack([spline(moments), spline(moments, 1)])
+def resampled(
+    times: np.ndarray, states: np.ndarray, period: float, count: int, n: int, endpoint: bool = False
+) -> np.ndarray:
+    """States at `count` equal times: the first n of their components are coordinates (see `between`)."""
+    return between(times, states, n, np.linspace(0.0, period, count, endpoint=endpoint))
 
 
 class Simulator:
@@ -92,7 +97,7 @@ class Simulator:
         if nodes.ndim != 2 or nodes.shape[1] != len(model.state_names):
             return None
         path = _pieces(field, nodes, np.linspace(0.0, period, len(nodes) + 1)) or dense
-        if path is None or not _closes(path[1]):
+        if path is None or not _closes(path[1], model):
             return None
         return _motion(model, *path, period)
 
@@ -151,9 +156,10 @@ def _pieces(field: Any, nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarra
     return np.concatenate(times), np.vstack(states)
 
 
-def _closes(states: np.ndarray) -> bool:
+def _closes(states: np.ndarray, model: Model) -> bool:
     """True when the velocities return; the coordinates may have turned by whole turns."""
-    return NONE.closes(states, np.ones(states.shape[1] // 2, bool)) <= GAP
+    n = model.degrees_of_freedom
+    return named(NONE.name, model).closes(states, np.ones(n, bool) if model.rates is None else model.angular) <= GAP
 
 
 def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
@@ -161,8 +167,8 @@ def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) 
     angles = model.angles or (True,) * n
 
     def seen(count: int) -> np.ndarray:
-        chosen = resampled(times, states, period, count)
-        return positions(model, chosen) if model.points is not None else _plane(chosen)
+        chosen = resampled(times, states, period, count, n)
+        return positions(model, chosen) if model.points is not None else _plane(chosen, n)
 
     drawn = "mechanism" if model.points is not None else "plane"
     return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn)
@@ -172,14 +178,13 @@ def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.nd
     n = states.shape[1] // 2
     names = tuple(f"q{i + 1}" for i in range(n)) + tuple(f"q{i + 1}dot" for i in range(n))
     period = float(document["period"])
-    points = _fewest(lambda count: _plane(resampled(times, states, period, count)))
+    points = _fewest(lambda count: _plane(resampled(times, states, period, count, n), n))
     return Motion(period, times, states, names, (False,) * n, points, "plane")
 
 
-def _plane(states: np.ndarray) -> np.ndarray:
+def _plane(states: np.ndarray, n: int) -> np.ndarray:
     """One point in a plane for systems without a picture: the first two coordinates, or one and its rate."""
-    n = states.shape[1] // 2
-    second = states[:, 1] if n > 1 else states[:, n]
+    second = states[:, min(1, states.shape[1] - 1)] if n > 1 else states[:, n % states.shape[1]]
     return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
 
 
@@ -233,10 +238,11 @@ def histories(motion: Motion) -> dict[str, Any]:
 
     As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960.
     """
-    n = motion.states.shape[1] // 2
+    n, size = len(motion.angles), motion.states.shape[1]
     extent = np.ptp(motion.states, axis=0)
     # a component that stands still must not have its round-off sampled
-    extent = np.maximum(extent, 1e-3 * np.repeat([extent[:n].max(), extent[n:].max()], n) + 1e-12)
+    among = np.repeat([extent[:n].max(), extent[n:].max()], n) if n < size else alone(extent)
+    extent = np.maximum(extent, 1e-3 * among + 1e-12)
     for count in (240, 360, 480, 960):
         states = motion.at(2 * count + 1, endpoint=True)
         turned = states[-1] - states[0]  # whole turns of running orbits

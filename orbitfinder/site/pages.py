@@ -68,7 +68,7 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
         "motion": motion,
         "aspect": _aspect(motion),
         "shown": shown(motion) if motion else [],
-        "coordinates": len(motion.names) // 2 if motion else 0,
+        "coordinates": len(motion.angles) if motion else 0,
         "facts": _facts(entry),
         "multipliers": _multipliers(document),
         "proof": _recorded_proof(entry),
@@ -93,7 +93,7 @@ def _facts(entry: Entry) -> list[tuple[str, str]]:
     rows = [
         ("Period", f"{float(document['period'])!r} s"),
         ("Frequency", f"{number(1.0 / document['period'], 8)} 1/s"),
-        ("Energy", f"{number(document['energy'], 12)} J"),
+        ("Energy", "none is conserved" if document["energy"] is None else f"{number(document['energy'], 12)} J"),
         ("Action", f"{number(document['action'], 10)} J s"),
         ("Closure", number(document["closure"], 2)),
         ("Largest multiplier", number(entry.largest, 6)),
@@ -107,7 +107,7 @@ def _facts(entry: Entry) -> list[tuple[str, str]]:
 
 def shown(motion: Motion) -> list[int]:
     """The coordinates that are plotted: of a linkage its angles; evenly chosen where there are many."""
-    n = len(motion.names) // 2
+    n = len(motion.angles)
     candidates = list(range(n))
     if n > 6 and any(motion.angles) and not all(motion.angles):
         candidates = [k for k in candidates if motion.angles[k]]
@@ -140,13 +140,15 @@ def orbit_data(entry: Entry) -> dict[str, Any]:
         "motion": None,
     }
     if motion is not None:
-        n = len(motion.names) // 2
+        n = len(motion.angles)
         data |= {
             "motion": packed(motion),
             "histories": histories(motion),
             "names": list(motion.names),
+            "coordinates": n,
+            "partners": motion.partners,
             "labels": [coordinate(name) for name in motion.names[:n]],
-            "units": ["rad" if angle else "m" for angle in motion.angles],
+            "units": ["rad" if angle else "m" if n < len(motion.names) else "" for angle in motion.angles],
             "shown": shown(motion),
         }
     return data
@@ -197,7 +199,7 @@ def _item(
     """A point or an event; `at` is the point itself, or the one before an event, which does not carry all of it."""
     motion, point, event = simulator.member(system, one), one is at, one if isinstance(one, Event) else None
     return {
-        "energy": one.energy,
+        "energy": float(np.nan_to_num(one.energy)),
         "period": one.period,
         "value": at.value if event is None else event.parameter,
         "action": at.action if point else None,
@@ -213,7 +215,8 @@ def _item(
 
 def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
     """What the family page's script works with."""
-    columns = {name: family.values(name).tolist() for name in ("energy", "period", "action", "closure", "value")}
+    names = ("energy", "period", "action", "closure", "value")
+    columns = {name: np.nan_to_num(family.values(name)).tolist() for name in names}
     moved, reach = _response(family, simulator)
     if moved:
         columns["amplitude"] = [reach[id(point)] for point in family.points]
@@ -279,7 +282,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[st
         items.append({
             "title": entry.title,
             "mechanism": entry.mechanism,
-            "energy": document["energy"],
+            "energy": document["energy"] or 0.0,
             "period": document["period"],
             "action": document["action"],
             "closure": document["closure"],
@@ -295,7 +298,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[st
 
 def atlas_values(entries: Sequence[Entry], total: int) -> dict[str, Any]:
     """What the template of an atlas page is filled with."""
-    energies, periods = ([float(one.document[key]) for one in entries] for key in ("energy", "period"))
+    energies, periods = ([float(one.document[key] or 0.0) for one in entries] for key in ("energy", "period"))
     kinds = sorted({one.mechanism for one in entries})
     unstable = sum(one.document["stability"] == "unstable" for one in entries)
     part = "" if total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
