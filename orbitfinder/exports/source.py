@@ -65,11 +65,6 @@ class Source:
 def source_of(orbit: Orbit, model: Model | None = None) -> Source:
     """The Source of an orbit. `model` is needed only for systems that no file describes. Raises `InputError`."""
     model = model or build_model(orbit.system)
-    if model.hybrid is not None:
-        raise InputError(
-            f"{orbit.name}: is hybrid, and other programs would get one smooth right-hand side without its events and "
-            "resets; export csv"
-        )
     n = model.degrees_of_freedom
     rate = vector_field(model, model.parameter_names, model.invariants)
     x, p = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names))

@@ -89,7 +89,10 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     """
     if to not in FORMATS:
         raise InputError(f"to: unknown format {to!r}; use one of {', '.join(FORMATS)}")
-    files = FORMATS[to](orbit, model or build_model(orbit.system))
+    model = model or build_model(orbit.system)
+    if model.hybrid is not None and to != "csv":
+        raise InputError(f"to: {to} files know no events, and this system is hybrid; use csv")
+    files = FORMATS[to](orbit, model)
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():

@@ -65,10 +65,6 @@ def programs(model: Model) -> Programs:
 
 def check_provable(model: Model) -> None:
     """`InputError` unless the theorem covers the Model: autonomous, and the energy its only integral."""
-    if model.hybrid is not None:
-        raise InputError(
-            "system: hybrid systems cannot be proved yet; the theorem encloses one smooth flow, not events and resets"
-        )
     if model.constraint is not None:
         raise InputError("system: linkages (systems under constraints) cannot be proved yet; prove a chain")
     if model.rates is not None:

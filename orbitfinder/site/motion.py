@@ -183,10 +183,10 @@ def _jumping(
         path = course(model, times, states)
     except OrbitfinderError:
         return None
-    angles, moments = model.angles or (True,) * model.degrees_of_freedom, np.arange(JUMPING) * period / JUMPING
-    shown = path.positions(moments) if model.points is not None else _plane(path.states(moments), model.degrees_of_freedom)
+    n, moments = model.degrees_of_freedom, np.arange(JUMPING) * period / JUMPING
+    shown = path.positions(moments) if model.points is not None else _plane(path.states(moments), n)
     drawn = "mechanism" if model.points is not None else "plane"
-    return Motion(period, times, states, model.state_names, angles, shown, drawn, path)
+    return Motion(period, times, states, model.state_names, model.angles or (True,) * n, shown, drawn, path)
 
 
 def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
