@@ -245,7 +245,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     if linkage_keys:
         raise InputError(f"guess.{linkage_keys[0]}: is for linkages only; give state and period, mode or csv")
     if given.csv is not None:
-        return read_trajectory(folder, given.csv, len(model.state_names), twice=model.hybrid is not None)
+        return read_trajectory(folder, given.csv, len(model.state_names))
     if given.mode is not None and given.amplitude is not None:
         if isinstance(given.mode, int) and isinstance(given.amplitude, float):
             return normal_mode(model, given.mode, given.amplitude, _rest(model, given.equilibrium))
@@ -309,11 +309,8 @@ def _state(model: Model, state: list[float]) -> np.ndarray:
     return maximal_states(model, numbers) if numbers.size == 2 * (model.degrees_of_freedom // 3) else numbers
 
 
-def read_trajectory(folder: Path, name: str, size: int, twice: bool = False) -> Guess:
-    """A Guess from a CSV file in `folder` (or below it): columns t, then `size` states; its time span is the period.
-
-    `twice` says that times may come twice, as those of events do.
-    """
+def read_trajectory(folder: Path, name: str, size: int) -> Guess:
+    """A Guess from a CSV file in `folder` (or below it): columns t, then `size` states; its time span is the period."""
     try:
         base = folder.resolve()
         source = (base / name).resolve()
@@ -327,12 +324,12 @@ def read_trajectory(folder: Path, name: str, size: int, twice: bool = False) -> 
         raise InputError(f"guess.csv: {name!r} is not UTF-8 text; save it as plain CSV") from error
     except InputError as error:
         raise InputError(f"guess.csv: {error}") from error
-    table = _numbers(name, lines, size, twice)
+    table = _numbers(name, lines, size)
     times = table[:, 0] - table[0, 0]
     return Guess(table[0, 1:].copy(), float(times[-1]), times, table[:, 1:])
 
 
-def _numbers(name: str, lines: list[str], size: int, twice: bool) -> np.ndarray:
+def _numbers(name: str, lines: list[str], size: int) -> np.ndarray:
     rows: list[list[float]] = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -355,7 +352,6 @@ def _numbers(name: str, lines: list[str], size: int, twice: bool) -> np.ndarray:
         )
     if not np.all(np.isfinite(table)):
         raise InputError(f"guess.csv: {name!r} must be finite; replace NaN and infinity by numbers")
-    steps = np.diff(table[:, 0])
-    if np.any(steps < 0 if twice else steps <= 0):
+    if np.any(np.diff(table[:, 0]) <= 0):
         raise InputError(f"guess.csv: {name!r}: times must increase from row to row; sort them")
     return table
