@@ -328,6 +328,10 @@ class Links:
             after[place], guards[k] = reset, guard.item()
         return after, guards
 
+    def after(self, arc: int, x: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """The state (d) after the event that ends an arc at x."""
+        return self._passes[arc](x, free)[0].ravel()
+
     def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, Inner]:
         """Transitions and columns through the resets, and the guards' rows (`Linearised.inner`)."""
         transitions, columns, places = path.transitions.copy(), path.columns.copy(), self.ends(len(path.ends))
