@@ -174,6 +174,10 @@ class March(Refining):
         s, free = np.split(np.broadcast_to(tail[1:], (len(states), tail.size - 1)), [self.unfolding], axis=1)
         return self._lanes.evaluated(self.field, 1, moments, states, s, free)
 
+    def along(self, function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
+        """Any function at k places (k x ... each)."""
+        return self._lanes.evaluated(function, 1, *arguments)
+
     def at(self, function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
         """Any function of one place, its outputs as CasADi has them (rows x columns)."""
         return self._lanes.called(function, *arguments)
