@@ -33,6 +33,8 @@ from orbitfinder.mechanics.hybrid import SHARE, Transition, share
 from orbitfinder.mechanics.model import Model, vector_field
 
 NONE_SUCH = np.zeros(0)
+ROUND_OFF = float(np.finfo(float).eps)
+"""What a sum is known to, relative to the sizes of its terms."""
 
 
 @dataclass(frozen=True)
@@ -451,6 +453,18 @@ class Loop:
         units += [named[:count], self.equations.links.units(w, unit), named[count:]]
         return np.asarray(np.maximum(np.concatenate(units), 1e-300))
 
+    def lost(self, w: Unknowns, *aims: Condition) -> np.ndarray:
+        """What of each row near w may be round-off, those of aims last: where an energy is large beside its changes.
+
+        Told for conditions by the sizes of their terms; 0 of all other rows.
+        """
+        chosen, count = (*self.conditions, *aims), len(self.conditions)
+        values = np.abs(np.array([one.value for one in chosen]))
+        named = ROUND_OFF * (np.abs(self.slopes(w, chosen)) @ np.abs(w.head) + 2 * values)
+        before = (len(w.nodes) - 1) * w.nodes.shape[1] + len(self.equations.boundary[0]) + len(self.normals)
+        guards = np.zeros(self.equations.links.count if self.equations.links else 0)
+        return np.concatenate([np.zeros(before), named[:count], guards, named[count:]])
+
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
         head, found = w.head, np.empty(len(conditions))
@@ -480,6 +494,11 @@ class Loop:
         if all(one.quantity is None for one in conditions):
             return ()
         return self.equations.quantities_at(w.nodes[0], w.free)
+
+
+def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """Rows without what may be round-off, of which no step is better than another."""
+    return np.where(np.abs(rows) <= lost, 0.0, rows)
 
 
 def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.Function:
