@@ -52,6 +52,16 @@ class Curve(Loop):
         """The same of a state (2n) in powers of 256, so that a system of order one is computed with as it is."""
         return snapped(np.sqrt(self._unit / self.weights[: self.equations.size]))
 
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Where coordinates (n) must be centred, nan for those that may be anywhere."""
+        return self.equations.symmetry.centre(self.constant)
+
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """Whole turns (n) in a period."""
+        return self.equations.symmetry.turns(self.constant)
+
     @property
     def _unit(self) -> float:
         return 1.0 if self.equations.model.angular.any() else float(self.weights[0])
@@ -145,7 +155,7 @@ def correct(
     which most of the way is cheap; `fit` gives a better mesh over these segments once the orbit is nearly
     known. Raises `ConvergenceError` or `IntegrationError`.
     """
-    curve = curve.through(reference or guess)
+    family, curve = curve, curve.through(reference or guess)
     w, previous, units, lost = guess, np.inf, _row_units(curve, guess, aim), curve.lost(guess, aim)
     if slope is not None:
         w = _approached(curve, guess, aim, slope, (units, lost))
@@ -169,7 +179,7 @@ def correct(
         if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:
-            moved = replace(moved, mesh=fit(curve, Solution(w, path, jacobian, largest)))
+            moved = replace(moved, mesh=fit(family, Solution(w, path, jacobian, largest)))
             fit = None
         w, previous = moved, largest
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")

@@ -47,12 +47,12 @@ class Unknowns:
     free: np.ndarray
     mesh: np.ndarray
 
-    @property
+    @cached_property
     def head(self) -> np.ndarray:
         """(x(0), T, free): what identifies the orbit, whatever the number of segments."""
         return np.concatenate([self.nodes[0], [self.period], self.free])
 
-    @property
+    @cached_property
     def tail(self) -> np.ndarray:
         """(T, s, free), the parameters of the flow."""
         return np.concatenate([[self.period], self.unfolding, self.free])
@@ -67,7 +67,7 @@ class Unknowns:
         """Where the segments begin and end (N + 1), in periods."""
         return self.mesh[:: self.steps]
 
-    @property
+    @cached_property
     def vector(self) -> np.ndarray:
         """w as one vector."""
         return np.concatenate([self.nodes.ravel(), self.tail])
@@ -76,13 +76,8 @@ class Unknowns:
         """The unknowns that a vector over w stands for."""
         count, size = self.nodes.shape
         cut, last = count * size, vector.size - self.free.size
-        return replace(
-            self,
-            nodes=vector[:cut].reshape(count, size),
-            period=float(vector[cut]),
-            unfolding=vector[cut + 1 : last],
-            free=vector[last:],
-        )
+        nodes = vector[:cut].reshape(count, size)
+        return Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
 
     def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
         """Symbols of CasADi for the nodes and for T, s and free, which stacked stand for the vector."""
@@ -237,6 +232,10 @@ class Equations:
         return self._watched[one.name]
 
     @cached_property
+    def _known(self) -> dict[str, tuple[Unknowns, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        return {}
+
+    @cached_property
     def _watched(self) -> dict[str, ca.Function]:
         return {}
 
@@ -250,10 +249,13 @@ class Equations:
         numbers = self.numbers if free is None else free
         return Unknowns(nodes, float(period), np.zeros(self.march.unfolding), numbers, mesh)
 
-    def quantities_at(self, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Their values (k) at one state, their derivatives by the state and by freed parameters."""
-        values, slopes, by_free = self.march.at(self.quantities, x, free)
-        return values.ravel(), slopes, by_free
+    def quantities_at(self, w: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Their values (k) at x(0), their derivatives by the state and by freed parameters; not to be written to."""
+        known = self._known.get("quantities")
+        if known is None or known[0] is not w:  # asked for row by row, at one w after another
+            values, slopes, by_free = self.march.at(self.quantities, w.nodes[0], w.free)
+            known = self._known["quantities"] = w, (values.ravel(), slopes, by_free)
+        return known[1]
 
     def momentum_slopes(self, x: np.ndarray, free: np.ndarray) -> np.ndarray:
         """The Jacobian (d x d) of (q, momentum) in (q, v) at one state."""
@@ -493,7 +495,7 @@ class Loop:
     def _named(self, w: Unknowns, conditions: Sequence[Condition]) -> tuple[np.ndarray, ...]:
         if all(one.quantity is None for one in conditions):
             return ()
-        return self.equations.quantities_at(w.nodes[0], w.free)
+        return self.equations.quantities_at(w)
 
 
 def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
