@@ -55,10 +55,8 @@ HOMOCLINIC_STEP = 1e-2
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
     curve, found = run.curve, after.found
-    if collapsed(curve, before.found, found) and curve.equations.symmetry.relative:
-        return _steady(curve, before)
     if collapsed(curve, before.found, found):
-        return _at_equilibrium(curve, before.found)
+        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(curve, before.found)
     if _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
         return _at_equilibrium(curve, found)
     if curve.equations.model.forced:
@@ -205,7 +203,7 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
 def centre(curve: Curve, found: Solution) -> np.ndarray:
     """The middle of an orbit's configurations (n): where a shrinking family is going."""
     n = curve.equations.model.degrees_of_freedom
-    held, q = curve.equations.symmetry.centre(curve.constant), found.march.states[:, :n]
+    held, q = curve.centre, found.march.states[:, :n]
     return np.asarray(np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held))
 
 
