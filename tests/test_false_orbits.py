@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import orbitfinder as of
-from orbitfinder.errors import InputError
+from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.orbits.certify import certify
@@ -174,3 +174,61 @@ def test_an_unfolding_of_a_system_that_has_none_is_rejected():
     """Forced systems unfold nothing; a number there is of some other problem."""
     orbit = of.load_orbit(RESULTS / "gallery" / "forced-duffing-upper" / "orbit.json")
     assert certify(replace(orbit, unfolding=(1e-3,), record=None)).failures == ("unfolding",)
+
+
+def test_multipliers_across_a_jump_of_the_equations_are_rejected():
+    """Coulomb friction: x'' + x = 2 cos(0.7 t) - 0.3 sign(x'). Variations say |mu| = 1, the true map 0.7277.
+
+    The state is that of the motion with its turning points located by events (SciPy), closed to 2e-15.
+    """
+    drive = 2 * np.pi / 0.7
+    rubbing = of.ode(
+        lambda t, x, p: [x.v, 2 * ca.cos(0.7 * t) - 0.3 * ca.sign(x.v) - x.x], ("x", "v"), forcing_period=drive
+    )
+    planted = record(rubbing, [3.842396532, 0.427495645], drive, samples=np.zeros((0, 2)))
+    assert planted.stability == "marginal"  # what was certified
+    assert "smooth" in certify(planted, rubbing).failures
+
+
+@pytest.mark.parametrize(
+    "force", [lambda t: ca.sign(ca.cos(t)), lambda t: ca.fabs(ca.cos(t)), lambda t: ca.tanh(200 * ca.cos(t))]
+)
+def test_forces_that_jump_in_time_only_are_no_jump_of_the_motion(force):
+    """A square wave jumps for all states at once: the variations are right."""
+    orbit = of.find_orbit(of.Problem(forced(force, 2 * np.pi), of.Guess([0.3, 0.1], 2 * np.pi)))
+    assert "smooth" not in orbit.certificate.failures
+
+
+def test_a_kick_in_the_first_period_only_is_rejected():
+    """A pulse of a 600th of a period that does not come back: the period after the first is gone through too."""
+    kicked = of.ode(
+        lambda t, x, p: [-x.x + ca.cos(t) + 0.5 * ca.exp(-(((t - 2.0) / 0.01) ** 2))], ("x",), forcing_period=2 * np.pi
+    )
+    orbit = of.find_orbit(of.Problem(kicked, of.Guess([0.1], 2 * np.pi)))
+    assert "second_closure" in orbit.certificate.failures
+
+
+@pytest.mark.parametrize("k", [2, 3])
+def test_whole_turns_along_a_shift_hide_no_multiple_of_the_period(k):
+    """A relative orbit gone round k times, one turn of what it shifts told as winding."""
+    model = of.systems.spherical_pendulum()
+    pins = of.pin(energy=-2.0, momentum_phi=2.0)
+    guess = of.Guess([1.2, 0.3, 0.0, 3.0], 1.2)
+    orbit = of.find_orbit(of.Problem(model, guess, pins, relative=("phi",)))
+    shift = {"phi": k * orbit.shift["phi"] - 2 * np.pi}
+    assert certify(replace(times_round(orbit, k), shift=shift, winding=(0, 1))).failures == ("minimal_period",)
+
+
+def test_a_recorded_pair_defect_of_a_hybrid_orbit_is_recomputed():
+    walk = of.find_orbit(of.Problem(of.systems.simplest_walker(0.009), of.Guess([0.20, 0.40, -0.20, -0.02], 3.9)))
+    assert certify(replace(walk, pair_defect=0.5, record=None)).failures == ("pair_defect",)
+
+
+def test_a_reset_that_is_no_number_is_said():
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    air = lagrange(v**2 / 2, q, Symbols(q, v), names=["y"])
+    bounce = of.Transition(
+        "bounce", "air", "air", guard=lambda x, p: x.y, reset=lambda x, p: ca.vertcat(x.y, ca.sqrt(x.ydot))
+    )
+    with pytest.raises(ConvergenceError, match="gives no finite numbers; start elsewhere"):
+        of.find_orbit(of.Problem(of.hybrid({"air": air}, [bounce], ["bounce"]), of.Guess([0.0, 1.0], 2.0)))

@@ -146,6 +146,8 @@ class Newton:
                 factor = 1.0 / max(1.0, abs(step[w.nodes.size]) / (chosen.largest_change * w.period))
                 if size < chosen.handover and factor == 1.0:
                     return w.moved(step), solver
+            elif not step.size:
+                raise ConvergenceError("the motion from this guess gives no finite numbers; start elsewhere")
             else:
                 factor /= 2
             w, path = before.moved(factor * step), None

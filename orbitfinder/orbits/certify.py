@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.evaluate import one_thread
-from orbitfinder.loops.symmetry import NONE, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
+from orbitfinder.loops.symmetry import NONE, beside, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import with_cycle
 from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
@@ -45,6 +45,9 @@ DRIFT = 1e-9
 """Drift of an invariant along the motion, relative to how much it varies about it."""
 ROUNDED = 64 * float(np.finfo(float).eps)
 """Relative error of an invariant's value."""
+STEEPEST, HALVINGS, BESIDE, JUMP = 32, 30, 1e-6, 1e-4
+"""Pairs of samples between which a jump is looked for, halvings of their time, how far beside the motion (in extents)
+it must be seen too, its size"""
 LATER = 7
 """Periods of the forcing after which the equations are compared again, at most."""
 
@@ -93,7 +96,8 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     if model.hybrid is not None:
         return _hybrid_certificate(orbit, model, whole, allowed)
     cycles, pictured = model.forcing_cycles(orbit.period), _pictured(orbit)
-    covers = [k for k in COVERS if cycles % k == 0 and not np.any(whole % k)]
+    apart = beside(whole, [shifts_of(model)[name].direction for name in orbit.shift])
+    covers = [k for k in COVERS if cycles % k == 0 and not np.any(apart % k)]
     shares = _shares(covers)
     moments = np.concatenate([orbit.period * shares.ravel(), *(times for _, times, _, _ in pictured)])
     try:
@@ -229,6 +233,9 @@ def _hybrid_record_checks(
         _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
         _same("stability", orbit.stability, evidence.floquet.stability),
         _same("symmetry", orbit.symmetry, NONE.name),
+        _at_most("pair_defect", abs(orbit.pair_defect - evidence.floquet.pair_defect), allowed.multipliers, RECORDED)
+        if orbit.pair_defect != evidence.floquet.pair_defect
+        else None,
     ]
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
@@ -476,7 +483,8 @@ def _premises(model: Model, evidence: Evidence, turns: np.ndarray, shift: Mappin
     tried on the equations themselves, at seeded states about the motion.
     """
     near = _Nearby(model, evidence.times, evidence.states, evidence.extents)
-    return [near.time_dependence(), *near.windings(turns), *near.shifts(shift), *near.invariants()]
+    smooth = [near.smooth()] if model.forced else []  # where nothing else tries the variations: no flow is kept
+    return [near.time_dependence(), *smooth, *near.windings(turns), *near.shifts(shift), *near.invariants()]
 
 
 class _Nearby:
@@ -485,7 +493,7 @@ class _Nearby:
     def __init__(self, model: Model, times: np.ndarray, states: np.ndarray, units: np.ndarray) -> None:
         random = np.random.default_rng(0)
         self.model, self.period = model, float(times[-1])
-        self.along, self.units = states, units
+        self.times, self.along, self.units = times, states, units
         self.rows = states[random.integers(0, len(states), TRIED)]
         if model.constraint is None:  # off the constraints a motion has no meaning
             self.rows = self.rows + 0.1 * units * random.normal(size=self.rows.shape)
@@ -513,6 +521,30 @@ class _Nearby:
         found = max(self._differ(self._accelerations(self.moments + step, self.rows)) for step in (by, wait))
         note = "equations of motion at other times" if clock is None else "equations of motion forcing periods later"
         return _at_most("time_dependence", found, EXACT, note)
+
+    def smooth(self) -> Check:
+        """The equations do not jump where the motion comes: variations know nothing of what a jump does to them.
+
+        Chords between samples are halved towards their larger difference; a jump at a time of its own, the same
+        for all states, is none.
+        """
+        rates = self._accelerations(self.times, self.along)
+        most = np.sort(np.argsort(np.abs(np.diff(rates, axis=0)).max(axis=1))[-STEEPEST:])
+        (t, later), (x, there) = ((one[most], one[most + 1]) for one in (self.times, self.along))
+        begin, end = rates[most], rates[most + 1]
+        for _ in range(HALVINGS):
+            moment, between = (t + later) / 2, (x + there) / 2
+            middle = self._accelerations(moment, between)
+            left = np.abs(middle - begin).max(axis=1) >= np.abs(end - middle).max(axis=1)
+            column = left[:, None]
+            t, later = np.where(left, t, moment), np.where(left, moment, later)
+            x, there = np.where(column, x, between), np.where(column, between, there)
+            begin, end = np.where(column, begin, middle), np.where(column, middle, end)
+        aside = BESIDE * self.units * np.random.default_rng(2).choice([-1.0, 1.0], self.units.size)
+        jumped = np.abs(end - begin).max(axis=1) > JUMP * max(1.0, float(np.abs(begin).max()))
+        apart = np.abs(self._accelerations(t, x + aside) - self._accelerations(t, x - aside)).max(axis=1)
+        found = float(apart[jumped].max(initial=0.0)) / max(1.0, float(np.abs(begin).max()))
+        return _at_most("smooth", found, JUMP, "largest jump of the equations along the motion; of.hybrid knows jumps")
 
     def windings(self, turns: np.ndarray) -> Iterator[Check]:
         """A coordinate that turns is an angle, and the equations are the same a turn later."""
