@@ -232,3 +232,62 @@ def test_a_reset_that_is_no_number_is_said():
     )
     with pytest.raises(ConvergenceError, match="gives no finite numbers; start elsewhere"):
         of.find_orbit(of.Problem(of.hybrid({"air": air}, [bounce], ["bounce"]), of.Guess([0.0, 1.0], 2.0)))
+
+
+def energy_of_springs(x, _):
+    return (x.u**2 + x.v**2 + x.x**2 + 2 * x.y**2) / 2
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (lambda x, p: energy_of_springs(x, p) ** 2, "'again' is a function of energy and says nothing more"),
+        (lambda x, p: ca.exp(energy_of_springs(x, p)) + 3, "'again' is a function of energy"),
+        (lambda x, p: 3.0, "'again' is a function of energy"),
+    ],
+)
+def test_invariants_that_are_functions_of_each_other_are_refused(more, message):
+    """Their unfoldings would be one parameter twice."""
+
+    def field(_t, x, _p):
+        return [x.u, x.v, -x.x, -2 * x.y]
+
+    with pytest.raises(InputError, match=message):
+        of.ode(field, ("x", "y", "u", "v"), invariants={"energy": energy_of_springs, "again": more})
+    with pytest.raises(InputError, match=message):
+        of.hamiltonian(energy_of_springs, ("x", "y"), ("u", "v"), invariants={"again": more})
+    apart = {"first": lambda x, p: x.u**2 + x.x**2, "second": lambda x, p: x.v**2 + 2 * x.y**2}
+    assert len(of.ode(field, ("x", "y", "u", "v"), invariants=apart).invariants) == 2
+    small = {"all": lambda x, p: x.u**2 + x.x**2 + 1e-14 * (x.v**2 + 2 * x.y**2), "large": lambda x, p: x.u**2 + x.x**2}
+    assert len(of.ode(field, ("x", "y", "u", "v"), invariants=small).invariants) == 2  # 1e-14 of the energy is another
+    with pytest.raises(InputError, match="'one' is a constant"):
+        of.ode(field, ("x", "y", "u", "v"), invariants={"one": lambda x, p: 1.0})
+
+
+AIR = lagrange((_v := ca.SX.sym("v")) ** 2 / 2, _q := ca.SX.sym("q"), Symbols(_q, _v), names=["y"])
+BOUNCE = of.Transition("bounce", "air", "air", guard=lambda x, p: x.y)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: of.ode(lambda t, x, p: None, ("x",)), "field: cannot be made of CasADi symbols"),
+        (lambda: of.ode(lambda t, x: [x.x], ("x",)), "takes 2 positional arguments but 3 were given"),
+        (lambda: of.ode(lambda t, x, p: [x.x if x.x > 0 else 0], ("x",)), "casadi.if_else takes the place of an if"),
+        (lambda: of.hamiltonian(lambda c: c.p, ("q",), ("p",)), "energy: cannot be made of CasADi symbols"),
+        (lambda: of.hybrid({"air": AIR}, [replace(BOUNCE, guard=None)]), "guard: cannot be made of CasADi symbols"),
+        (lambda: of.hybrid({"air": AIR}, [replace(BOUNCE, reset=lambda x, p: "a")]), "reset: cannot be made of"),
+        (lambda: of.hybrid({"air": AIR}, ["bounce"]), "transitions: expected a list, each a Transition, got 'bounce'"),
+        (lambda: of.hybrid({"air": AIR}, [BOUNCE, BOUNCE]), "transitions: 'bounce' names two of them"),
+        (lambda: of.hybrid([of.Mode("air", AIR), of.Mode("air", AIR)], [BOUNCE]), "modes: 'air' names two of them"),
+        (lambda: of.hybrid([of.Mode("air", AIR, 3)], [BOUNCE]), "holds of air: expected names with a function each"),
+        (lambda: of.hybrid({"air": of.hybrid({"air": AIR}, [BOUNCE])}, [BOUNCE]), "air is a hybrid system itself"),
+        (lambda: of.impact(of.ode(lambda t, x, p: [x.x], ("x",)), lambda x, p: x.x), "impact: needs a system of"),
+        (lambda: of.impact(AIR, lambda x, p: None), "contact: cannot be made of CasADi symbols"),
+        (lambda: of.guesses.normal_modes(of.systems.lorenz()), "a first-order system has no masses"),
+    ],
+)
+def test_what_is_no_system_is_said_in_a_sentence(make, message):
+    """Each was a traceback, or a system that was believed."""
+    with pytest.raises(InputError, match=message):
+        make()

@@ -194,6 +194,10 @@ def normal_modes(
     Source: Goldstein, Classical Mechanics, section 6.2.
     """
     n = model.degrees_of_freedom
+    if model.rates is not None:
+        raise InputError(
+            "a first-order system has no masses; give mode, amplitude and equilibrium, or a state and a period"
+        )
     place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
     if place.shape != (n,):
         raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")

@@ -529,6 +529,10 @@ def shifting(symmetry: Symmetry, model: Model) -> Mapping[str, Shift]:
     return {name: one for name, one in known.items() if one.direction in symmetry.relative}
 
 
+LARGEST_SHIFT = 1e100
+"""What a shift in a record is less than, so that nothing overflows on its account"""
+
+
 def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.ndarray:
     """How far coordinates (n) go in a period, in 2 pi: whole turns, and what an orbit shifts by name.
 
@@ -536,7 +540,7 @@ def turned(model: Model, turns: np.ndarray, shift: Mapping[str, float]) -> np.nd
     """
     known, found = shifts_of(model) if shift else {}, turns
     for name, amount in shift.items():
-        if name not in known or not np.isfinite(amount):
+        if name not in known or not abs(amount) < LARGEST_SHIFT:
             raise InputError(
                 f"shift: {name} = {amount} is none of this system, which has {', '.join(known) or 'no'} shifts; the "
                 "record contradicts its system, run the problem again"

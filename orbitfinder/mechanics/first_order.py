@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from re import sub
 from typing import Any
 
 import casadi as ca
@@ -47,6 +49,21 @@ class Named(tuple[Any, ...]):
             known = ", ".join(self.names) or "none"
             raise InputError(f"field: unknown name {name!r}{closest(name, self.names)}; known are {known}")
         return self.names.index(name)
+
+
+@contextmanager
+def in_symbols(name: str) -> Iterator[None]:
+    """Where a function of the user's is called with symbols: what goes wrong in it is an `InputError` of that name."""
+    try:
+        yield
+    except (TypeError, IndexError, NotImplementedError, AttributeError, RuntimeError) as error:
+        said = sub(r"^.*\.cpp:\d+: ", "", (str(error).strip() or type(error).__name__).splitlines()[0]).rstrip(".")
+        hint = (
+            "casadi.if_else takes the place of an if" if "truth value" in said else "write it with casadi's functions"
+        )
+        raise InputError(
+            f"{name}: cannot be made of CasADi symbols ({said}); {hint}, and check its arguments"
+        ) from error
 
 
 @checked
@@ -106,7 +123,8 @@ def hamiltonian(
         raise InputError(f"momenta: {len(momenta)} names for {len(coordinates)} coordinates; give one each")
     symbols = _Symbols([*coordinates, *momenta], _parameters(parameters))
     given = (symbols.x, symbols.p) if forcing_period is None else (symbols.t, symbols.x, symbols.p)
-    level = _scalar("energy", energy(*given))
+    with in_symbols("energy"):
+        level = _scalar("energy", energy(*given))
     rate = symbols.turned(level)
     _check_rates(rate, symbols, forcing_period)
     found = [] if forcing_period is not None else [symbols.invariant("energy", level)]
@@ -190,6 +208,7 @@ def _model(
     if strange := [name for name in angles if name not in symbols.names]:
         raise InputError(f"angles: {strange[0]!r} is no component{closest(strange[0], symbols.names)}")
     invariants = tuple(invariants)
+    _check_independent(invariants, symbols)
     first = next((one for one in invariants if one.generator is None), None)
     energy = ca.SX(np.nan) if first is None else first.value(symbols.column, symbols.v, symbols.numbers)
     if level is not None:
@@ -229,8 +248,9 @@ def _sense(name: str, sense: int) -> int:
 
 def _components(field: Field, symbols: _Symbols) -> list[ca.SX]:
     """x' as expressions, one for each component. Raises `InputError`."""
-    found = field(symbols.t, symbols.x, symbols.p)
-    parts = ca.vertsplit(ca.vec(found)) if isinstance(found, ca.SX) else list(found)
+    with in_symbols("field"):
+        found = field(symbols.t, symbols.x, symbols.p)
+        parts = ca.vertsplit(ca.vec(found)) if isinstance(found, ca.SX) else list(found)
     if len(parts) != len(symbols.names):
         raise InputError(f"field: {len(parts)} rates for {len(symbols.names)} states; give one each, in their order")
     return [_scalar(f"field: {name}", one) for name, one in zip(symbols.names, parts, strict=True)]
@@ -250,7 +270,8 @@ def _expression(name: str, one: Scalar, symbols: _Symbols) -> ca.SX:
     """An invariant's expression. Raises `InputError`."""
     if name in (*symbols.names, *symbols.values, "period"):
         raise InputError(f"invariants: {name!r} names something else too; give another name")
-    found = _scalar(f"invariants: {name}", one(symbols.x, symbols.p))
+    with in_symbols(f"invariants: {name}"):
+        found = _scalar(f"invariants: {name}", one(symbols.x, symbols.p))
     if stray := symbols.foreign(found):
         raise InputError(f"invariants: {name} depends on {stray}; it may depend on x and p only")
     return found
@@ -276,6 +297,26 @@ def _check_commutes(name: str, expression: ca.SX, rate: ca.SX, symbols: _Symbols
                 f"invariants: {name!r} is not conserved, it changes at the rate {found:.3g} of terms as large as "
                 f"{size:.3g}; leave it out"
             )
+
+
+def _check_independent(invariants: Sequence[Invariant], symbols: _Symbols) -> None:
+    """`InputError` where an invariant is a function of those before it: at no seeded state a gradient of its own."""
+    random, values = np.random.default_rng(0), np.array(list(symbols.values.values()), float)
+    inputs = (symbols.column, symbols.v, symbols.numbers)
+    rows = [ca.gradient(one.value(*inputs), symbols.column) for one in invariants]
+    slopes = ca.Function("slopes", inputs[::2], [ca.densify(ca.horzcat(ca.SX(len(symbols.names), 0), *rows))])
+    found = [slopes(x, values).full() for x in random.normal(size=(4, len(symbols.names)))]
+    units = [_balanced(each) for each in found if np.all(np.isfinite(each))]
+    for k, one in enumerate(invariants, start=1):
+        if units and all(np.linalg.matrix_rank(each[:, :k], COMMUTES) < k for each in units):
+            before = f"a function of {', '.join(each.name for each in invariants[: k - 1])}" if k > 1 else "a constant"
+            raise InputError(f"invariants: {one.name!r} is {before} and says nothing more; leave it out")
+
+
+def _balanced(slopes: np.ndarray) -> np.ndarray:
+    """Gradients (columns) with components, then columns, of size 1: whatever units both have."""
+    rows = slopes / np.maximum(np.abs(slopes).max(axis=1, initial=0.0, keepdims=True), 1e-300)
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))
 
 
 COMMUTES = 1e-9

@@ -20,7 +20,7 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
-from orbitfinder.mechanics.first_order import Named
+from orbitfinder.mechanics.first_order import Named, in_symbols
 from orbitfinder.mechanics.model import Model
 
 SHARE = "share_"
@@ -151,13 +151,14 @@ def impact(model: Model, contact: Expression, restitution: float | Expression | 
     `restitution` e of each row: 0 is plastic, 1 elastic; a number, m numbers or a function (x, p). Raises
     `InputError`.
     """
-    if model.constraint is not None:
+    if model.constraint is not None or model.rates is not None:
         raise InputError("impact: needs a system of coordinates and velocities with a mass matrix; write the reset")
 
     n = model.degrees_of_freedom
     x, p, velocity = ca.SX.sym("x", 2 * n), ca.SX.sym("p", len(model.parameter_names)), ca.SX.sym("v", n)
     here = Named.of(model.state_names, x), Named.of(model.parameter_names, p)
-    gaps = ca.vertcat(*_listed(contact(*here)))
+    with in_symbols("contact"):
+        gaps = ca.vertcat(*_listed(contact(*here)))
     wanted = restitution(*here) if callable(restitution) else restitution
     e = ca.vertcat(*wanted) if isinstance(wanted, Sequence) else ca.repmat(ca.SX(wanted), gaps.numel(), 1)
     if e.numel() != gaps.numel():
@@ -335,17 +336,23 @@ def _function(name: str, expression: Expression, model: Model) -> ca.Function:
 
     if isinstance(expression, ca.Function):
         return expression
-    try:
-        return made(ca.SX.sym if model.scalar else ca.MX.sym)
-    except NotImplementedError:  # it calls functions of matrices
-        return made(ca.MX.sym)
+    with in_symbols(name):
+        try:
+            return made(ca.SX.sym if model.scalar else ca.MX.sym)
+        except NotImplementedError:  # it calls functions of matrices
+            return made(ca.MX.sym)
 
 
 def _check_modes(modes: Sequence[Mode]) -> None:
     if not modes:
         raise InputError("modes: none given; give at least one, {name: Model}")
+    _check_once("modes", [one.name for one in modes])
     first = modes[0].model
     for one in modes:
+        if one.holds is not None and not isinstance(one.holds, Mapping):
+            raise InputError(f"modes: holds of {one.name}: expected names with a function each, got {one.holds!r}")
+        if one.model.hybrid is not None:
+            raise InputError(f"modes: {one.name} is a hybrid system itself; give its modes and transitions")
         if one.model.state_names != first.state_names:
             raise InputError(
                 f"modes: {one.name} has states {', '.join(one.model.state_names)}, {modes[0].name} has "
@@ -359,8 +366,18 @@ def _check_modes(modes: Sequence[Mode]) -> None:
             raise InputError(f"modes: {one.name} depends on time; make the clock a state (an angle with a rate of 1)")
 
 
+def _check_once(what: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{what}: {name!r} names two of them; give each its own name")
+
+
 def _check_cycle(parts: Hybrid) -> None:
     names = [one.name for one in parts.modes]
+    for each in parts.transitions:
+        if not isinstance(each, Transition):
+            raise InputError(f"transitions: expected a list, each a Transition, got {each!r}")
+    _check_once("transitions", [one.name for one in parts.transitions])
     for one in parts.transitions:
         for which in (one.source, one.target):
             if which not in names:

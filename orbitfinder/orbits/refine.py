@@ -15,7 +15,7 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import brief
-from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError
+from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError, plural
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.conditions import Pin
@@ -103,7 +103,7 @@ class Refiner:
         if not residual < self.settings.converged:
             raise ConvergenceError(
                 f"warm refinement stalled at a residual of {residual:.2g}; the orbit is too unstable for "
-                f"{self.segments} segments, give the problem more"
+                f"{plural(self.segments, 'segment')}, give the problem more"
             )
         if self._rates(w, np.asarray(scales or 1.0)) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
