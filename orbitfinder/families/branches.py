@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.point import FamilySettings, extent, parameter_value, shift_at, unknowns_of, winding
+from orbitfinder.families.point import FamilySettings, extent, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
 from orbitfinder.families.start import (
     Start,
@@ -148,7 +148,7 @@ def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
 
 
 def _turns(curve: Curve, event: Event) -> np.ndarray:
-    return np.array(winding(curve)) * event.order
+    return np.array(curve.turns) * event.order
 
 
 def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> Unknowns:
@@ -161,7 +161,7 @@ def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> U
     first = int(np.argmin(np.abs(mesh - share)))
     laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
     times = (laps + mesh[index] - mesh[first]) / event.order
-    turns = turned(curve.equations.model, np.array(winding(curve)), shift_at(curve, base.place))
+    turns = turned(curve.equations.model, np.array(curve.turns), shift_at(curve, base.place))
     turn = np.concatenate([2 * np.pi * turns, np.zeros(curve.equations.size - n)])
     nodes = (states[index] + laps[:, None] * turn)[:-1:each]
     nodes[0, n:][symmetry.held(n)[n:]] = 0.0

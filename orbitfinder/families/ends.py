@@ -221,12 +221,15 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
 
     What looks near is confirmed by an orbit on the family in the plane through the earlier one: it must be the same.
     """
-    one, other, heads = before.found.place, after.found.place, np.asarray(before.heads)
+    one, other, heads = before.found.place, after.found.place, before.heads
     if len(heads) < FEWEST_STEPS:
         return None
-    step, past, ahead = other.head - one.head, heads[: 1 - FEWEST_STEPS], np.diff(heads[: 2 - FEWEST_STEPS], axis=0)
+    step, past = other.head - one.head, heads[: 1 - FEWEST_STEPS]
     normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
     shares = (past - one.head) @ normal / square
+    if not np.any((shares >= 0.0) & (shares <= 1.0)):
+        return None
+    ahead = np.diff(heads[: 2 - FEWEST_STEPS], axis=0)
     aside = np.sqrt(np.maximum(((past - one.head) ** 2) @ curve.weights - shares**2 * square, 0.0))
     near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ normal > 0)
     for k in np.flatnonzero(near):
