@@ -149,7 +149,7 @@ class March(Refining):
         edges = mesh[:: (mesh.size - 1) // len(nodes)]
         durations = (edges[1:] - edges[:-1])[:, None]
         if not self.forced or len(nodes) == 1:
-            return self.rates(ends, tail, tail[0] * edges[1:]) * durations
+            return np.asarray(self.rates(ends, tail, tail[0] * edges[1:]) * durations)
         times = tail[0] * np.concatenate([edges[1:], edges[:-1]])
         late, early = self.rates(np.concatenate([ends, nodes]), tail, times).reshape(2, *ends.shape)
         return np.asarray(late * durations + (late - (transitions @ early[:, :, None])[:, :, 0]) * edges[:-1, None])
