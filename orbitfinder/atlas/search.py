@@ -284,6 +284,8 @@ def search(
     """
     part = shard_from(shard)
     shells = tuple(float(one) for one in (energies if isinstance(energies, Sequence) else [energies]))
+    if model.hybrid is not None:
+        raise InputError("system: hybrid systems are not searched yet; find their orbits from guesses, then families")
     check_request(shells, starts, budget, seed, workers)
     shells = shells if part is None else tuple(sorted(shells))  # as `merge_atlases` orders them
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget

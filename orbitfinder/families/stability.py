@@ -48,6 +48,8 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     basis = complement(gradients * units, directions / units)
     root_map = root_map * units / units[:, None]
     reduced = np.asarray(basis.T @ root_map @ basis)
+    if not np.all(np.isfinite(reduced)):
+        raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
     area = abs(np.linalg.det(reduced)) if p.links and reduced.size else 1.0
     conservative = p.symplectic and abs(area - 1.0) < AREA  # resets need not keep areas
     whole = np.linalg.matrix_power(reduced, root)

@@ -154,6 +154,15 @@ class March(Refining):
         late, early = self.rates(np.concatenate([ends, nodes]), tail, times).reshape(2, *ends.shape)
         return np.asarray(late * durations + (late - (transitions @ early[:, :, None])[:, :, 0]) * edges[:-1, None])
 
+    def slopes(self, x: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """d(dx/dt)/dx (d x d) at a state (d)."""
+        field, size = self._varied, self.size
+        start = np.zeros(field.size1_in(1))
+        start[:size], start[size : size + size * size] = x, np.eye(size).ravel()
+        s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
+        found = self.at(field, 0.0, start, s, free)[0].ravel()
+        return np.asarray(found[size : size + size * size].reshape(size, size).T)
+
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d)."""
         if len(states) == 1:
@@ -163,6 +172,10 @@ class March(Refining):
         moments = np.broadcast_to(times, len(states))[:, None]
         s, free = np.split(np.broadcast_to(tail[1:], (len(states), tail.size - 1)), [self.unfolding], axis=1)
         return self._lanes.evaluated(self.field, 1, moments, states, s, free)
+
+    def along(self, function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
+        """Any function at k places (k x ... each)."""
+        return self._lanes.evaluated(function, 1, *arguments)
 
     def at(self, function: ca.Function, *arguments: np.ndarray | float) -> list[np.ndarray]:
         """Any function of one place, its outputs as CasADi has them (rows x columns)."""

@@ -33,6 +33,8 @@ from orbitfinder.mechanics.hybrid import SHARE, Transition, share
 from orbitfinder.mechanics.model import Model, vector_field
 
 NONE_SUCH = np.zeros(0)
+GRAZED = 1e-30
+"""A guard's rate at least, by which what grazes it is multiplied"""
 ROUND_OFF = float(np.finfo(float).eps)
 """What a sum is known to, relative to the sizes of its terms."""
 
@@ -221,26 +223,24 @@ class Equations:
     def _generators(self) -> tuple[ca.Function, ...]:
         return self.symmetry.generators(self.model)
 
-    def heights(self, one: Transition, states: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A guard's values in its direction at states (k x d), and whether its crossing there would be an event."""
-        found = self._height(one)(states.T, np.tile(free[:, None], (1, len(states)))).full()
-        return found[0], found[1] > 0
-
-    def _height(self, one: Transition) -> ca.Function:
-        if one.name not in self._watched:
+    def watched(self, function: ca.Function, states: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A guard, or what else is a function (x, p), at states (k x d): its values (k) and slopes (k x d)."""
+        key = id(function)
+        if key not in self._watched:
             x, chosen = ca.MX.sym("x", self.size), ca.MX.sym("free", len(self.free))
-            p = self.model.parameters(self.free, chosen)
-            allowed = ca.MX(1) if one.allowed is None else one.allowed(x, p)
-            rows = ca.vertcat(one.direction * one.guard(x, p), allowed)
-            self._watched[one.name] = ca.Function("height", [x, chosen], [rows])
-        return self._watched[one.name]
+            value = function(x, self.model.parameters(self.free, chosen))
+            rows = ca.densify(ca.vertcat(value, ca.jacobian(value, x).T))
+            self._watched[key] = ca.Function("watched", [x, chosen], [rows])
+        free = np.broadcast_to(free, (len(states), free.size))
+        found = self.march.arcs[0].along(self._watched[key], states, free)
+        return found[:, 0], found[:, 1:]
 
     @cached_property
     def _known(self) -> dict[str, tuple[Unknowns, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
         return {}
 
     @cached_property
-    def _watched(self) -> dict[str, ca.Function]:
+    def _watched(self) -> dict[int, ca.Function]:
         return {}
 
     @property
@@ -336,6 +336,10 @@ class Links:
             after[place], guards[k] = reset, guard.item()
         return after, guards
 
+    def after(self, arc: int, x: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """The state (d) after the event that ends an arc at x."""
+        return self._passes[arc](x, free)[0].ravel()
+
     def varied(self, w: Unknowns, path: Varied) -> tuple[np.ndarray, np.ndarray, Inner]:
         """Transitions and columns through the resets, and the guards' rows (`Linearised.inner`)."""
         transitions, columns, places = path.transitions.copy(), path.columns.copy(), self.ends(len(path.ends))
@@ -357,7 +361,9 @@ class Links:
         found = path.transitions.copy()
         each = zip(self.ends(len(found)), self.at(w, path.ends), late, early, strict=True)
         for k, (_, _, by_x, _, slope, _), before, after in each:
-            found[k] = (by_x + np.outer(after - by_x @ before, slope) / (slope @ before).item()) @ found[k]
+            rate = (slope @ before).item()  # 0 where the guard is grazed
+            turn = np.outer(after - by_x @ before, slope) / (rate if abs(rate) > GRAZED else GRAZED)
+            found[k] = (by_x + turn) @ found[k]
         return found
 
 

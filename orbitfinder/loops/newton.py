@@ -149,8 +149,9 @@ class Newton:
             else:
                 factor /= 2
             w, path = before.moved(factor * step), None
+        beyond = "start nearer" if self.loop.equations.links else "find_orbit reaches farther"
         raise ConvergenceError(
-            f"warm refinement does not converge from this guess (residual {self.best:.2g}); find_orbit reaches farther"
+            f"warm refinement does not converge from this guess (residual {self.best:.2g}); {beyond}"
         )
 
     def _finish(self, w: Unknowns, solver: Solver) -> tuple[Unknowns, np.ndarray]:
