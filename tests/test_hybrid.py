@@ -506,3 +506,62 @@ def test_simulation_keeps_the_energy_of_every_mode():
         of.simulate(slip_runner(), [0.0, 1.0], 1.0)
     with pytest.raises(IntegrationError, match="Zeno"):
         of.simulate(falling(), [0.0, 1.0], 10.0)
+
+
+def test_grazing_ends_a_family_where_the_linear_oscillator_touches_the_stop():
+    """Amplitude force / |1 - w^2 + i c w| = stop: the impact that becomes one of speed 0, to round-off."""
+    guess = of.Guess([0.0, -1.0, 1.0], 2.24)
+    orbit = of.find_orbit(of.Problem(impact_oscillator(frequency=2.8), guess, winding=(0, 0, 1)))
+    settings = of.FamilySettings(parameter="stop", directions="forward", points=60)
+    family = of.follow_family(orbit, "stop", settings=settings)
+    grazing = family.events[-1]
+    assert (grazing.kind, grazing.detail) == ("grazing", "hit")
+    assert grazing.parameter == pytest.approx(1 / abs(1 - 2.8**2 + 0.28j), abs=1e-12)
+    assert (
+        family.ends[-1].kind == "grazing" and "hit is only just reached beyond stop = 0.1460" in family.ends[-1].reason
+    )
+    assert all(of.certify(one).passed for one in family.points)
+
+
+def test_another_guard_is_grazed_at_its_closed_form():
+    """A bar across the way of a driven oscillator that it passes below, until its amplitude is that of the bar."""
+    model = of.ode(
+        lambda t, x, p: [x.v, p.force * ca.cos(x.phase) - 0.1 * x.v - x.x, 2.8], ("x", "v", "phase"),
+        {"force": 1.0}, angles=("phase",),
+    )  # fmt: skip
+    turn = Transition("turn", "free", "free", guard=lambda x, p: ca.sin(x.phase))
+    bar = Transition("bar", "free", "free", guard=lambda x, p: x.x - 0.2, direction=1)
+    built = of.hybrid([Mode("free", model)], [turn, bar], ["turn"])
+    orbit = of.find_orbit(of.Problem(built, of.Guess([0.14, 0.0, np.pi], 2.24), winding=(0, 0, 1)))
+    family = of.follow_family(orbit, "force", settings=of.FamilySettings(parameter="force", directions="forward"),
+                              model=built)  # fmt: skip
+    grazing = family.events[-1]
+    assert (grazing.kind, grazing.detail) == ("grazing", "bar")
+    assert grazing.parameter == pytest.approx(0.2 * abs(1 - 2.8**2 + 0.28j), abs=1e-11)
+    assert "bar comes before turn in mode free" in family.ends[-1].reason
+
+
+def test_a_spoke_that_would_pull_ends_the_wheels_family():
+    """g cos(slope + a) = l w^2 before the strike: tan(slope) = 1 / (9 tan(pi / 8)) for eight spokes."""
+    orbit = of.find_orbit(of.Problem(rimless_wheel(), of.Guess([0.08 - np.pi / 8, 1.2], 1.0)))
+    family = of.follow_family(orbit, "slope", settings=of.FamilySettings(parameter="slope", directions="forward"))
+    lost = family.events[-1]
+    assert (lost.kind, lost.detail) == ("holds", "spoke force")
+    assert lost.parameter == pytest.approx(np.arctan(1 / (9 * np.tan(np.pi / 8))), abs=1e-11)
+
+
+def test_a_vanishing_arc_ends_its_family():
+    """The hopper that no longer leaves the ground, at energy 0: below it there is no flight."""
+    orbit = of.find_orbit(of.Problem(vertical_hopper(), of.Guess([0.0, -1.9], 1.0), pin=of.pin(energy=1.0)))
+    settings = of.FamilySettings(directions="backward", events=False)
+    family = of.follow_family(orbit, "energy", settings=settings)
+    last = family.events[-1]
+    assert last.kind in ("cycle_change", "grazing") and family.ends[0].kind == last.kind
+    assert last.energy == pytest.approx(0.0, abs=1e-12) and last.period == pytest.approx(0.2 * np.pi, abs=1e-9)
+
+
+def test_no_family_starts_from_another_cycle():
+    """The loop that closes through the apex alone goes through the ground; it is an orbit of no family."""
+    model = with_cycle(slip_runner(attack=0.35), ["apex"])
+    with pytest.raises(ConvergenceError, match="goes through touchdown"):
+        of.follow_family(of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=of.pin(energy=1800.0)), "energy")

@@ -221,10 +221,7 @@ class Automaton:
         return one.allowed is None or float(self.value(one.allowed, x)[0]) > 0
 
     def _located(self, height: Height, before: float, after: float, dense: Callable[[float], np.ndarray]) -> float:
-        ends = height(dense(before)), height(dense(after))
-        if not ends[0] < 0 <= ends[1]:
-            return before if ends[0] >= 0 else after
-        return float(brentq(lambda t: height(dense(t)), before, after, xtol=1e-15, rtol=1e-14))
+        return _root(lambda moment: height(dense(moment)), before, after)
 
     def _polished(
         self, one: Transition, field: VectorField, begin: tuple[float, np.ndarray], moment: float
@@ -266,6 +263,14 @@ class Automaton:
 
 Seen = tuple[float, float, float]
 """Time, height and its rate"""
+
+
+def _root(rising: Callable[[float], float], before: float, after: float) -> float:
+    """Where a function rises through 0; at one of two moments where it does so but for its round-off."""
+    ends = rising(before), rising(after)
+    if not ends[0] < 0 <= ends[1]:
+        return before if ends[0] >= 0 else after
+    return float(brentq(rising, before, after, xtol=1e-15, rtol=1e-14))
 
 
 def recognised(model: Model, state: np.ndarray, period: float) -> tuple[str, ...]:
@@ -340,7 +345,7 @@ class _Watch:
         if value >= 0 and (not self.own if on_it else low < 0):
             return [(before, after)]
         if rising > 0 > rate:
-            peak = float(brentq(lambda moment: self.climb(dense(moment)), before, after))
+            peak = _root(lambda moment: -self.climb(dense(moment)), before, after)
             top = self.height(dense(peak))
             self.most = max(self.most, top)
             if value < 0 <= top and low < 0:

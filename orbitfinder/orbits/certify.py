@@ -35,6 +35,8 @@ LARGEST_GROWTH = 1e10
 PAIRED, LARGEST_DEFECT = 10.0, 0.1
 """Relative errors of the integration in the product of two reciprocal multipliers; and what excuses no more"""
 RECORDED = "recorded - recomputed, relative"
+MEETING = 1e-4
+"""How near to each other mu and 1 / mu are where their sum is known better than they are"""
 TRIED = 12
 """States about the motion at which the equations are compared."""
 EXACT = 1e-10
@@ -430,15 +432,20 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 
 
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
-    """Largest relative distance between recorded and recomputed multipliers, matched one to one."""
+    """Largest relative distance between recorded and recomputed multipliers, matched one to one.
+
+    Where mu and 1 / mu meet, at +1 and -1, both are known to the square root of what their sum is known to: there the
+    sum is compared, of which mu - 1 / mu is the derivative, relative to `MEETING`.
+    """
     recorded, found = orbit.floquet_multipliers, floquet.multipliers
     if recorded.shape != found.shape:
         return float("inf")
     if not found.size:
         return 0.0
     largest = np.abs(found).max()
-    # a double pair at +-1 is the square root of the monodromy's error away from where it should be
-    distance = np.abs(recorded[:, None] - found[None, :]) / np.maximum(1.0, np.abs(found))[None, :]
+    apart = np.abs(recorded[:, None] - found[None, :])
+    split = np.abs(found - 1.0 / np.where(found == 0, 1e-300, found))[None, :]
+    distance = apart / np.maximum(1.0, np.abs(found))[None, :] * np.minimum(1.0, (split + apart) / MEETING)
     rows, columns = linear_sum_assignment(np.minimum(distance, 1e6 * max(1.0, largest)))
     return float(distance[rows, columns].max())
 

@@ -370,22 +370,6 @@ def shares_of(model: Model) -> np.ndarray:
     return np.append(last, 1.0 - last.sum())
 
 
-def crossed_early(equations: Equations, w: Unknowns, states: np.ndarray) -> str:
-    """What the motion of a loop crosses before the event that its cycle asks for, in words; empty where nothing.
-
-    `states` (M + 1 x d) are those at the mesh.
-    """
-    hybrid: Hybrid = equations.model.hybrid
-    steps = (len(states) - 1) // len(hybrid.cycle)
-    for k, (mode, ends) in enumerate(hybrid.arcs):
-        own = states[k * steps + 1 : (k + 1) * steps]  # neither the reset state nor the end
-        for one in hybrid.leaving(mode.name):
-            heights, allowed = equations.heights(one, own, w.free)
-            if np.any((heights[:-1] < 0) & (heights[1:] >= 0) & allowed[1:]):
-                return f"{one.name} comes before {ends.name} in mode {mode.name}"
-    return ""
-
-
 def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:
     """What must not be negative: in modes along the motion, and impulses at events, each with its least value."""
     least: dict[str, float] = {}

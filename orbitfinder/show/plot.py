@@ -274,7 +274,7 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
 
 MARKERS = {
     "fold": "v", "branch_point": "o", "period_doubling": "s", "torus": "P", "resonance": ".", "collision": "x",
-    "stability_change": "D",
+    "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X",
 }  # fmt: skip
 """Marker of each kind of event."""
 SIZES = {"resonance": 3.0, "stability_change": 9.0}
