@@ -13,7 +13,7 @@ import pytest
 import orbitfinder as of
 from orbitfinder.errors import InputError
 from orbitfinder.exports.write import export_orbit
-from orbitfinder.families.members import motions
+from orbitfinder.families.members import motions, whole
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import Mode, Transition, hybrid, with_cycle
 from orbitfinder.mechanics.machines import MACHINES, kneed_walker, simplest_walker
@@ -303,3 +303,19 @@ def test_points_of_a_first_order_system_are_checked():
         of.ode(lambda t, x, p: [x.v, -x.x], ("x", "v"), points=lambda x, p: ca.vertcat(x.x, x.v, 0))
     drawn = of.ode(lambda t, x, p: [x.v, -x.x], ("x", "v"), points=lambda x, p: ca.vertcat(0, x.x))
     assert of.positions(drawn, np.array([[0.3, 0.1]]))[0, :, 0] == pytest.approx([0.0, 0.3])
+
+
+def test_a_cascade_goes_on_from_a_cycle_of_two(found):
+    """Periods 2 to 4: closures do not grow with the arcs, and points are certified, drawn and rebuilt by themselves."""
+    orbit, model = found("simplest-walker-period-2")
+    family = of.follow_family(orbit, "slope", until=0.0178)
+    (doubling,) = [one for one in family.events if one.kind == "period_doubling"]
+    assert doubling.free["slope"] == pytest.approx(0.0176693748626, abs=1e-9)
+    four = of.follow_family(of.switch_branch(family, doubling), until=0.0178)
+    last = four.points[-1]
+    assert last.closure < 1e-13 and last.period == pytest.approx(15.5399, abs=1e-3)
+    assert set(last.system["arguments"]) == {"slope"} and last.system["cycle"] == ["strike"] * 4
+    assert of.certify(last).passed
+    shown = whole(last, build_model(last.system))
+    assert shown.symmetry == "none" and (np.diff(shown.times) == 0).sum() == 3
+    assert orbit_clip(last, build_model(last.system), AnimationSettings(rate=2)).points.shape[1:] == (2, 3)
