@@ -27,6 +27,10 @@ from .mechanics.chain import chain_dae as chain_dae
 from .mechanics.constrained import constrained as constrained
 from .mechanics.first_order import hamiltonian as hamiltonian
 from .mechanics.first_order import ode as ode
+from .mechanics.hybrid import Mode as Mode
+from .mechanics.hybrid import Transition as Transition
+from .mechanics.hybrid import hybrid as hybrid
+from .mechanics.hybrid import impact as impact
 from .mechanics.lagrange import Symbols as Symbols
 from .mechanics.lagrange import lagrange as lagrange
 from .mechanics.linkage import linkage as linkage

@@ -1,7 +1,7 @@
 """Built-in systems: each function returns a Model, and problem files name them with kind = "python"."""
 
+from orbitfinder.mechanics.library import FUNCTIONS as SMOOTH
 from orbitfinder.mechanics.library import (
-    FUNCTIONS,
     brusselator,
     cart_chain,
     double_well,
@@ -26,30 +26,59 @@ from orbitfinder.mechanics.library import (
     van_der_pol,
     vibrated_pendulum,
 )
+from orbitfinder.mechanics.machines import (
+    MACHINES,
+    bouncing_ball,
+    compass_gait,
+    gravity_wedge,
+    impact_oscillator,
+    kneed_walker,
+    rimless_wheel,
+    rocking_block,
+    simplest_walker,
+    slip_runner,
+    slip_walker,
+    vertical_hopper,
+    wall_pendulum,
+)
+
+FUNCTIONS = SMOOTH | MACHINES
 
 __all__ = [
     "FUNCTIONS",
+    "bouncing_ball",
     "brusselator",
     "cart_chain",
+    "compass_gait",
     "double_well",
     "duffing",
     "fitzhugh_nagumo",
     "forced_duffing",
     "forced_pendulum",
+    "gravity_wedge",
     "henon_heiles",
     "hodgkin_huxley",
+    "impact_oscillator",
+    "kneed_walker",
     "lorenz",
     "pendulum_on_cart",
     "planar_oscillator",
     "restricted_three_body",
     "restricted_three_body_canonical",
+    "rimless_wheel",
+    "rocking_block",
     "rossler",
     "rotating_hoop",
+    "simplest_walker",
+    "slip_runner",
+    "slip_walker",
     "spherical_pendulum",
     "spring_pendulum",
     "swinging_spring",
     "three_bodies",
     "turning_three_bodies",
     "van_der_pol",
+    "vertical_hopper",
     "vibrated_pendulum",
+    "wall_pendulum",
 ]

@@ -346,7 +346,6 @@ def test_an_oscillator_that_hits_once_in_two_periods_is_another_orbit():
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"cycle": []}, "cycle: no transition"),
         ({"cycle": ["bonce"]}, "unknown transition 'bonce', did you mean 'bounce'"),
         ({"source": "water"}, "transition bounce: unknown mode 'water'"),
         ({"direction": 0}, "direction must be -1"),
@@ -373,3 +372,196 @@ def test_modes_share_states_and_parameters():
         hybrid({"a": one, "b": other}, [Transition("up", "a", "b", guard=lambda x, p: x[0])], ["up"])
     with pytest.raises(InputError, match="the system is not hybrid"):
         with_cycle(of.chain(1), ["up"])
+
+
+def test_nothing_but_a_clock_moves_and_still_no_event_is_missed():
+    """A fast table under a slow ball: DOP853 takes one step where the table goes up and down eight times."""
+    model = bouncing_ball(amplitude=0.3, frequency=50.0)
+    arcs = list(Automaton(model).arcs(np.array([1.0, 0.0, 0.0]), "air", events=1))
+    moments = np.linspace(0.0, arcs[0].duration, 200_001)[1:-1]
+    gaps = 1.0 - moments**2 / 2 - 0.3 * np.sin(50 * moments)
+    assert arcs[0].ended_by == "bounce" and np.all(gaps > 0)
+
+
+def test_a_dip_between_looks_breaks_what_holds():
+    """What a mode holds is followed between the simulator's looks, where it dips below 0 for 1e-4 of the time."""
+    symbols = of.Symbols(ca.SX.sym("q"), v := ca.SX.sym("v"))
+    model = of.lagrange(v**2 / 2, ca.SX(0), symbols, names=["x"])
+    wall = Transition("wall", "free", "free", guard=lambda x, p: 1 - x.x, reset=lambda x, p: changed(x, x=0))
+    held = {"narrow": lambda x, p: (x.x - 0.61234) ** 2 - 1e-9}
+    built = of.hybrid([Mode("free", model, held)], [wall], ["wall"])
+    (arc,) = Automaton(built).arcs(np.array([0.0, 1.0]), "free", events=1)
+    assert dict(arc.margins)["narrow"] == pytest.approx(-1e-9 / (0.61234**2 - 1e-9), rel=1e-6)
+
+
+def turning(guard):
+    """A clock that is reset by nothing: x' = 0 under the angle that turns once."""
+    model = of.ode(lambda t, x, p: [-x.x, 1.0], ("x", "phase"), angles=("phase",))
+    kick = Transition("kick", "on", "on", guard=guard, direction=1, reset=lambda x, p: changed(x, x=x.x + 1))
+    return of.hybrid([Mode("on", model)], [kick], ["kick"])
+
+
+def test_planted_guard_that_knows_how_often_an_angle_has_turned():
+    """After a turn this motion never meets its guard again, though state and time are those of an orbit."""
+    guess = of.Guess([1.0, -3.0], 6.28)
+    true = turning(lambda x, p: ca.sin(x.phase))
+    orbit = of.find_orbit(of.Problem(true, guess, winding=(0, 1)))
+    assert orbit.certificate.passed and orbit.period == pytest.approx(2 * np.pi, abs=1e-12)
+    failing(orbit, turning(lambda x, p: x.phase - round((orbit.state[1] + orbit.period) / np.pi) * np.pi), "winding")
+
+
+def test_planted_samples_and_nodes(walker):
+    model, moved = simplest_walker(0.009), walker.samples.copy()
+    moved[len(moved) // 2, 0] += 1e-3
+    failing(replace(walker, samples=moved), model, "samples")
+    failing(replace(walker, nodes=walker.nodes + 1e-6), model, "nodes")
+    failing(replace(walker, times=walker.times * 0.99), model, "samples")
+
+
+def test_coinciding_events_across_two_steps_are_named():
+    """The second event comes less than 1e-9 of the arc later, in a step of its own or not."""
+    symbols = of.Symbols(q := ca.SX.sym("q", 2), v := ca.SX.sym("v", 2))
+    model = of.lagrange(ca.sumsqr(v) / 2, q[0] + q[1], symbols, names=["a", "b"])
+    late = [Transition("a", "air", "air", guard=lambda x, p: x.a),
+            Transition("b", "air", "air", guard=lambda x, p: x.b + 1e-10)]  # fmt: skip
+    with pytest.raises(IntegrationError, match="events a and b are simultaneous"):
+        list(Automaton(of.hybrid({"air": model}, late, ["a"])).arcs(np.array([0.0, 0.0, 1.0, 1.0]), "air", 10.0))
+
+
+def test_time_is_no_clock_of_a_mode():
+    t, q, v = (ca.SX.sym(name) for name in "tqv")
+    model = of.lagrange(v**2 / 2, q * ca.sin(t), of.Symbols(q, v, time=t), names=["x"])
+    with pytest.raises(InputError, match="modes: on depends on time; make the clock a state"):
+        of.hybrid({"on": model}, [Transition("up", "on", "on", guard=lambda x, p: x.x)], ["up"])
+
+
+def test_the_cycle_is_taken_from_the_guess():
+    """Of the runner without one: touchdown, liftoff, apex, as its guess goes through them."""
+    made = slip_runner(attack=0.35)
+    modes, transitions, kept = made.hybrid.given
+    model = of.hybrid(modes, transitions, conserved=kept)
+    pinned = of.pin(energy=80 * 9.81 * 1.02 + 1000.0)
+    known = of.find_orbit(of.Problem(made, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=pinned))
+    problem = of.Problem(model, of.Guess(known.state.round(2), round(known.period, 2)), pin=pinned)
+    assert problem.model.hybrid.cycle == ("touchdown", "liftoff", "apex")
+    orbit = of.find_orbit(problem)
+    assert orbit.certificate.passed and orbit.period == pytest.approx(known.period, abs=1e-12)
+    assert of.certify(orbit, model).passed
+    with pytest.raises(ConvergenceError, match=r"cycle: the motion .* goes through no event in 0.03 s"):
+        of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.02))
+
+
+@pytest.mark.parametrize(
+    "asked, message",
+    [
+        ({"symmetry": "brake"}, "symmetry: orbits of hybrid"),
+        ({"objective": "min_instability"}, "objective: orbits of hybrid"),
+        ({"bounds": {"period": (3.0, 4.0)}}, "bounds: orbits of hybrid"),
+        ({"constraints": (of.Constraint(lambda v: v["theta"]),)}, "constraints: orbits of hybrid"),
+        ({"phase_condition": lambda v: v["theta"]}, "phase_condition: orbits of hybrid"),
+    ],
+)
+def test_what_cannot_be_asked_of_a_hybrid_is_named(asked, message):
+    with pytest.raises(InputError, match=message):
+        of.Problem(simplest_walker(), of.Guess([0.2, 0.4, -0.2, -0.02], 3.9), **asked)
+
+
+def test_what_knows_no_events_refuses(walker, tmp_path):
+    model = simplest_walker()
+    with pytest.raises(InputError, match="orbits with events cannot be proved yet"):
+        of.prove(walker)
+    with pytest.raises(InputError, match="a flow knows no events; use simulate"):
+        of.flows.build_flow(model)
+    with pytest.raises(InputError, match="hybrid systems are not searched yet"):
+        of.search(model, [0.1], (3.0, 4.0), tmp_path / "a.sqlite")
+    with pytest.raises(InputError, match="c files know no events"):
+        of.export_orbit(walker, "c", tmp_path)
+    assert of.export_orbit(walker, "csv", tmp_path)[0].read_text().startswith("t,theta,phi")
+    with pytest.raises((IntegrationError, ConvergenceError), match="no event|singular|overflow"):
+        of.find_orbit(of.Problem(model, of.Guess([0.2, 0.4, 9.0, 0.0], 3.9)))
+
+
+def test_a_freed_parameter_becomes_the_orbits_own():
+    guess = of.Guess([0.20, 0.40, -0.20, -0.02], 3.9)
+    refiner = of.Refiner(of.Problem(simplest_walker(0.009), guess, pin=of.pin(theta=0.2), free=("slope",)))
+    orbit = refiner.orbit(refiner.refine())
+    assert orbit.certificate.passed and orbit.state[0] == pytest.approx(0.2, abs=1e-14)
+    assert orbit.system["arguments"]["slope"] == pytest.approx(0.00895, abs=2e-5)
+
+
+def test_simulation_lists_events(walker):
+    run = of.simulate(simplest_walker(0.009), walker.state, 10.0)
+    assert [name for _, name in run.events] == ["strike", "strike"]
+    assert [t for t, _ in run.events] == pytest.approx([walker.period, 2 * walker.period], abs=1e-12)
+    assert run.states.shape == (1001, 4) and run.document()["events"][0]["name"] == "strike"
+    assert run.states[0] == pytest.approx(walker.state) and "2 events" in repr(run)
+
+
+def test_simulation_keeps_the_energy_of_every_mode():
+    """The runner's leg stores energy while it stands: drift is that of the integration alone."""
+    run = of.simulate(slip_runner(attack=0.35), [0.0, 1.02, 5.0, 0.0], 1.0)
+    assert {"touchdown", "liftoff"} <= {name for _, name in run.events}
+    assert run.conserved and run.change < 1e-9 * run.exchanged
+    with pytest.raises(InputError, match="state: need 4 finite numbers"):
+        of.simulate(slip_runner(), [0.0, 1.0], 1.0)
+    with pytest.raises(IntegrationError, match="Zeno"):
+        of.simulate(falling(), [0.0, 1.0], 10.0)
+
+
+def test_grazing_ends_a_family_where_the_linear_oscillator_touches_the_stop():
+    """Amplitude force / |1 - w^2 + i c w| = stop: the impact that becomes one of speed 0, to round-off."""
+    guess = of.Guess([0.0, -1.0, 1.0], 2.24)
+    orbit = of.find_orbit(of.Problem(impact_oscillator(frequency=2.8), guess, winding=(0, 0, 1)))
+    settings = of.FamilySettings(parameter="stop", directions="forward", points=60)
+    family = of.follow_family(orbit, "stop", settings=settings)
+    grazing = family.events[-1]
+    assert (grazing.kind, grazing.detail) == ("grazing", "hit")
+    assert grazing.parameter == pytest.approx(1 / abs(1 - 2.8**2 + 0.28j), abs=1e-12)
+    assert (
+        family.ends[-1].kind == "grazing" and "hit is only just reached beyond stop = 0.1460" in family.ends[-1].reason
+    )
+    assert all(of.certify(one).passed for one in family.points)
+
+
+def test_another_guard_is_grazed_at_its_closed_form():
+    """A bar across the way of a driven oscillator that it passes below, until its amplitude is that of the bar."""
+    model = of.ode(
+        lambda t, x, p: [x.v, p.force * ca.cos(x.phase) - 0.1 * x.v - x.x, 2.8], ("x", "v", "phase"),
+        {"force": 1.0}, angles=("phase",),
+    )  # fmt: skip
+    turn = Transition("turn", "free", "free", guard=lambda x, p: ca.sin(x.phase))
+    bar = Transition("bar", "free", "free", guard=lambda x, p: x.x - 0.2, direction=1)
+    built = of.hybrid([Mode("free", model)], [turn, bar], ["turn"])
+    orbit = of.find_orbit(of.Problem(built, of.Guess([0.14, 0.0, np.pi], 2.24), winding=(0, 0, 1)))
+    family = of.follow_family(orbit, "force", settings=of.FamilySettings(parameter="force", directions="forward"),
+                              model=built)  # fmt: skip
+    grazing = family.events[-1]
+    assert (grazing.kind, grazing.detail) == ("grazing", "bar")
+    assert grazing.parameter == pytest.approx(0.2 * abs(1 - 2.8**2 + 0.28j), abs=1e-11)
+    assert "bar comes before turn in mode free" in family.ends[-1].reason
+
+
+def test_a_spoke_that_would_pull_ends_the_wheels_family():
+    """g cos(slope + a) = l w^2 before the strike: tan(slope) = 1 / (9 tan(pi / 8)) for eight spokes."""
+    orbit = of.find_orbit(of.Problem(rimless_wheel(), of.Guess([0.08 - np.pi / 8, 1.2], 1.0)))
+    family = of.follow_family(orbit, "slope", settings=of.FamilySettings(parameter="slope", directions="forward"))
+    lost = family.events[-1]
+    assert (lost.kind, lost.detail) == ("holds", "spoke force")
+    assert lost.parameter == pytest.approx(np.arctan(1 / (9 * np.tan(np.pi / 8))), abs=1e-11)
+
+
+def test_a_vanishing_arc_ends_its_family():
+    """The hopper that no longer leaves the ground, at energy 0: below it there is no flight."""
+    orbit = of.find_orbit(of.Problem(vertical_hopper(), of.Guess([0.0, -1.9], 1.0), pin=of.pin(energy=1.0)))
+    settings = of.FamilySettings(directions="backward", events=False)
+    family = of.follow_family(orbit, "energy", settings=settings)
+    last = family.events[-1]
+    assert last.kind in ("cycle_change", "grazing") and family.ends[0].kind == last.kind
+    assert last.energy == pytest.approx(0.0, abs=1e-12) and last.period == pytest.approx(0.2 * np.pi, abs=1e-9)
+
+
+def test_no_family_starts_from_another_cycle():
+    """The loop that closes through the apex alone goes through the ground; it is an orbit of no family."""
+    model = with_cycle(slip_runner(attack=0.35), ["apex"])
+    with pytest.raises(ConvergenceError, match="goes through touchdown"):
+        of.follow_family(of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=of.pin(energy=1800.0)), "energy")

@@ -144,7 +144,7 @@ def test_a_family_that_is_cut_off_keeps_its_points(tmp_path):
         if len(count) == 5:
             limit._deadline.get().end = 0.0
 
-    with pytest.raises(LimitError, match=r"\(limit\): 5 steps are kept in .*duffing; the same"), of.limited(3600.0):
+    with pytest.raises(LimitError, match=r"\(limit\): 5 steps kept in .*duffing; the same"), of.limited(3600.0):
         follow_family(duffing, points=6, out=tmp_path, progress=late)
     cut = load_family(tmp_path / "duffing" / "family.json")
     assert len(cut.points) == 1 + sum(len(one.points) for one in read_journal(tmp_path / "duffing").batches) > 4

@@ -359,7 +359,7 @@ def test_refine_command(saved):
 
 def test_settings_are_checked():
     """Too many digits are refused."""
-    with pytest.raises(InputError, match="--digits: must be from 1 to 250"):
+    with pytest.raises(InputError, match="digits: must be from 1 to 250"):
         settings_for(1000)
 
 

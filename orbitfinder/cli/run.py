@@ -14,6 +14,9 @@ from orbitfinder.cli.options import FILES, compile_option, finish, json_option, 
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.reading import write_atomically
 
+SHOWN_EVENTS = 20
+"""Events of a simulation that are printed"""
+
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="FILE...")
@@ -100,6 +103,10 @@ def simulate(file: Path, duration: float | None, out: Path | None, trust: bool) 
         text(f"  {'energy':<22}{document['energy']:.12g} J")
         text(f"  {f'energy {kind}':<22}{document[f'energy_{kind}']:.2e} J{more}")
         text(f"  {'relative to exchanged':<22}{document[f'relative_energy_{kind}']:.2e}")
+    for moment, event in result.events[:SHOWN_EVENTS]:
+        text(f"  {event:<22}at {moment:.12g} s")
+    if len(result.events) > SHOWN_EVENTS:
+        text(f"  {'':<22}and {plural(len(result.events) - SHOWN_EVENTS, 'more event')}")
     text(f"  {'end state':<22}" + ", ".join(f"{name} = {x:.9g}" for name, x in document["end"].items()))
     if out is not None:
         written = out / loaded.name / "simulation.csv"

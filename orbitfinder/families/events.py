@@ -98,7 +98,7 @@ def find_events(interval: Interval, settings: FamilySettings) -> list[Event]:
     found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns, interval.unit))]
     found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
     found += _changes(interval, found)
-    events = [_event(interval.curve, sample, test, settings.parameter) for sample, test in found]
+    events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
     return sorted(events, key=lambda event: event.arclength)
 
 
@@ -117,7 +117,8 @@ def _near(distance: float, places: list[float], unit: float) -> bool:
     return any(abs(distance - other) < 1e-5 * unit for other in places)
 
 
-def _event(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
+def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
+    """The event that a test finds at an orbit, its arclength the distance into the interval."""
     place = sample.found.place
     return Event(
         kind=test.kind,

@@ -13,6 +13,7 @@ import numpy as np
 from orbitfinder._runtime import limit, locks
 from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
+from orbitfinder.families.changes import checked_cycle
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings, winding
@@ -144,7 +145,9 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
 
 def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings, model: Model | None) -> Start:
     if not isinstance(origin, (Branch, Start)):
-        return begin(origin, settings, model=model)
+        start = begin(origin, settings, model=model)
+        checked_cycle(start.curve, start.found)
+        return start
     start = origin.start if isinstance(origin, Branch) else origin
     free, _ = unknown_parameters(start.curve.equations.model, settings)
     if free != start.curve.equations.physical:

@@ -15,8 +15,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
+from orbitfinder.families.changes import first_lost, test_of
 from orbitfinder.families.ends import end_at, end_of_failure, merged, returned, shortest_step
-from orbitfinder.families.events import find_events
+from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.passages import avoided
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value, span
 from orbitfinder.families.run import Interval, Run, Sample, Step, make_interval, make_sample, step_at, trend_of
@@ -90,6 +91,8 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
     found = settled(curve, raw, raw.place.head_of(whole))
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
+    if curve.equations.links and (cut := _cut(run, before, last)) is not None:
+        return before, cut
     if length > settings.narrowest * unit and avoided(sample, last):
         raise ConvergenceError("two families may avoid each other within one step")
     missed = distance(curve, guess.head, raw.place.head)
@@ -166,6 +169,33 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
             return Batch(run.direction, _ordered(_within(points, origin, reach)), (*clear, event), joined)
     ended = ended or returned(run.curve, before, after)
     return Batch(run.direction, (*_ordered(points), after.point), tuple(events), ended)
+
+
+def _cut(run: Run, before: Step, last: Sample) -> Batch | None:
+    """The end of a family of hybrid orbits within a step, where the motion no longer goes through its cycle."""
+    interval, name, origin = make_interval(run.curve, before.sample, last), run.settings.parameter, before.point
+    lost = first_lost(interval)
+    if lost is None:
+        return None
+    sample, margin = lost
+    event = _placed(event_at(run.curve, sample, test_of(margin), name), run, origin)
+    reach = sample.distance
+    wanted = [(one, "at") for one in run.at if one != run.origin.value]
+    wanted += [] if run.until is None else [(run.until, "end")]
+    points = [
+        point
+        for value, role in wanted
+        for point in exact_points(run, before, interval, value, [], role)
+        if abs(point.arclength - origin.arclength) <= reach
+    ]
+    if any(point.role == "end" for point in points):
+        return None
+    events: list[Event] = []
+    if reach > 0:
+        until = make_interval(run.curve, before.sample, interval.sample((1 - ECHO) * reach))
+        events = [_placed(one, run, origin) for one in _events(until, run.settings)]
+    end = End(margin.kind, f"{margin.what} beyond {name} = {event.parameter:.12g}")
+    return Batch(run.direction, _ordered(points), (*events, event), end)
 
 
 def _events(interval: Interval, settings: FamilySettings) -> list[Event]:

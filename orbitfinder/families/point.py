@@ -19,7 +19,6 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.closure import alone, carried
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.orbits.hybrid import crossed_early
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
 
@@ -77,8 +76,6 @@ def make_point(
     Raises `ConvergenceError` when the independent closure is above what double precision can hold.
     """
     p, place = curve.equations, found.place
-    if p.links and (early := crossed_early(p, place, found.march.states)):
-        raise ConvergenceError(f"the cycle of events changes: {early}")
     about = about or spectrum(curve, found)
     units = extents(curve, found.march.states)
     parts = list(found.march.transitions * units / units[:, None])
@@ -151,7 +148,7 @@ def piecewise_defect(
 
 def winding(curve: Curve) -> tuple[int, ...]:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-    return tuple(int(k) for k in curve.equations.symmetry.turns(curve.constant))
+    return tuple(int(k) for k in curve.turns)
 
 
 def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:

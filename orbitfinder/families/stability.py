@@ -48,6 +48,8 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     basis = complement(gradients * units, directions / units)
     root_map = root_map * units / units[:, None]
     reduced = np.asarray(basis.T @ root_map @ basis)
+    if not np.all(np.isfinite(reduced)):
+        raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
     area = abs(np.linalg.det(reduced)) if p.links and reduced.size else 1.0
     conservative = p.symplectic and abs(area - 1.0) < AREA  # resets need not keep areas
     whole = np.linalg.matrix_power(reduced, root)
@@ -130,7 +132,7 @@ def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     moving = np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) > STILL
     if not np.any(moving if p.model.forced else flow):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
-    return p.quantities_at(x, place.free)[1][: p.energy], np.vstack([flow, generated(p.model, x)])
+    return p.quantities_at(place)[1][: p.energy], np.vstack([flow, generated(p.model, x)])
 
 
 def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:
@@ -155,7 +157,7 @@ def matching(expected: np.ndarray, found: np.ndarray) -> np.ndarray:
     The assignment of least total distance; of equal ones, and moving together makes them equal, the one that keeps
     the order.
     """
-    if expected.shape != found.shape:
+    if expected.shape != found.shape or found.size < 2:
         return np.arange(found.size)
     gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
     return np.asarray(linear_sum_assignment(gaps + CONVEX * gaps**2)[1])

@@ -17,16 +17,18 @@ from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from orbitfinder._runtime import limit
-from orbitfinder.errors import IntegrationError
-from orbitfinder.integrate.dop853 import TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
 from orbitfinder.integrate.evaluate import Buffered
-from orbitfinder.mechanics.hybrid import Transition
-from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.hybrid import Transition, gradient
+from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.mechanics.model import vector_field as field_of
 
-LOOKS = 12
-"""Times at which guards are looked at within a step"""
-MOST_STEPS = 100_000
+LOOKS = 8
+"""Times at which guards are looked at within a step, at least"""
+DEEPEST, FINE = 8, 1e-4
+"""Halvings between two looks until a cubic is this near to a guard's value, relative to its range"""
+MOST_STEPS = 20_000
 MOST_EVENTS = 10_000
 ZENO = 20
 """Arcs in a row of which each is shorter than the one before, that make a Zeno motion where they end in nothing"""
@@ -34,6 +36,8 @@ NOTHING = 1e-5
 """Share of the whole time that the last arc of a Zeno motion takes at most"""
 TOGETHER = 1e-9
 """Share of an arc within which two events are simultaneous"""
+RETURN = 0.5
+"""Share of the motion's extents, and of the period, within which a motion is back near its start"""
 ROUND_OFF = 1e-12
 """A guard this small, relative to how it changes along the arc, is 0"""
 
@@ -65,13 +69,14 @@ class Arc:
 
 
 class Automaton:
-    """The simulator of one hybrid Model at its parameters' values."""
+    """The simulator of one hybrid Model at its parameters' values, in steps of at most `longest` s."""
 
-    def __init__(self, model: Model, settings: ReferenceSettings = TIGHTEST) -> None:
+    def __init__(self, model: Model, settings: ReferenceSettings = TIGHTEST, longest: float = np.inf) -> None:
         assert model.hybrid is not None
-        self.model, self.hybrid, self.settings = model, model.hybrid, settings
+        self.model, self.hybrid, self.settings, self.longest = model, model.hybrid, settings, longest
         self._fields: dict[str, VectorField] = {}
         self._buffered: dict[int, Buffered] = {}
+        self._slopes: dict[int, ca.Function] = {}
 
     def field(self, mode: str) -> VectorField:
         """dx/dt (t, x) in a mode."""
@@ -109,13 +114,13 @@ class Automaton:
         return self._buffered[id(function)](x, self.model.parameter_values)[0].ravel()
 
     def arcs(
-        self, state: np.ndarray, mode: str, duration: float = np.inf, events: int = MOST_EVENTS, start: float = 0.0
+        self, state: np.ndarray, mode: str, duration: float = np.inf, events: int = MOST_EVENTS, by: str = ""
     ) -> Iterator[Arc]:
-        """The motion from a state in a mode, arc by arc, for a time (s) or a number of events.
+        """The motion from a state in a mode, arc by arc, for a time (s) or a number of events; `by` what begins it.
 
         Raises `IntegrationError`, also where events accumulate (Zeno), coincide or never end.
         """
-        until, x, t, lengths, by = start + duration, np.asarray(state, float), start, list[float](), ""
+        until, x, t, lengths = duration, np.asarray(state, float), 0.0, list[float]()
         for _ in range(events):
             arc = self._arc(x, t, until, mode, by)
             yield arc
@@ -135,13 +140,16 @@ class Automaton:
                 time=float(arc.times[-1]), state=arc.after,
             )  # fmt: skip
 
+    @np.errstate(over="ignore", invalid="ignore")
     def _arc(self, x: np.ndarray, t: float, until: float, mode: str, by: str) -> Arc:
         """One arc: steps until a guard is crossed or the time is over; an arc begun `by` an event lies on its guard."""
-        field, leaving = self.field(mode), self.hybrid.leaving(mode)
-        settings = self.settings
-        solver = DOP853(field, 0.0, x, until - t, rtol=settings.relative_tolerance, atol=settings.absolute_tolerance)
-        own = [by in ("", one.name) for one in leaving]
-        heights = _Heights([self._height(one) for one in leaving], [self._climb(one, field) for one in leaving], own, x)
+        field, leaving, settings = self.field(mode), self.hybrid.leaving(mode), self.settings
+        solver = DOP853(
+            field, 0.0, x, until - t, rtol=settings.relative_tolerance, atol=settings.absolute_tolerance,
+            max_step=max(self.longest, 1e-300),
+        )  # fmt: skip
+        guards = [self._watch(one.guard, one.direction, field, x, by in ("", one.name)) for one in leaving]
+        holds = {name: self._watch(one, -1, field, x) for name, one in self.hybrid.mode(mode).holds.items()}
         times: list[np.ndarray] = [np.zeros(1)]
         states: list[np.ndarray] = [x[None]]
         for _ in range(MOST_STEPS):
@@ -152,54 +160,68 @@ class Automaton:
             dense, looks = solver.dense_output(), np.linspace(solver.t_old, solver.t, LOOKS)[1:]
             within = dense(looks).T
             within[-1] = solver.y
-            found = self._crossing(heights, leaving, looks, within, dense, field, (solver.t_old, states[-1][-1]))
+            found = self._crossing(guards, leaving, looks, within, dense, field, (solver.t_old, states[-1][-1]))
             if found is not None:
                 moment, end, which = found
                 kept = looks < moment
-                times += [looks[kept], np.array([moment])]
-                states += [within[kept], end[None]]
-                spent = np.concatenate(times)
-                return self._ended(mode, leaving[which], t, spent, np.vstack(states), heights.ranges[which])
+                looks, within = np.append(looks[kept], moment), np.vstack([within[kept], end])
+            for one in holds.values():
+                one.seen(looks, within, dense)
             times.append(looks)
             states.append(within)
-            if solver.status == "finished":
-                path = np.vstack(states)
-                return Arc(mode, t + np.concatenate(times), path, None, path[-1], 0.0, self._margins(mode, path))
+            if found is None and solver.status != "finished":
+                continue
+            spent, path = np.concatenate(times), np.vstack(states)
+            margins = tuple((name, -one.most / max(one.range, 1e-300)) for name, one in holds.items())
+            if found is None:
+                return Arc(mode, t + spent, path, None, path[-1], 0.0, margins)
+            return self._ended(mode, leaving[which], t, spent, path, guards[which].range, margins)
         raise IntegrationError(f"no event ends mode {mode} within {MOST_STEPS} steps", time=solver.t, state=solver.y)
 
-    def _height(self, one: Transition) -> Height:
-        return lambda x: one.direction * float(self.value(one.guard, x)[0])
+    def _watch(
+        self, function: ca.Function, direction: int, field: VectorField, x: np.ndarray, own: bool = False
+    ) -> _Watch:
+        if id(function) not in self._slopes:
+            self._slopes[id(function)] = gradient(function)
+        slope = self._slopes[id(function)]
 
-    def _climb(self, one: Transition, field: VectorField) -> Height:
-        return lambda x: one.direction * self._rate(one, field, 0.0, x)
+        def height(x: np.ndarray) -> float:
+            return direction * float(self.value(function, x)[0])
+
+        def climb(x: np.ndarray) -> float:
+            return direction * float(self.value(slope, x) @ field(0.0, x))
+
+        return _Watch(height, climb, x, float(np.abs(self.value(slope, x)) @ np.abs(x)), own)
 
     def _crossing(
-        self, heights: _Heights, leaving: Sequence[Transition], looks: np.ndarray, within: np.ndarray,
+        self, guards: Sequence[_Watch], leaving: Sequence[Transition], looks: np.ndarray, within: np.ndarray,
         dense: Callable[[float], np.ndarray], field: VectorField, begin: tuple[float, np.ndarray],
     ) -> tuple[float, np.ndarray, int] | None:  # fmt: skip
         """The first crossing that counts among those within a step: moment, state, number of its transition."""
         found: list[tuple[float, np.ndarray, int]] = []
         for k, one in enumerate(leaving):
-            for before, after in heights.crossed(k, looks, within, dense):
-                moment = self._located(heights.of[k], before, after, dense)
+            for before, after in guards[k].seen(looks, within, dense):
+                moment = self._located(guards[k].height, before, after, dense)
                 moment, state = self._polished(one, field, begin, moment)
-                if one.allowed is None or float(self.value(one.allowed, state)[0]) > 0:
+                if self._counts(one, state):
                     found.append((moment, state, k))
                     break
         if not found:
             return None
-        found.sort(key=lambda each: each[0])
-        span = found[0][0]
-        if len(found) > 1 and found[1][0] - found[0][0] <= TOGETHER * span:
-            both = " and ".join(leaving[k].name for _, _, k in found[:2])
-            raise IntegrationError(f"events {both} are simultaneous at t = {found[0][0]:.6g} s", time=found[0][0])
-        return found[0]
+        moment, state, which = min(found, key=lambda each: each[0])
+        for k, one in enumerate(leaving):
+            low, rising = guards[k].height(state), guards[k].climb(state)
+            if k != which and rising > 0 and abs(low) <= TOGETHER * moment * rising and self._counts(one, state):
+                both = " and ".join(leaving[j].name for j in sorted((k, which)))
+                raise IntegrationError(f"events {both} are simultaneous at t = {moment:.6g} s", time=moment)
+        return moment, state, which
+
+    def _counts(self, one: Transition, x: np.ndarray) -> bool:
+        """Whether a crossing is an event."""
+        return one.allowed is None or float(self.value(one.allowed, x)[0]) > 0
 
     def _located(self, height: Height, before: float, after: float, dense: Callable[[float], np.ndarray]) -> float:
-        ends = height(dense(before)), height(dense(after))
-        if not ends[0] < 0 <= ends[1]:
-            return before if ends[0] >= 0 else after
-        return float(brentq(lambda t: height(dense(t)), before, after, xtol=1e-15, rtol=1e-14))
+        return _root(lambda moment: height(dense(moment)), before, after)
 
     def _polished(
         self, one: Transition, field: VectorField, begin: tuple[float, np.ndarray], moment: float
@@ -227,51 +249,105 @@ class Automaton:
         return float(self.value(one.slope, x) @ field(t, x))
 
     def _ended(
-        self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float
-    ) -> Arc:
+        self, mode: str, one: Transition, start: float, times: np.ndarray, states: np.ndarray, span: float,
+        margins: tuple[tuple[str, float], ...],
+    ) -> Arc:  # fmt: skip
         end = states[-1]
         slope = self._rate(one, self.field(mode), float(times[-1]), end) * one.direction
         impulse, lost = (None if f is None else float(self.value(f, end)[0]) for f in (one.impulse, one.lost))
         return Arc(
             mode, start + times, states, one.name, self.value(one.reset, end), slope * times[-1] / max(span, 1e-300),
-            self._margins(mode, states), impulse, lost,
+            margins, impulse, lost,
         )  # fmt: skip
 
-    def _margins(self, mode: str, states: np.ndarray) -> tuple[tuple[str, float], ...]:
-        found = []
-        for name, function in self.hybrid.mode(mode).holds.items():
-            values = np.array([float(self.value(function, x)[0]) for x in states])
-            found.append((name, float(values.min() / max(np.abs(values).max(), 1e-300))))
-        return tuple(found)
+
+Seen = tuple[float, float, float]
+"""Time, height and its rate"""
 
 
-class _Heights:
-    """The guards' values in their directions along an arc: below 0 before, above after; and their rates."""
+def _root(rising: Callable[[float], float], before: float, after: float) -> float:
+    """Where a function rises through 0; at one of two moments where it does so but for its round-off."""
+    ends = rising(before), rising(after)
+    if not ends[0] < 0 <= ends[1]:
+        return before if ends[0] >= 0 else after
+    return float(brentq(rising, before, after, xtol=1e-15, rtol=1e-14))
 
-    def __init__(self, of: Sequence[Height], rates: Sequence[Height], own: Sequence[bool], x: np.ndarray) -> None:
-        self.of, self.rates = of, rates
-        self.last = [(0.0, one(x), rate(x)) for one, rate in zip(of, rates, strict=True)]
-        self.ranges = [abs(value) for _, value, _ in self.last]
-        self.fresh = [not one for one in own]
 
-    def crossed(
-        self, k: int, looks: np.ndarray, within: np.ndarray, dense: Callable[[float], np.ndarray]
+def recognised(model: Model, state: np.ndarray, period: float) -> tuple[str, ...]:
+    """The transitions that the motion from a state goes through until it is first back near it, after about a period.
+
+    Raises `ConvergenceError` where it does not come back to the mode in which it began.
+    """
+    hybrid = model.hybrid
+    found, nearest = list[Arc](), (RETURN, 0)
+    simulated = Automaton(model, SECOND, period / 16).arcs(state, hybrid.first.name, (1 + RETURN) * period)
+    for arc in simulated:
+        if arc.ended_by is None:
+            break
+        found.append(arc)
+        extent = np.maximum(np.ptp(np.vstack([one.states for one in found]), axis=0), 1e-300)
+        away = np.abs(wrapped(arc.after - state, model.angular))
+        off = max(float((away / extent).max()), abs(float(arc.times[-1]) / period - 1))
+        if hybrid.transition(arc.ended_by).target == hybrid.first.name and off < nearest[0]:
+            nearest = off, len(found)
+    names = tuple(str(arc.ended_by) for arc in found)
+    if not nearest[1]:
+        through = ", ".join(names) or "no event"
+        raise ConvergenceError(
+            f"cycle: the motion from the guess goes through {through} in {(1 + RETURN) * period:.4g} s and is not back "
+            f"near its start in mode {hybrid.first.name}; start nearer to an orbit, or give the cycle"
+        )
+    return names[: nearest[1]]
+
+
+class _Watch:
+    """A function along an arc: its height, below 0 before a crossing and above after, and the height's rate.
+
+    Looks are added between those given until a cubic through heights and rates tells what is between them.
+    """
+
+    def __init__(self, height: Height, climb: Height, x: np.ndarray, size: float, own: bool) -> None:
+        self.height, self.climb, self.own = height, climb, own
+        self.last: Seen = 0.0, height(x), climb(x)
+        self.range, self.most, self.floor = abs(self.last[1]), self.last[1], ROUND_OFF * size
+
+    def seen(
+        self, looks: np.ndarray, within: np.ndarray, dense: Callable[[float], np.ndarray]
     ) -> list[tuple[float, float]]:
-        """The intervals in which guard k rises through 0, also for less than the time between two looks.
+        """The intervals in which the height rises through 0, also for less than the time between two looks.
 
         An arc that starts on a guard and goes on through it crosses it there, unless that guard began the arc.
         """
         found = []
         for t, x in zip(map(float, looks), within, strict=True):
-            value, rate = self.of[k](x), self.rates[k](x)
-            before, low, rising = self.last[k]
-            self.ranges[k] = max(self.ranges[k], abs(value))
-            on_it = abs(low) <= ROUND_OFF * max(self.ranges[k], abs(value)) and before == 0.0
-            if value >= 0 and (self.fresh[k] if on_it else low < 0):
-                found.append((before, t))
-            elif value < 0 and low < 0 and rising > 0 > rate:
-                peak = float(brentq(lambda moment: self.rates[k](dense(moment)), before, t))
-                if self.of[k](dense(peak)) >= 0:
-                    found.append((before, peak))
-            self.last[k] = t, value, rate
+            value, rate = self.height(x), self.climb(x)
+            self.range = max(self.range, abs(value))
+            for a, b in pairwise([self.last, *self._between(self.last, (t, value, rate), dense, DEEPEST)]):
+                found += self._risen(a, b, dense)
+            self.last = t, value, rate
         return found
+
+    def _between(self, a: Seen, b: Seen, dense: Callable[[float], np.ndarray], depth: int) -> list[Seen]:
+        """Looks after a, up to b."""
+        moment, span = 0.5 * (a[0] + b[0]), b[0] - a[0]
+        x = dense(moment)
+        seen = moment, self.height(x), self.climb(x)
+        self.range = max(self.range, abs(seen[1]))
+        off = abs(0.5 * (a[1] + b[1]) + span / 8 * (a[2] - b[2]) - seen[1])
+        if depth == 0 or not off > max(FINE * self.range, self.floor):
+            return [seen, b]
+        return [*self._between(a, seen, dense, depth - 1), *self._between(seen, b, dense, depth - 1)]
+
+    def _risen(self, a: Seen, b: Seen, dense: Callable[[float], np.ndarray]) -> list[tuple[float, float]]:
+        (before, low, rising), (after, value, rate) = a, b
+        self.most = max(self.most, value)
+        on_it = before == 0.0 and abs(low) <= max(ROUND_OFF * self.range, self.floor)
+        if value >= 0 and (not self.own if on_it else low < 0):
+            return [(before, after)]
+        if rising > 0 > rate:
+            peak = _root(lambda moment: -self.climb(dense(moment)), before, after)
+            top = self.height(dense(peak))
+            self.most = max(self.most, top)
+            if value < 0 <= top and low < 0:
+                return [(before, peak)]
+        return []

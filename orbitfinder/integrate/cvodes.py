@@ -129,6 +129,8 @@ def build_flow(
 
     The last few are remembered: a second search on the same Model builds no integrator anew.
     """
+    if model.hybrid is not None:
+        raise InputError("system: it is hybrid, and a flow knows no events; use simulate, which goes through them")
     return remembered(Flow, model, free, unfolded, settings, units)
 
 

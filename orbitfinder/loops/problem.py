@@ -11,6 +11,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check, check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import CountError, InputError, closest
+from orbitfinder.integrate.automaton import recognised
 from orbitfinder.integrate.idas import check_consistent
 from orbitfinder.loops.conditions import (
     Constraint,
@@ -25,6 +26,7 @@ from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import maximal_states
+from orbitfinder.mechanics.hybrid import with_cycle
 from orbitfinder.mechanics.model import Model, counted
 from orbitfinder.mechanics.scales import proportions
 
@@ -131,6 +133,8 @@ class Problem:
         if self.model.constraint is not None and self.model.constraint.lift is not None:
             self._lift(self.model.degrees_of_freedom // 3)
         self._settle()
+        if self.model.hybrid is not None:
+            self._settle_cycle()
         _check(self)
 
     def _settle(self) -> None:
@@ -143,6 +147,14 @@ class Problem:
             object.__setattr__(self, "model", with_parameters(self.model, values))
             object.__setattr__(self, "guess", replace(self.guess, free={}))
             object.__setattr__(self, "pin", tuple(one for one in self.pin if one.name not in fixed))
+
+    def _settle_cycle(self) -> None:
+        """The cycle of a hybrid system is that of its guess's motion where none is given."""
+        _check_hybrid(self)
+        if not self.model.hybrid.cycle:
+            _check_state(self.model, np.asarray(self.guess.state, float))
+            cycle = recognised(self.model, np.asarray(self.guess.state, float), self.guess.period)
+            object.__setattr__(self, "model", with_cycle(self.model, cycle))
 
     def _lift(self, links: int) -> None:
         """Link angles and rates, and the turns of links, become those of the redundant coordinates."""
@@ -264,13 +276,7 @@ def at_forcing_period(problem: Problem) -> Problem:
 def _check(problem: Problem) -> None:
     model, guess = problem.model, problem.guess
     state = np.asarray(guess.state, float)
-    size = len(model.state_names)
-    if state.shape != (size,):
-        raise InputError(
-            f"guess.state: {state.size} numbers for {counted(model)}; give {size} ({', '.join(model.state_names)})"
-        )
-    if not np.all(np.isfinite(state)):
-        raise InputError(f"guess.state: must be finite, got {state.tolist()}; replace NaN and infinity by numbers")
+    _check_state(model, state)
     _check_relative(problem)
     symmetry, n = problem.boundary, model.degrees_of_freedom
     _check_winding(problem)
@@ -304,6 +310,36 @@ def _check(problem: Problem) -> None:
     if model.constraint is not None:
         check_consistent(model, state)
     symmetry.check(model, state, problem.forcing_cycles)
+
+
+def _check_state(model: Model, state: np.ndarray) -> None:
+    size = len(model.state_names)
+    if state.shape != (size,):
+        raise InputError(
+            f"guess.state: {state.size} numbers for {counted(model)}; give {size} ({', '.join(model.state_names)})"
+        )
+    if not np.all(np.isfinite(state)):
+        raise InputError(f"guess.state: must be finite, got {state.tolist()}; replace NaN and infinity by numbers")
+
+
+def _check_hybrid(problem: Problem) -> None:
+    """`InputError` for what orbits of hybrid systems cannot be asked for."""
+    asked = {
+        "symmetry": problem.symmetry != "none",
+        "relative": bool(problem.relative),
+        "objective": problem.objective != "nearest",
+        "coordinate": problem.coordinate is not None,
+        "bounds": bool(problem.bounds),
+        "constraints": bool(problem.constraints),
+        "phase_condition": problem.phase_condition is not None,
+        "guess.states": problem.guess.states is not None,
+    }
+    for name, given in asked.items():
+        if given:
+            raise InputError(
+                f"{name}: orbits of hybrid systems are found from a state and a period, by pins and freed parameters "
+                "alone; leave it out"
+            )
 
 
 def _check_objective(problem: Problem) -> None:

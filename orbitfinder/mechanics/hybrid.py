@@ -60,6 +60,8 @@ class Transition:
     ignored: str = ""
     impulse: Any = None
     lost: Any = None
+    advance: Any = None
+    """(x-, p) -> where the origin of what is drawn goes, (down, right) in m: of a walker its next foothold"""
     slope: Any = None
     """the guard's gradient (1 x d), made when the system is built"""
 
@@ -80,7 +82,8 @@ class Mode:
 class Hybrid:
     """What makes a Model hybrid: its modes, its transitions, and the transitions of one period in their order.
 
-    The cycle begins in the `source` of its first transition; arc k is the motion before transition k.
+    The cycle begins in the `source` of its first transition; arc k is the motion before transition k. An empty one is
+    that of the guess's motion.
     """
 
     __repr__ = brief("cycle")
@@ -90,6 +93,8 @@ class Hybrid:
     cycle: tuple[str, ...]
     given: tuple[tuple[Mode, ...], tuple[Transition, ...], tuple[str, ...]] = ((), (), ())
     """modes, transitions and what is conserved, as they were given"""
+    ground: Any = None
+    """(x, p) -> what the machine stands on or hits, a polyline (down, right; 2 x k, m); once built, of the modes' p"""
 
     def mode(self, name: str) -> Mode:
         """A mode by its name."""
@@ -106,6 +111,11 @@ class Hybrid:
     def leaving(self, mode: str) -> tuple[Transition, ...]:
         """The transitions that end a mode."""
         return tuple(one for one in self.transitions if one.source == mode)
+
+    @property
+    def first(self) -> Mode:
+        """The mode in which a motion begins."""
+        return self.mode(self.transition(self.cycle[0]).source) if self.cycle else self.modes[0]
 
     @property
     def arcs(self) -> tuple[tuple[Mode, Transition], ...]:
@@ -168,34 +178,37 @@ def _listed(found: Any) -> list[Any]:
 def hybrid(
     modes: Mapping[str, Model] | Sequence[Mode],
     transitions: Sequence[Transition],
-    cycle: Sequence[str],
+    cycle: Sequence[str] | None = None,
     *,
     conserved: Sequence[str] = (),
     system: Mapping[str, Any] | None = None,
+    ground: Expression | None = None,
 ) -> Model:
-    """The Model of a hybrid system whose orbits go through the transitions of `cycle`.
+    """The Model of a hybrid system whose orbits go through the transitions of `cycle`; None: through those of the
+    guess's motion, which begins in the first mode.
 
     Its parameters are those of the modes and, for each arc but the last, its share of the period (`share_1`, ...),
-    which solvers find. `conserved` names invariants of all modes that the resets keep too. Raises `InputError` where
-    modes differ in states or parameters, or the cycle does not fit together.
+    which solvers find. `conserved` names invariants of all modes that the resets keep too. `ground` is drawn only: see
+    `Hybrid`. Raises `InputError` where modes differ in states or parameters, or the cycle does not fit together.
     """
     named = tuple(Mode(name, model) for name, model in modes.items()) if isinstance(modes, Mapping) else tuple(modes)
     _check_modes(named)
     named = tuple(replace(one, model=_conserving(one, conserved)) for one in named)
     first = named[0].model
-    parts = Hybrid(named, tuple(transitions), tuple(cycle))
+    cycle = tuple(cycle or ())
+    parts = Hybrid(named, tuple(transitions), cycle)
     _check_cycle(parts)
-    count = len(cycle)
+    count = max(1, len(cycle))
     names = (*first.parameter_names, *(f"{SHARE}{k + 1}" for k in range(count - 1)))
     values = np.concatenate([first.parameter_values, np.full(count - 1, 1.0 / count)])
-    begins = parts.arcs[0][0].model
+    begins = parts.first.model
     whole = replace(begins, parameter_names=names, parameter_values=values)
     built = Hybrid(
-        tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), tuple(cycle),
-        (named, tuple(transitions), tuple(conserved)),
+        tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), cycle,
+        (named, tuple(transitions), tuple(conserved)), None if ground is None else _drawn(ground, first),
     )  # fmt: skip
     return replace(
-        built.arcs[0][0].model, parameter_names=names, parameter_values=values, hybrid=built,
+        built.first.model, parameter_names=names, parameter_values=values, hybrid=built,
         system=dict(system or {"kind": "custom"}),
     )  # fmt: skip
 
@@ -213,12 +226,20 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
     made = hybrid(modes, transitions, cycle, conserved=conserved, system=dict(model.system) | {"cycle": list(cycle)})
     kept = len(modes[0].model.parameter_names)
     numbers = np.append(model.parameter_values[:kept], made.parameter_values[kept:])
-    return replace(made, parameter_values=numbers, hybrid=at_numbers(made.hybrid, numbers))
+    built = replace(made.hybrid, ground=model.hybrid.ground)
+    return replace(made, parameter_values=numbers, hybrid=at_numbers(built, numbers))
 
 
 def repeated(model: Model, times: int) -> Model:
     """The same system, the cycle of a hybrid one gone through so many times."""
     return model if model.hybrid is None else with_cycle(model, model.hybrid.cycle * times)
+
+
+def _drawn(ground: Expression, model: Model) -> ca.Function:
+    """The polyline of a ground as a function of (x, p)."""
+    x, p = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names))
+    found = ground(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
+    return ca.Function("ground", [x, p], [ca.densify(ca.SX(found))])
 
 
 def _conserving(mode: Mode, names: Sequence[str]) -> Model:
@@ -288,12 +309,13 @@ def _transition(one: Transition, model: Model) -> Transition:
     size = len(model.state_names)
     if reset.size_out(0) != (size, 1):
         raise InputError(f"transition {one.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
-    others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost")}
+    others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost", "advance")}
     made = {name: None if value is None else _function(name, value, model) for name, value in others.items()}
-    return replace(one, guard=guard, reset=reset, slope=_gradient(guard), **made)  # type: ignore[arg-type]
+    return replace(one, guard=guard, reset=reset, slope=gradient(guard), **made)  # type: ignore[arg-type]
 
 
-def _gradient(guard: ca.Function) -> ca.Function:
+def gradient(guard: ca.Function) -> ca.Function:
+    """Its derivative (1 x d) by the state, a function of (x, p) too."""
     x, p = (guard.sx_in if guard.is_a("SXFunction") else guard.mx_in)()
     return ca.Function("slope", [x, p], [ca.densify(ca.jacobian(guard(x, p), x))])
 
@@ -307,7 +329,8 @@ def _function(name: str, expression: Expression, model: Model) -> ca.Function:
 
     def made(symbol: Any) -> ca.Function:
         x, p = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))
-        found = expression(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
+        own = [one for one in model.parameter_names if not one.startswith(SHARE)]
+        found = expression(Named.of(model.state_names, x), Named.of(own, p))
         return ca.Function(name, [x, p], [ca.densify(type(x)(ca.vertcat(*_listed(found))))])
 
     if isinstance(expression, ca.Function):
@@ -332,7 +355,7 @@ def _check_modes(modes: Sequence[Mode]) -> None:
             one.model.parameter_values, first.parameter_values
         ):
             raise InputError(f"modes: {one.name} and {modes[0].name} differ in parameters; give all modes the same")
-        if one.model.forced:
+        if one.model.forced or (one.model.rates or one.model.acceleration).jac_sparsity(0, 0).nnz():
             raise InputError(f"modes: {one.name} depends on time; make the clock a state (an angle with a rate of 1)")
 
 
@@ -348,10 +371,8 @@ def _check_cycle(parts: Hybrid) -> None:
             )
         if one.allowed is not None and not one.ignored:
             raise InputError(f"transition {one.name}: ignored must say in words what `allowed` leaves out on purpose")
-    if not parts.cycle:
-        raise InputError("cycle: no transition; name those of one period in their order")
     found = [parts.transition(name) for name in parts.cycle]
-    for one, following in zip(found, [*found[1:], found[0]], strict=True):
+    for one, following in zip(found, [*found[1:], *found[:1]], strict=True):
         if one.target != following.source:
             raise InputError(
                 f"cycle: {one.name} leads to {one.target}, {following.name} starts from {following.source}; they do "

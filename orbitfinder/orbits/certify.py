@@ -13,11 +13,12 @@ from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import NONE, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.hybrid import with_cycle
 from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents, shift_along
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
-from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, second_gap
+from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, off_motion, second_gap, turned_further
 from orbitfinder.orbits.reduction import reduction
 from orbitfinder.records.family import FamilyPoint
 from orbitfinder.records.orbit import SHIFT, Certificate, Check, Orbit, digest, orbit_to_document
@@ -34,6 +35,8 @@ LARGEST_GROWTH = 1e10
 PAIRED, LARGEST_DEFECT = 10.0, 0.1
 """Relative errors of the integration in the product of two reciprocal multipliers; and what excuses no more"""
 RECORDED = "recorded - recomputed, relative"
+MEETING = 1e-4
+"""How near to each other mu and 1 / mu are where their sum is known better than they are"""
 TRIED = 12
 """States about the motion at which the equations are compared."""
 EXACT = 1e-10
@@ -81,12 +84,14 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     """
     allowed = tolerances or Tolerances()
     model = model or build_model(orbit.system)
+    if model.hybrid is not None and not model.hybrid.cycle:
+        model = with_cycle(model, orbit.system.get("cycle", ()))
     whole = _turns(orbit, model)
     turns = turned(model, whole, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
         return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
     if model.hybrid is not None:
-        return _hybrid_certificate(orbit, model, turns, allowed)
+        return _hybrid_certificate(orbit, model, whole, allowed)
     cycles, pictured = model.forcing_cycles(orbit.period), _pictured(orbit)
     covers = [k for k in COVERS if cycles % k == 0 and not np.any(whole % k)]
     shares = _shares(covers)
@@ -162,9 +167,34 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
                  allowed.unfolding + 10 * found.gap, "back at 0, per period") if any(orbit.unfolding) else None,
         *_hybrid_record_checks(orbit, evidence, model, allowed, scale),
         *_expected_checks(orbit, model),
+        Check("shift", 1.0, 0.0, False, "hybrid orbits shift along nothing") if orbit.shift else None,
+        *_hybrid_premises(model, evidence, turns),
+        *_hybrid_pictures(orbit, model, evidence),
         *(Check("ignored", 0.0, 0.0, True, text) for text in model.hybrid.ignored),
     ]  # fmt: skip
     return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+
+
+def _hybrid_premises(model: Model, evidence: HybridEvidence, turns: np.ndarray) -> Iterator[Check]:
+    """A coordinate that turns is an angle, and modes, guards and resets are the same a turn later."""
+    for k in np.flatnonzero(turns):
+        name = model.state_names[k]
+        if not model.angular[k]:
+            yield Check("winding", float(abs(turns[k])), 0.0, False, f"{name} turns and is not an angle")
+        else:
+            found = turned_further(model, evidence.arcs, int(k))
+            yield _at_most("winding", found, EXACT, f"modes, guards and resets with {name} a turn further")
+
+
+def _hybrid_pictures(orbit: Orbit, model: Model, evidence: HybridEvidence) -> Iterator[Check]:
+    """Nodes and dense samples lie on the motion, as well as errors of the state allow."""
+    room = min(max(SAMPLES_OFF, 1e-12 * evidence.closes.amplification), LARGEST_PICTURE)
+    zero = orbit.nodes.shape == orbit.state[None].shape
+    nodes = float(np.abs((orbit.nodes - orbit.state) / evidence.extents).max()) if zero else np.inf
+    yield _at_most("nodes", nodes, NODES_OFF, "the first is the state")
+    if orbit.samples.size or orbit.times.size:
+        away = off_motion(model, evidence.arcs, orbit.times, orbit.samples, evidence.extents)
+        yield _at_most("samples", away, room, "off the recomputed motion")
 
 
 def _cycle_check(
@@ -402,15 +432,20 @@ def _same_symmetry(orbit: Orbit, evidence: Evidence, model: Model) -> Check:
 
 
 def _multiplier_distance(orbit: Orbit, floquet: Floquet) -> float:
-    """Largest relative distance between recorded and recomputed multipliers, matched one to one."""
+    """Largest relative distance between recorded and recomputed multipliers, matched one to one.
+
+    Where mu and 1 / mu meet, at +1 and -1, both are known to the square root of what their sum is known to: there the
+    sum is compared, of which mu - 1 / mu is the derivative, relative to `MEETING`.
+    """
     recorded, found = orbit.floquet_multipliers, floquet.multipliers
     if recorded.shape != found.shape:
         return float("inf")
     if not found.size:
         return 0.0
     largest = np.abs(found).max()
-    # a double pair at +-1 is the square root of the monodromy's error away from where it should be
-    distance = np.abs(recorded[:, None] - found[None, :]) / np.maximum(1.0, np.abs(found))[None, :]
+    apart = np.abs(recorded[:, None] - found[None, :])
+    split = np.abs(found - 1.0 / np.where(found == 0, 1e-300, found))[None, :]
+    distance = apart / np.maximum(1.0, np.abs(found))[None, :] * np.minimum(1.0, (split + apart) / MEETING)
     rows, columns = linear_sum_assignment(np.minimum(distance, 1e6 * max(1.0, largest)))
     return float(distance[rows, columns].max())
 

@@ -42,7 +42,6 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import between, extents_of, gap
-from orbitfinder.orbits.hybrid import hybrid_orbit
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen
@@ -247,13 +246,9 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
 def _found_hybrid(problem: Problem, settings: SolveSettings, began: float) -> Orbit:
     """The orbit of a hybrid system, by Newton's method from its guess simulated."""
     refiner = Refiner(problem)
-    refined = refiner.refine()
-    solved = problem if not problem.free else replace(
-        problem, free=(), pin=(),
-        model=with_parameters(problem.model, dict(zip(problem.free, refined.free, strict=False))),
-    )  # fmt: skip
-    orbit = replace(hybrid_orbit(solved, refined), provenance=provenance(problem, settings, began))
-    return certified(orbit, solved.model) if settings.with_certificate else orbit
+    orbit, model = refiner.measured(refiner.refine())
+    orbit = replace(orbit, provenance=provenance(problem, settings, began) | _choice(problem, model))
+    return certified(orbit, model) if settings.with_certificate else orbit
 
 
 def _certifiable(model: Model) -> None:

@@ -7,7 +7,7 @@ automaton itself, which watches all guards and does not know where an arc should
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -33,6 +33,14 @@ PIECES = 4
 """Pieces of an arc whose variations are integrated one by one"""
 PATIENCE = 20.0
 """Periods of the guess after which its simulation is given up"""
+STEPS = 16
+"""Steps of the simulation in a period, at least: where nothing moves but a clock, there would be one"""
+TRIED = 24
+"""States of an arc at which the equations are compared a turn further"""
+TIED = 1e-9
+"""Share of the period by which times of events may differ"""
+ROUGH = ReferenceSettings(relative_tolerance=1e-10, absolute_tolerance=1e-12)
+"""Tolerances of the simulation of a guess"""
 
 
 def cycle_from(
@@ -43,7 +51,8 @@ def cycle_from(
     Raises `ConvergenceError` where its events are not the cycle's.
     """
     hybrid: Hybrid = model.hybrid
-    found = list(Automaton(model, settings).arcs(state, hybrid.arcs[0][0].name, longest, len(hybrid.cycle)))
+    automaton = Automaton(model, settings, longest / (PATIENCE * STEPS))
+    found = list(automaton.arcs(state, hybrid.arcs[0][0].name, longest, len(hybrid.cycle), hybrid.cycle[-1]))
     events = tuple(arc.ended_by for arc in found)
     if events != hybrid.cycle:
         named = ", ".join(one or "no event" for one in events)
@@ -56,15 +65,33 @@ def cycle_from(
 
 def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int) -> Unknowns:
     """The unknowns of a guess: its cycle simulated, `segments` and `steps` of each in every arc."""
-    arcs = cycle_from(equations.model, np.asarray(guess.state, float), longest=PATIENCE * guess.period)
+    model = with_parameters(equations.model, guess.free)
+    arcs = cycle_from(model, np.asarray(guess.state, float), ROUGH, PATIENCE * guess.period)
     durations = np.array([arc.duration for arc in arcs])
     period = float(durations.sum())
     nodes = [_sampled(arc, segments) for arc in arcs]
-    free = equations.numbers.copy()
+    free = model.parameter_values[[model.parameter_index(name) for name in equations.free]]
     last = free.size - (len(arcs) - 1)
     free[last:] = durations[:-1] / period
     mesh = np.linspace(0.0, 1.0, len(arcs) * segments * steps + 1)
     return equations.unknowns(np.vstack(nodes), period, mesh, free)
+
+
+def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
+    """The unknowns of a guess whose arcs last as long, in shares of its period, as those of unknowns nearby."""
+    free, steps, x = like.free.copy(), like.steps, np.asarray(guess.state, float)
+    for name, value in guess.free.items():
+        free[equations.free.index(name)] = value
+    w, nodes = replace(like, period=float(guess.period), free=free), list[np.ndarray]()
+    ends = equations.links.ends(len(like.nodes))
+    for k in range(len(like.nodes)):
+        nodes.append(x)
+        if k == len(like.nodes) - 1:
+            break
+        arc = k // (len(like.nodes) // equations.links.count)
+        x = equations.march.arcs[arc].ends(x[None], like.mesh[k * steps : (k + 1) * steps + 1], w.tail)[0]
+        x = equations.links.after(arc, x, free) if k in ends else x
+    return replace(w, nodes=np.array(nodes))
 
 
 def _sampled(arc: Arc, segments: int) -> np.ndarray:
@@ -235,6 +262,51 @@ def _kinetic(model: Model, mode: str, x: np.ndarray) -> float:
     return float(own.kinetic(x[:n], x[n:], own.parameter_values))
 
 
+def turned_further(model: Model, arcs: Sequence[Arc], k: int) -> float:
+    """The largest relative difference of rates, guards and resets along a motion with angle k a turn further."""
+    automaton, turn, worst = Automaton(model), 2 * np.pi * np.eye(arcs[0].states.shape[1])[k], 0.0
+    for arc in arcs:
+        rows = arc.states[:: max(1, len(arc.states) // TRIED)]
+        here = np.array([_told(automaton, arc.mode, x) for x in rows])
+        there = np.array([_told(automaton, arc.mode, x + turn, turn) for x in rows])
+        off = np.abs(there - here).max(axis=0) / np.maximum(1.0, np.abs(here).max(axis=0))
+        worst = max(worst, float(off.max()) if np.all(np.isfinite(off)) else np.inf)
+    return worst
+
+
+def _told(automaton: Automaton, mode: str, x: np.ndarray, turn: np.ndarray | float = 0.0) -> np.ndarray:
+    """All that a mode and the events that end it say of a state, resets less a turn."""
+    parts = [automaton.field(mode)(0.0, x)]
+    parts += [automaton.value(one, x) for one in automaton.hybrid.mode(mode).holds.values()]
+    for one in automaton.hybrid.leaving(mode):
+        parts.append(automaton.value(one.reset, x) - turn)
+        others = (one.guard, one.allowed, one.impulse, one.lost)
+        parts += [automaton.value(each, x) for each in others if each is not None]
+    return np.concatenate(parts)
+
+
+def off_motion(model: Model, arcs: Sequence[Arc], times: np.ndarray, samples: np.ndarray, units: np.ndarray) -> float:
+    """How far recorded samples (k x d) are off the motion at their times (k, that of an event once or twice), in units.
+
+    Infinite where they are not samples of one period.
+    """
+    size, period = arcs[0].states.shape[1], arcs[-1].times[-1]
+    edge = TIED * period
+    if samples.shape != (times.size, size) or not np.all(np.isfinite(samples)) or not np.all(np.diff(times) >= 0):
+        return float("inf")
+    if times.size < 2 or times[0] != 0.0 or abs(times[-1] - period) > edge:
+        return float("inf")
+    automaton, far = Automaton(model), np.full(times.size, np.inf)
+    for arc in arcs:
+        own = (times >= arc.times[0] - edge) & (times <= arc.times[-1] + edge)
+        within = np.clip(times[own] - arc.times[0], 0.0, arc.duration)
+        moments = np.unique(np.append(within, 0.0))
+        places = np.searchsorted(moments, within)
+        states = integrate(automaton.field(arc.mode), arc.states[0], moments, TIGHTEST)[places]
+        far[own] = np.minimum(far[own], np.abs((states - samples[own]) / units).max(axis=1))
+    return float(far.max())
+
+
 class HybridCheck(ClosureCheck):
     """The closure of a family's hybrid orbits: DOP853 over each arc for the time that it takes, its guard, its reset.
 
@@ -296,22 +368,6 @@ def shares_of(model: Model) -> np.ndarray:
     count = len(model.hybrid.cycle)
     last = model.parameter_values[len(model.parameter_values) - (count - 1) :]
     return np.append(last, 1.0 - last.sum())
-
-
-def crossed_early(equations: Equations, w: Unknowns, states: np.ndarray) -> str:
-    """What the motion of a loop crosses before the event that its cycle asks for, in words; empty where nothing.
-
-    `states` (M + 1 x d) are those at the mesh.
-    """
-    hybrid: Hybrid = equations.model.hybrid
-    steps = (len(states) - 1) // len(hybrid.cycle)
-    for k, (mode, ends) in enumerate(hybrid.arcs):
-        own = states[k * steps + 1 : (k + 1) * steps]  # neither the reset state nor the end
-        for one in hybrid.leaving(mode.name):
-            heights, allowed = equations.heights(one, own, w.free)
-            if np.any((heights[:-1] < 0) & (heights[1:] >= 0) & allowed[1:]):
-                return f"{one.name} comes before {ends.name} in mode {mode.name}"
-    return ""
 
 
 def held(arcs: Sequence[Arc]) -> Iterator[tuple[str, float]]:

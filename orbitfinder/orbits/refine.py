@@ -37,7 +37,7 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import units_of as measured_in
 from orbitfinder.orbits.certify import certified
-from orbitfinder.orbits.hybrid import first_unknowns, hybrid_orbit
+from orbitfinder.orbits.hybrid import carried, first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import RESOLVED, SAMPLES, action, marched, whole_period
 from orbitfinder.records.orbit import Orbit
 
@@ -86,8 +86,15 @@ class Refiner:
             return self._refined(guess, pin)
 
     def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None) -> Refined:
-        pins = _pins(self.problem, pin)
-        w = self._start(_checked(guess or self.problem.guess, self.problem), pins)
+        pins, given = _pins(self.problem, pin), _checked(guess or self.problem.guess, self.problem)
+        if self._first is None or given is self.problem.guess:
+            return self._solved(self._start(given, pins), pins)
+        try:
+            return self._solved(carried(self.equations, self._first, given), pins)
+        except (ConvergenceError, IntegrationError):
+            return self._solved(self._simulated(given), pins)
+
+    def _solved(self, w: Unknowns, pins: Sequence[Pin]) -> Refined:
         path = self.equations.varied(w)
         loop = loop_of(self.problem, self.equations, w, path.ends[-1], pins)
         scales = measured_in(self.problem.model, w.nodes, w.period)
@@ -109,16 +116,19 @@ class Refiner:
     def orbit(self, refined: Refined, with_certificate: bool = True) -> Orbit:
         """The Orbit of a refined one, measured and certified (hundredths of a second); freed parameters, at which it
         was found, become those of its system."""
-        with self._alone:
-            orbit, model = self._measured(refined)
+        orbit, model = self.measured(refined)
         return certified(orbit, model) if with_certificate else orbit
 
+    def measured(self, refined: Refined) -> tuple[Orbit, Model]:
+        """The Orbit (without certificate) of a refined one, and its Model."""
+        with self._alone:
+            return self._measured(refined)
+
     def _measured(self, refined: Refined) -> tuple[Orbit, Model]:
-        """The Orbit (without certificate) and its Model."""
-        if self.flow is None:
-            return self._hybrid(refined), self.problem.model
-        values = {name: float(one) for name, one in zip(self.problem.free, refined.free, strict=True)}
+        values = {name: float(one) for name, one in zip(self.problem.free, refined.free, strict=False)}
         turns, model = tuple(int(k) for k in refined.turns), with_parameters(self.problem.model, values)
+        if self.flow is None:
+            return hybrid_orbit(replace(without_choice(self.problem), model=model), refined), model
         guess = Guess(refined.state, refined.period)
         problem = replace(without_choice(self.problem), model=model, guess=guess, winding=turns)
         mesh = uniform(problem.boundary.fraction, len(refined.nodes), refined.steps)
@@ -131,12 +141,6 @@ class Refiner:
             if abs(found - action(model, times[::2], states[::2])) <= RESOLVED * abs(found):
                 break
         return marched(problem, march, w, whole, found, flow.units), model
-
-    def _hybrid(self, refined: Refined) -> Orbit:
-        """The Orbit (without certificate) of a motion with impacts, which carries no freed parameters."""
-        if refined.free.size:
-            raise InputError("free: an Orbit carries no freed parameters; put their values into the model")
-        return hybrid_orbit(self.problem, refined)
 
     @cached_property
     def _whole(self) -> Equations:
@@ -162,7 +166,7 @@ class Refiner:
         Freed parameters start where they are pinned, else where the guess says, else at the model's own values.
         """
         if self._first is not None:
-            return self._first if guess is self.problem.guess else self._simulated(guess)
+            return self._first
         own = zip(self.problem.free, self.equations.numbers, strict=True)
         known = {**dict(own), **guess.free, **{one.name: one.value for one in pins}}
         free = np.array([known[name] for name in self.problem.free], float)
@@ -209,7 +213,8 @@ def _check_square(problem: Problem) -> None:
         raise InputError("symmetry: brake orbits under constraints are not refined warm; use find_orbit")
     count = problem.count()
     if count.freedom:
-        raise CountError(f"pin: {count} leave {count.freedom} to choose; warm refinement needs as many pins")
+        who = "warm refinement" if problem.model.hybrid is None else "a hybrid system"
+        raise CountError(f"pin: {count} leave {count.freedom} to choose; {who} needs as many pins")
 
 
 def _checked(guess: Guess, problem: Problem) -> Guess:

@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
+from orbitfinder.integrate.automaton import Automaton
 from orbitfinder.integrate.cvodes import build_flow, sample
+from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.mechanics.model import Model, energies
 
 SAMPLES_PER_SECOND = 100
 MOST_SAMPLES = 100_000
+LEAST_STEPS = 64
+"""Steps of a simulation of a hybrid system, at least"""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,8 @@ class Simulation:
     energy: np.ndarray
     exchanged: float
     conserved: bool = True
+    events: tuple[tuple[float, str], ...] = ()
+    """of a hybrid system: when (s) and which"""
 
     @property
     def change(self) -> float:
@@ -39,7 +45,8 @@ class Simulation:
         """One line."""
         kind = "drift" if self.conserved else "change"
         energy = f", energy {kind} {self.change:.2g} J" if np.isfinite(self.energy[0]) else ""
-        return f"Simulation({self.times[-1]:g} s, {self.times.size} samples{energy})"
+        events = f", {plural(len(self.events), 'event')}" if self.events else ""
+        return f"Simulation({self.times[-1]:g} s, {self.times.size} samples{events}{energy})"
 
     def document(self) -> dict[str, Any]:
         """The numbers of the run for `--json`."""
@@ -51,6 +58,7 @@ class Simulation:
             "energy_conserved": self.conserved,
             f"energy_{kind}": self.change if known else None,
             f"relative_energy_{kind}": (self.change / self.exchanged if self.exchanged else 0.0) if known else None,
+            **({"events": [{"time": t, "name": name} for t, name in self.events]} if self.events else {}),
             "end": dict(zip(self.state_names, map(float, self.states[-1]), strict=True)),
         }
 
@@ -60,12 +68,42 @@ def simulate(
 ) -> Simulation:
     """The motion of a Model from a state (2n) over `duration` s, at `samples` equal times (100 a second if None).
 
-    Raises `InputError` or `IntegrationError`.
+    A hybrid one begins in the first mode of its cycle and goes through its events; a sample at one is after it. Raises
+    `InputError` or `IntegrationError`, also where events accumulate (Zeno) or coincide.
     """
     if not (np.isfinite(duration) and duration > 0):
         raise InputError(f"duration: must be positive and finite, got {duration}; give a time in s")
     count = samples or int(min(max(duration * SAMPLES_PER_SECOND, 100), MOST_SAMPLES)) + 1
+    if model.hybrid is not None:
+        return _simulated(model, checked_state(model, state), np.linspace(0.0, duration, count))
     states = sample(build_flow(model), np.asarray(state, float), duration, count)
     kinetic, potential = energies(model, states)
     times = np.linspace(0.0, duration, count)
     return Simulation(model.state_names, times, states, kinetic + potential, float(np.ptp(kinetic)), model.conservative)
+
+
+def checked_state(model: Model, state: Sequence[float] | np.ndarray) -> np.ndarray:
+    """The state as an array (d). Raises `InputError`."""
+    found, names = np.asarray(state, float), model.state_names
+    if found.shape != (len(names),) or not np.all(np.isfinite(found)):
+        raise InputError(f"state: need {len(names)} finite numbers ({', '.join(names)}), got {found.tolist()}")
+    return found
+
+
+def _simulated(model: Model, state: np.ndarray, times: np.ndarray) -> Simulation:
+    """The motion of a hybrid Model at equal times, arc by arc."""
+    automaton = Automaton(model, longest=float(times[-1]) / LEAST_STEPS)
+    rows, parts, events = list[np.ndarray](), list[np.ndarray](), list[tuple[float, str]]()
+    for arc in automaton.arcs(state, automaton.hybrid.first.name, float(times[-1])):
+        own = times[(times >= arc.times[0]) & ((times < arc.times[-1]) | (arc.ended_by is None))]
+        moments = np.concatenate([[arc.times[0]], own])
+        rows.append(integrate(automaton.field(arc.mode), arc.states[0], moments - arc.times[0])[1:])
+        if own.size:
+            parts.append(np.array(energies(automaton.hybrid.mode(arc.mode).model, rows[-1])))
+        if arc.ended_by is not None:
+            events.append((float(arc.times[-1]), arc.ended_by))
+    kinetic, potential = np.hstack(parts)
+    return Simulation(
+        model.state_names, times, np.vstack(rows), kinetic + potential, float(np.ptp(kinetic)), model.conservative,
+        tuple(events),
+    )  # fmt: skip

@@ -97,9 +97,10 @@ class FamilyPoint(Orbit):
 class Event:
     """Something that happens between two points, located on the family.
 
-    `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change. `detail`
-    says what exactly (of what the fold is, q of the resonance, what changed); `multiplier` is the
-    critical multiplier of the root map, `order` the number of periods after which the branch closes.
+    `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change, of hybrid systems
+    grazing | cycle_change | holds. `detail` says what exactly (of what the fold is, q of the resonance, what changed);
+    `multiplier` is the critical multiplier of the root map, `order` the number of periods after which the branch
+    closes.
     """
 
     __repr__ = brief("kind", "detail", "parameter", "period", "index")

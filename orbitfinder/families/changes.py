@@ -1,0 +1,216 @@
+"""Where families of hybrid orbits end: a guard is grazed, events change their order, what must hold does no longer.
+
+The equations of a hybrid loop know the cycle's own events only, and go on smoothly where the motion would take another
+way. How far an orbit is from that is told by margins, each positive while the orbit goes through its cycle; where the
+first becomes 0 is found like any event, along the arclength.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import brentq
+
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.passages import Test, located
+from orbitfinder.families.run import Interval, Sample
+from orbitfinder.integrate.dop853 import integrate
+from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.loops.mesh import arc_states
+from orbitfinder.mechanics.hybrid import Hybrid
+from orbitfinder.orbits.evidence import CHECKED
+
+LOOKS = 48
+"""Places of an arc at which guards are looked at, at least"""
+LEAST = 1e-9
+"""A margin below this in size is 0: what is held at an impact starts and ends there"""
+CLOSE = 1e-2
+"""A peak this near to 0 is integrated to, and not read from a cubic"""
+TOGETHER = 1e-6
+"""Share of a step within which what must hold is lost because of a guard"""
+ABSENT = 1.0
+"""The margin of what is nowhere near"""
+
+
+@dataclass(frozen=True)
+class Margin:
+    """How far an orbit is from another way: `value` relative to the range of what is watched, `what` in words."""
+
+    kind: str
+    name: str
+    value: float
+    what: str
+
+
+Margins = dict[tuple[int, str, str], Margin]
+"""By arc, name and which"""
+
+
+def broken(curve: Curve, found: Solution) -> Margin | None:
+    """The margin that an orbit has lost most of, if any: then it does not go through its cycle."""
+    lost = [one for one in margins(curve, found).values() if one.value < -LEAST]
+    return min(lost, key=lambda one: one.value, default=None)
+
+
+def checked_cycle(curve: Curve, found: Solution) -> Solution:
+    """The same orbit. Raises `ConvergenceError` where it does not go through its cycle."""
+    lost = broken(curve, found) if curve.equations.links else None
+    if lost is not None:
+        raise ConvergenceError(f"the cycle of events changes: {lost.what}")
+    return found
+
+
+def first_lost(interval: Interval) -> tuple[Sample, Margin] | None:
+    """The first orbit of an interval at which a margin is 0, with that margin, where one is lost at its end."""
+    lost = {key: one for key, one in margins(interval.curve, interval.last.found).items() if one.value < -LEAST}
+    found = [(located(interval, partial(_value, interval.curve, key), 0.0, interval.length), key) for key in lost]
+    if not found:
+        return None
+    nearest = min(sample.distance for sample, _ in found) + TOGETHER * interval.length
+    first = [(sample, lost[key]) for sample, key in found if sample.distance <= nearest]
+    return min(first, key=lambda one: one[1].kind == "holds")
+
+
+def test_of(lost: Margin) -> Test:
+    """The event that a lost margin is."""
+    return Test(lost.kind, lost.name, lambda sample: 0.0)
+
+
+def _value(curve: Curve, key: tuple[int, str, str], sample: Sample) -> float:
+    one = margins(curve, sample.found).get(key)
+    return ABSENT if one is None else one.value
+
+
+def margins(curve: Curve, found: Solution) -> Margins:
+    """Every margin of a hybrid orbit."""
+    hybrid: Hybrid = curve.equations.model.hybrid
+    shares, known = curve.equations.links.shares(found.place.free), Margins()
+    for k, (mode, ends) in enumerate(hybrid.arcs):
+        arc = _Arc(curve, found, k)
+        vanishing = f"mode {mode.name} before {ends.name} lasts no time"
+        known[k, ends.name, "share"] = Margin("cycle_change", ends.name, float(shares[k]), vanishing)
+        for one in hybrid.leaving(mode.name):
+            watched = arc.watched(one.guard, one.direction)
+            reached = [(value, "grazing") for value in watched.peaks(one.allowed)]
+            if one is ends:
+                rate = float(watched.rates[-1] / watched.range)
+                known[k, one.name, "rate"] = Margin("grazing", one.name, rate, f"{one.name} is only just reached")
+                if one.allowed is not None:
+                    counts = arc.watched(one.allowed, 1)
+                    value = float(counts.heights[-1] / counts.range)
+                    known[k, one.name, "allowed"] = Margin("cycle_change", one.name, value, f"{one.name} is ignored")
+            elif watched.below and (one.allowed is None or arc.watched(one.allowed, 1).heights[-1] > 0):
+                reached.append((-float(watched.heights[-1] / watched.range), "cycle_change"))
+            if reached:
+                value, kind = min(reached)
+                what = f"{one.name} comes before {ends.name} in mode {mode.name}"
+                known[k, one.name, "guard"] = Margin(kind, one.name, value, what)
+        for name, held in mode.holds.items():
+            watched = arc.watched(held, -1)
+            ends_at = {f"holds {j}": -float(watched.heights[j] / watched.range) for j in (0, -1)}
+            for which, value in {"holds": min(watched.peaks(), default=ABSENT), **ends_at}.items():
+                known[k, name, which] = Margin("holds", name, value, f"{name} becomes negative in mode {mode.name}")
+        if ends.impulse is not None:
+            watched = arc.watched(ends.impulse, 1)
+            value = float(watched.heights[-1] / watched.range)
+            known[k, ends.name, "impulse"] = Margin("holds", ends.name, value, f"{ends.name} would pull")
+    return known
+
+
+class _Arc:
+    """States (k x d) and rates along an arc of an orbit, at equal shares of it where its mesh is coarser."""
+
+    def __init__(self, curve: Curve, found: Solution, k: int) -> None:
+        place, arcs = found.place, curve.equations.links.count
+        self.curve, self.march, self.place = curve, curve.equations.march.arcs[k], place
+        steps = (place.mesh.size - 1) // arcs
+        self.mesh = (place.mesh[k * steps : (k + 1) * steps + 1] * arcs - k) * place.period / arcs
+        self.known = arc_states(found, arcs, k)
+        slopes = self.march.rates(self.known, place.tail)
+        self.times, self.states, self.slopes = self.mesh, self.known, slopes
+        if steps < LOOKS:
+            self.times = np.linspace(self.mesh[0], self.mesh[-1], LOOKS + 1)
+            self.states = CubicHermiteSpline(self.mesh, self.known, slopes)(self.times)
+            self.states[[0, -1]] = self.known[[0, -1]]
+            self.slopes = self.march.rates(self.states, place.tail)
+
+    def watched(self, function: ca.Function, direction: int) -> _Watched:
+        """A function of the mode along the arc."""
+        values, by_state = self.curve.equations.watched(function, self.states, self.place.free)
+        return _Watched(self, function, direction, direction * values, direction * (by_state * self.slopes).sum(axis=1))
+
+    def at(self, moment: float) -> np.ndarray:
+        """The state (d) at a moment, integrated from the mesh."""
+        j = max(0, int(np.searchsorted(self.mesh, moment, side="right")) - 1)
+
+        def field(_: float, x: np.ndarray) -> np.ndarray:
+            return np.asarray(self.march.rates(x[None], self.place.tail)[0])
+
+        return np.asarray(integrate(field, self.known[j], np.array([self.mesh[j], moment]), CHECKED)[-1])
+
+
+@dataclass(frozen=True)
+class _Watched:
+    """The heights of a function along an arc, above 0 once it is crossed, and their rates."""
+
+    arc: _Arc
+    function: ca.Function
+    direction: int
+    heights: np.ndarray
+    rates: np.ndarray
+
+    @property
+    def range(self) -> float:
+        """The largest height in size."""
+        return max(float(np.abs(self.heights).max()), 1e-300)
+
+    @property
+    def below(self) -> bool:
+        """Whether it is uncrossed anywhere: else it began the arc, which goes on through it."""
+        return bool(self.heights.min() < -LEAST * self.range)
+
+    def peaks(self, allowed: ca.Function | None = None) -> Iterator[float]:
+        """The margin of each highest place inside the arc; where crossings are ignored, of what ignores them."""
+        for i in np.flatnonzero((self.rates[:-1] > 0) & (self.rates[1:] < 0)):
+            top, moment = self._peak(int(i))
+            if top >= 0:
+                below = np.flatnonzero(self.heights[:i] < -LEAST * self.range)
+                if not below.size:
+                    continue  # the event that begins the arc, which it goes on through
+                moment = float(self.arc.times[below[-1]])
+            if allowed is None:
+                yield -top / self.range
+                continue
+            counts = float(self._read(allowed, moment)[0])
+            if top >= 0:
+                yield -top / self.range if counts > 0 else -counts
+            elif counts > 0:
+                yield -top / self.range
+
+    def _peak(self, i: int) -> tuple[float, float]:
+        """The height and the moment of the highest place between two looks."""
+        times, ends = self.arc.times[i : i + 2], slice(i, i + 2)
+        cubic = CubicHermiteSpline(times, self.heights[ends], self.rates[ends])
+        moment = float(brentq(cubic.derivative(), *times))
+        top = float(cubic(moment))
+        if abs(top) > CLOSE * self.range:
+            return top, moment
+        climbs = [self._climb(float(one)) for one in times]
+        if climbs[0] > 0 > climbs[1]:
+            moment = float(brentq(self._climb, *times, xtol=1e-10 * (times[1] - times[0])))
+        return self.direction * float(self._read(self.function, moment)[0]), moment
+
+    def _climb(self, moment: float) -> float:
+        _, climb = self._read(self.function, moment)
+        return self.direction * climb
+
+    def _read(self, function: ca.Function, moment: float) -> tuple[float, float]:
+        """A function and its rate at a moment."""
+        x = self.arc.at(moment)
+        values, by_state = self.arc.curve.equations.watched(function, x[None], self.arc.place.free)
+        return float(values[0]), float(by_state[0] @ self.arc.march.rates(x[None], self.arc.place.tail)[0])
