@@ -2,8 +2,8 @@
 
 The flow is integrated with its variational equations, whose Jacobian is a complex step (W. Squire, G. Trapp, SIAM
 Review 40 (1998) 110-112). No part of orbitfinder takes part; problem files are read as TOML for guesses and numbers.
-The short orbits of the Lorenz attractor start from close returns of one simulation to z = 27 and are counted by their
-words (L and R, the wings in turn), of which every one that is no repetition occurs once at these parameters.
+The short orbits of the Lorenz attractor start from close returns of one simulation to tops of z and are counted by
+their words (L and R, the wings in turn), of which every one that is no repetition occurs once at these parameters.
 
     python benchmarks/first_order.py            writes results/benchmarks/first_order.md
 """
@@ -116,32 +116,28 @@ def closed(field: Field, x: np.ndarray, period: float) -> Closed | None:
     return Closed(x, period, before, np.linalg.eigvals(matrix)) if before < 1e-10 else None
 
 
-def returns() -> tuple[np.ndarray, np.ndarray]:
-    """Times and states at which one motion on the Lorenz attractor falls through z = 27."""
-
-    def through(_: float, u: np.ndarray) -> float:
-        return float(u[2] - 27.0)
-
-    through.direction = -1.0  # type: ignore[attr-defined]
-    found = solve_ivp(lambda _, u: lorenz(u), (0.0, SIMULATED), [1.0, 2.0, 20.0], method="DOP853", rtol=1e-10,
-                      atol=1e-10, events=through)  # fmt: skip
-    return found.t_events[0][20:], found.y_events[0][20:]
+def top(_: float, u: np.ndarray) -> float:
+    """z', which falls through 0 at the top of each turn about a wing."""
+    return float(u[0] * u[1] - 8.0 / 3.0 * u[2])
 
 
-def word(field: Field, one: Closed) -> str:
-    """The wings that an orbit goes round, a letter for each fall through z = 27, from where the word is least."""
+top.direction = -1.0  # type: ignore[attr-defined]
 
-    def through(_: float, u: np.ndarray) -> float:
-        return float(u[2] - 27.0)
 
-    through.direction = -1.0  # type: ignore[attr-defined]
-    met = solve_ivp(lambda _, u: field(u), (0.0, one.period), one.state + 1e-9 * field(one.state), method="DOP853",
-                    rtol=1e-10, atol=1e-10, events=through).y_events[0]  # fmt: skip
-    return least(met[:, 0])
+def tops(state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states of the tops of a motion on the Lorenz attractor."""
+    found = solve_ivp(lambda _, u: lorenz(u), (0.0, duration), state, method="DOP853", rtol=1e-10, atol=1e-10,
+                      events=top)  # fmt: skip
+    return found.t_events[0], found.y_events[0]
+
+
+def word(one: Closed) -> str:
+    """The wings that an orbit goes round, a letter for each top, from where the word is least."""
+    return least(tops(one.state + 1e-9 * lorenz(one.state), one.period)[1][:, 0])
 
 
 def least(heights: np.ndarray) -> str:
-    """The word of falls at these x, from where it is least."""
+    """The word of tops at these x, from where it is least."""
     letters = "".join("R" if x > 0 else "L" for x in heights)
     return min((letters[k:] + letters[:k] for k in range(len(letters))), default="")
 
@@ -160,7 +156,7 @@ def words(most: int) -> list[str]:
 
 def attractor(most: int = LONGEST_WORD) -> dict[str, Closed]:
     """The orbits of the Lorenz attractor by their words, from close returns."""
-    times, states = returns()
+    times, states = (one[20:] for one in tops(np.array([1.0, 2.0, 20.0]), SIMULATED))
     wanted, found = words(most), {}
     tried = dict.fromkeys(wanted, 0)
     for length in range(2, most + 1):
@@ -173,7 +169,7 @@ def attractor(most: int = LONGEST_WORD) -> dict[str, Closed]:
             orbit = closed(lorenz, states[k], times[k + length] - times[k])
             for sign in (1.0, -1.0) if orbit else ():  # the image under (x, y, z) -> (-x, -y, z)
                 image = replace(orbit, state=orbit.state * [sign, sign, 1.0])
-                found.setdefault(word(lorenz, image), image)
+                found.setdefault(word(image), image)
     return {one: found[one] for one in wanted if one in found}
 
 

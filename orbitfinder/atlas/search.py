@@ -276,9 +276,10 @@ def search(
 
     `energies` in J, None of a system that conserves nothing, `periods` the range of minimal periods in s. Ends at
     `starts` starts for each energy or after `budget` seconds (60 when neither is given), shared among the energies. The
-    result depends on the seed, not on the workers: 0 is this process, n are n spawned ones, `scheduler` the address of a Dask cluster,
-    `executor` any executor of concurrent.futures. `shard` (k, n), or "k/n", makes every n-th start only, from the k-th,
-    each shard in an atlas of its own for `merge_atlases`; "auto" takes k and n from the Slurm array that runs it.
+    result depends on the seed, not on the workers: 0 is this process, n are n spawned ones, `scheduler` the address of
+    a Dask cluster, `executor` any executor of concurrent.futures. `shard` (k, n), or "k/n", makes every n-th start
+    only, from the k-th, each shard in an atlas of its own for `merge_atlases`; "auto" takes k and n from the Slurm
+    array that runs it.
     A search that was stopped, however, goes on when the same is asked again. `folder`: see `Request`.
     Raises `InputError`.
     """

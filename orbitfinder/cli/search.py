@@ -86,13 +86,13 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
 
         def report(energy: float, tally: Statistics) -> None:
             interrupt.check()
-            shown.show(progress(level(energy, loaded), tally, limits))
+            shown.show(progress(energy, tally, limits, bool(loaded.model.invariants)))
 
         found = run(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
                     progress=report, **how)  # fmt: skip
     for energy, tally in found.tallies:
         text(
-            f"{level(energy, loaded)}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, "
+            f"{level(energy, bool(loaded.model.invariants))}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, "
             f"{plural(tally.new, 'new orbit')}, "
             f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
         )
@@ -109,9 +109,9 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     finish("search", {"atlas": str(found.atlas), "runs": runs, "summary": found.summary.document()})
 
 
-def level(energy: float, loaded: ProblemFile) -> str:
+def level(energy: float, conserved: bool) -> str:
     """An energy in words."""
-    return f"{energy:g} J" if loaded.model.invariants else "any energy"
+    return f"{energy:g} J" if conserved else "any energy"
 
 
 def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]]:
@@ -127,16 +127,17 @@ def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]
     return [float(one) for one in (energy if isinstance(energy, list) else [energy])], loaded.search
 
 
-def progress(energy: str, tally: Statistics, limits: Limits) -> Progress:
+def progress(energy: float, tally: Statistics, limits: Limits, conserved: bool = True) -> Progress:
     """How far a search has come."""
     made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left(limits)
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
-        f"{energy}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
+        f"{level(energy, conserved)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
         f"{tally.duplicates} known, {failed} failed, {plural(tally.orbits, 'orbit')} in the atlas, {rate} starts/s"
     ) + (remaining and f", {remaining} left")
     rows = [
-        ("energy", energy), ("starts", f"{made}"), ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
+        ("energy", level(energy, conserved)), ("starts", f"{made}"),
+        ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
         ("known orbits", f"{tally.duplicates}"), ("orbits in the atlas", f"{tally.orbits}"),
         ("starts a second", rate), ("time left", remaining),
         *((f"failed: {reason}", str(count)) for reason, count in tally.failures.most_common(REASONS_SHOWN)),
