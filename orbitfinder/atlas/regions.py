@@ -99,7 +99,7 @@ class Level:
     def _cast(self, random: np.random.Generator, signs: np.ndarray) -> np.ndarray:
         angles = self.model.angular
         for _ in range(RAYS):
-            shifted = random.normal(size=signs.size) * random.uniform() * (random.uniform() < 0.5)
+            shifted = random.normal(size=signs.size) * random.uniform() ** 3 * (random.uniform() < 0.5)
             place = self.places[random.integers(len(self.places))] + self.lengths * shifted
             place = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), place)
             if self.inside and not energy(self.model, place) < self.level:
