@@ -111,8 +111,6 @@ def prove(
     began = time.perf_counter()
     with precision(chosen.bits):
         model = model or provable_model(orbit)
-        if model.hybrid is not None:
-            raise InputError("system: orbits with events cannot be proved yet; the theorem is about smooth flows")
         codes = programs(model)
         symmetry = chosen_symmetry(orbit, model, codes, chosen.symmetry)
         try:
