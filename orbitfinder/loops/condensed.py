@@ -87,6 +87,7 @@ def eliminated(system: Linearised) -> Solver:
         return lambda rows: -np.linalg.lstsq(whole, rows, rcond=CUTOFF)[0]
     matrix = np.hstack([system.first + system.last @ product, system.last @ columns + system.tail])
     matrix = np.vstack([matrix, inner]) if len(inner) else matrix
+    solved = _solver(matrix) if len(inner) else _least(matrix)
 
     def solve(rows: np.ndarray) -> np.ndarray:
         defects, closing = rows[: (count - 1) * size].reshape(-1, size), rows[(count - 1) * size :]
@@ -99,13 +100,25 @@ def eliminated(system: Linearised) -> Solver:
                 carried += defects[k]
         # not pinv: outside `one_thread` OpenBLAS gives it threads, on a busy machine 100 ms where lstsq takes 0.2
         closing[: len(system.tail)] += system.last @ carried
-        change = -np.linalg.lstsq(matrix, closing, rcond=CUTOFF)[0]
+        change = -solved(closing)
         nodes, tail = [change[:size]], change[size:]
         for transition, own, defect in zip(system.transitions, system.columns, defects, strict=False):
             nodes.append(transition @ nodes[-1] + own @ tail + defect)
         return np.concatenate([*nodes, tail])
 
     return solve
+
+
+def _least(matrix: np.ndarray) -> Solver:
+    return lambda rows: np.asarray(np.linalg.lstsq(matrix, rows, rcond=CUTOFF)[0])
+
+
+def _solver(matrix: np.ndarray) -> Solver:
+    """A square matrix factorised once, any other solved by least squares."""
+    try:
+        return Factors(matrix).solve
+    except np.linalg.LinAlgError:
+        return _least(matrix)
 
 
 class Factors:
