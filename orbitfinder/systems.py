@@ -30,12 +30,16 @@ from orbitfinder.mechanics.machines import (
     MACHINES,
     bouncing_ball,
     compass_gait,
+    gravity_wedge,
     impact_oscillator,
+    kneed_walker,
     rimless_wheel,
     rocking_block,
     simplest_walker,
     slip_runner,
+    slip_walker,
     vertical_hopper,
+    wall_pendulum,
 )
 
 FUNCTIONS = SMOOTH | MACHINES
@@ -51,9 +55,11 @@ __all__ = [
     "fitzhugh_nagumo",
     "forced_duffing",
     "forced_pendulum",
+    "gravity_wedge",
     "henon_heiles",
     "hodgkin_huxley",
     "impact_oscillator",
+    "kneed_walker",
     "lorenz",
     "pendulum_on_cart",
     "planar_oscillator",
@@ -65,6 +71,7 @@ __all__ = [
     "rotating_hoop",
     "simplest_walker",
     "slip_runner",
+    "slip_walker",
     "spherical_pendulum",
     "spring_pendulum",
     "swinging_spring",
@@ -73,4 +80,5 @@ __all__ = [
     "van_der_pol",
     "vertical_hopper",
     "vibrated_pendulum",
+    "wall_pendulum",
 ]

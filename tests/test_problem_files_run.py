@@ -8,7 +8,7 @@ from orbitfinder.atlas.choose import solve
 from orbitfinder.problemfile.read import load_problem, load_problem_file
 
 FOLDER = Path(__file__).parents[1] / "problems"
-FILES = sorted(path for room in ("report", "examples", "gallery") for path in (FOLDER / room).glob("*.toml"))
+FILES = sorted(path for room in ("report", "examples", "gallery", "hybrid") for path in (FOLDER / room).glob("*.toml"))
 REPORT = {
     "triple-1": 1.65533898831464,
     "triple-2": 2.92523733309107,

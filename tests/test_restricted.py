@@ -11,10 +11,13 @@ from scipy.integrate import solve_ivp
 
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
+from orbitfinder.families.folder import follow_family
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.guesses.modes import gyroscopic_modes, normal_mode, rest_near
 from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.loops.symmetry import Symmetry, called, named
+from orbitfinder.loops.symmetry import NONE, Symmetry, called, named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
@@ -163,6 +166,21 @@ def test_small_orbits_about_a_libration_point(name, symmetry):
     assert orbit.symmetry == symmetry and abs(orbit.action) < 1e-5
     other = certify(replace(orbit, action=orbit.action * (1 + 1e-7)))
     assert "action" in other.failures
+
+
+def test_a_family_shrinks_to_a_libration_point():
+    """Its end is the point, named while it is still resolved, and not a step that could not be taken."""
+    problem = load_problem(ROOT / "problems" / "families" / "lyapunov-l1.toml")
+    family = follow_family(problem, settings=FamilySettings(directions="backward", points=20, events=False))
+    (end,) = family.ends
+    assert end.kind == "equilibrium" and "0.83691" in end.reason.replace("8.3691", "0.83691"), end
+    assert len(family.points) < 18
+    system = Equations(problem.model, NONE, ())
+    tail = np.concatenate([[1.0], np.zeros(system.march.unfolding)])
+    x = np.array([0.83, 0.01, 0.02, 0.1, 0.2, 0.3])
+    rates = [system.march.rates((x + h * u)[None], tail)[0] for u in np.eye(6) for h in (1e-6, -1e-6)]
+    slopes = np.array([(a - b) / 2e-6 for a, b in zip(rates[::2], rates[1::2], strict=True)]).T
+    assert np.allclose(system.march.slopes(x, tail), slopes, rtol=1e-6, atol=1e-5)
 
 
 def test_false_orbits_past_the_moon_are_rejected():

@@ -137,8 +137,9 @@ def _print_proof(heading: str, proof: Proof) -> None:
     assert proof.stability is not None
     text(f"{heading}: proved in {proof.wall_time:.1f} s")
     one = "orbit" if proof.symmetry == "none" else f"{proof.symmetry} orbit"
+    level = "" if proof.energy is None else " of this energy"
     rows = (
-        ("box", f"exactly one {one} of this energy within {proof.radius:.2g} of the nodes"),
+        ("box", f"exactly one {one}{level} within {proof.radius:.2g} of the nodes"),
         ("period", f"{proof.period.str(20)} s, minimal"),
         ("distance", f"record within {proof.distance:.1g} of the orbit, period within {proof.period_distance:.1g} s"),
         ("contraction", f"{proof.contraction:.2g} ({plural(proof.segments, 'segment')}, {plural(proof.steps, 'step')}, "
@@ -213,7 +214,8 @@ def refined_document(found: Refined) -> dict[str, Any]:
         places = found.digits + 4
         return {
             "digits": found.digits, "enclosed": found.enclosed,
-            "reason": found.reason, "symmetry": found.symmetry, "energy": enclosure(found.energy, places),
+            "reason": found.reason, "symmetry": found.symmetry,
+            "energy": None if found.energy is None else enclosure(found.energy, places),
             "period": enclosure(found.period, places), "state": [enclosure(x, places) for x in found.state],
             "phase": float(found.phase), "order": found.settings.order, "bits": found.settings.bits,
             "wall_time": round(found.wall_time, 1),

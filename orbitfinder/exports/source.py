@@ -63,17 +63,25 @@ class Source:
 
 
 def source_of(orbit: Orbit, model: Model | None = None) -> Source:
-    """The Source of an orbit. `model` is needed only for systems that no file describes."""
+    """The Source of an orbit. `model` is needed only for systems that no file describes. Raises `InputError`."""
     model = model or build_model(orbit.system)
     n = model.degrees_of_freedom
     rate = vector_field(model, model.parameter_names, model.invariants)
     x, p = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names))
     total = model.kinetic(x[:n], x[n:], p) + model.potential(x[:n], p) if np.isfinite(orbit.energy) else ca.SX(0)
-    times, samples = orbit.times, orbit.samples
-    if len(samples) < 2:
-        times = np.linspace(0.0, orbit.period, SAMPLES)
-        samples = sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
-    return Source(orbit, model, rate, ca.Function("energy", [x, p], [total]), times, samples)
+    return Source(orbit, model, rate, ca.Function("energy", [x, p], [total]), *samples_of(orbit, model))
+
+
+def samples_of(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Times (k, s) and states (k x d) over a period, integrated where orbit.npz is missing. Raises `InputError`.
+
+    Events of a hybrid orbit come twice, with the state before and the state after.
+    """
+    if len(orbit.samples) > 1:
+        return orbit.times, orbit.samples
+    if model.hybrid is not None:
+        raise InputError(f"{orbit.name}: no samples; keep orbit.npz beside orbit.json, or run it again")
+    return np.linspace(0.0, orbit.period, SAMPLES), sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
 
 
 def dense_states(source: Source, rows: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.exports.auto import auto_files
-from orbitfinder.exports.source import JULIA, C, Source, c_number, c_numbers, source_of, straight_line
+from orbitfinder.exports.source import JULIA, C, Source, c_number, c_numbers, samples_of, source_of, straight_line
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import Orbit
@@ -64,13 +64,21 @@ def c_file(source: Source) -> str:
     )
 
 
-FORMATS: dict[str, Callable[[Source], dict[str, str]]] = {
-    "csv": lambda source: {
-        f"{source.orbit.name}.csv": csv_text(source.model.state_names, source.times, source.samples)
-    },
-    "auto": auto_files,
-    "julia": lambda source: {f"{source.identifier}.jl": julia_file(source)},
-    "c": lambda source: {f"{source.identifier}.c": c_file(source)},
+def csv_file(orbit: Orbit, model: Model) -> dict[str, str]:
+    """NAME.csv: the samples of an orbit of any system."""
+    return {f"{orbit.name}.csv": csv_text(model.state_names, *samples_of(orbit, model))}
+
+
+def _program(write: Callable[[Source], dict[str, str]]) -> Callable[[Orbit, Model], dict[str, str]]:
+    """The files that take the equations too."""
+    return lambda orbit, model: write(source_of(orbit, model))
+
+
+FORMATS: dict[str, Callable[[Orbit, Model], dict[str, str]]] = {
+    "csv": csv_file,
+    "auto": _program(auto_files),
+    "julia": _program(lambda source: {f"{source.identifier}.jl": julia_file(source)}),
+    "c": _program(lambda source: {f"{source.identifier}.c": c_file(source)}),
 }
 
 
@@ -84,7 +92,7 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     model = model or build_model(orbit.system)
     if model.hybrid is not None and to != "csv":
         raise InputError(f"to: {to} files know no events, and this system is hybrid; use csv")
-    files = FORMATS[to](source_of(orbit, model))
+    files = FORMATS[to](orbit, model)
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():

@@ -227,7 +227,7 @@ def _outwards(start: Start, origin: Unknowns) -> Start:
 def _same(one: Start, other: Start, cover: Cover, event: Event) -> bool:
     """Whether two starts are one branch: the same curve in the space of states, or a mirror image of it."""
     a, b = (_moved(start, event) for start in (one, other))
-    sizes = np.abs([event.energy, event.period * event.order, *event.free.values()])
+    sizes = np.abs([np.nan_to_num(event.energy), event.period * event.order, *_freed(event)])
     if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + ROUND_OFF * sizes):
         return True
     scale = np.sqrt(cover.curve.weights[: cover.curve.equations.size])
@@ -259,11 +259,16 @@ def _foot(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
     return found
 
 
+def _freed(event: Event) -> np.ndarray:
+    """The values of the freed physical parameters at an event."""
+    return np.array([value for name, value in event.free.items() if not name.startswith(SHARE)])
+
+
 def _moved(start: Start, event: Event) -> np.ndarray:
     """How far energy, period and freed parameters are from the event's."""
     place = start.found.place
     energy = np.nan_to_num(parameter_value(start.curve, place, "energy") - event.energy)
-    old = np.array([value for name, value in event.free.items() if not name.startswith(SHARE)])
+    old = _freed(event)
     return np.array([energy, place.period - event.period * event.order, *(place.free[: old.size] - old)])
 
 

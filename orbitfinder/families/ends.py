@@ -13,7 +13,7 @@ from orbitfinder.families.point import extents, freed, parameter_value, span
 from orbitfinder.families.run import Interval, Run, Step
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct, distance
-from orbitfinder.loops.loop import Condition, Unknowns
+from orbitfinder.loops.loop import Condition
 from orbitfinder.loops.symmetry import NONE, beside, half_period_gaps, involutions, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
@@ -21,8 +21,11 @@ SLOW = 0.1
 """A motion slower than this share of its fastest is near an equilibrium."""
 NEAR = 0.1
 """... of an equilibrium within this share of the motion's extents,"""
-MOST_NEWTON, DIFFERENCE = 12, 1e-5
-"""... which Newton's method finds with derivatives by differences of this share of them."""
+MOST_NEWTON = 12
+"""... which Newton's method finds in so many steps."""
+LINEAR, NEARLY, STEADY = 1e-7, 1e-5, 1e-5
+"""A small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and how
+little the period changes in a step there."""
 ABRUPT = 30.0
 """A largest acceleration this many times the median one speaks of a singularity where a family cannot go on."""
 SLOW_SHARE = 0.4
@@ -52,12 +55,10 @@ HOMOCLINIC_STEP = 1e-2
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
     curve, found = run.curve, after.found
-    if collapsed(curve, before.found, found) and curve.equations.symmetry.relative:
-        return _steady(curve, before)
     if collapsed(curve, before.found, found):
-        where = np.array2string(centre(curve, before.found), precision=6)
-        period = before.point.period
-        return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s")
+        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(curve, before.found)
+    if _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
+        return _at_equilibrium(curve, found)
     if curve.equations.model.forced:
         return None
     share, state = slowness(curve, found)
@@ -72,6 +73,18 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
     return _homoclinic(curve, found, state, grown, str(more)) if saddle else None
 
 
+def _shrinking(curve: Curve, before: Solution, found: Solution) -> bool:
+    """Whether an orbit is smaller than the one before, and hardly slower or faster."""
+    n, periods = curve.equations.model.degrees_of_freedom, (before.place.period, found.place.period)
+    sizes = [float(np.ptp(one.march.states[:, :n], axis=0).max()) for one in (before, found)]
+    return sizes[1] < sizes[0] and abs(periods[1] / periods[0] - 1.0) < STEADY
+
+
+def _at_equilibrium(curve: Curve, found: Solution) -> End:
+    where, period = np.array2string(centre(curve, found), precision=6), found.place.period
+    return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s")
+
+
 def end_of_failure(run: Run, step: Step, failure: str) -> End:
     """The reason why no further step could be taken."""
     curve, found = run.curve, step.found
@@ -83,6 +96,8 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     dead = dead_point(curve.equations.model.system, found.march.states, freed(curve, found.place))
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
+    if linear(curve, found, NEARLY):
+        return _at_equilibrium(curve, found)
     return _singular(curve, found, failure) or End("step underflow", failure)
 
 
@@ -107,28 +122,38 @@ def near_saddle(curve: Curve, found: Solution, state: np.ndarray) -> bool:
 
     Without one, a slow and long orbit is no nearly homoclinic one.
     """
+    eigenvalues = _at_rest(curve, found, state, NEAR)
+    return eigenvalues.size > 0 and bool(eigenvalues.real.max() * found.place.period > 1.0)
+
+
+def linear(curve: Curve, found: Solution, within: float) -> bool:
+    """Whether an orbit is a linear oscillation about an equilibrium: its period is, to this share, that of a pair i w.
+
+    It differs with the square of the amplitude.
+    """
+    p, n = curve.equations, curve.equations.model.degrees_of_freedom
+    if p.links or p.model.forced or p.symmetry.relative:
+        return False
+    middle = np.concatenate([centre(curve, found), np.zeros(p.size - n)])
+    turns = np.abs(_at_rest(curve, found, middle, 1.0).imag) * found.place.period / (2 * np.pi)
+    return bool(np.any(np.abs(turns - 1.0) < within))
+
+
+def _at_rest(curve: Curve, found: Solution, state: np.ndarray, near: float) -> np.ndarray:
+    """The eigenvalues of the equations at the equilibrium within a share of the motion's extents; none without one."""
     p, place = curve.equations, found.place
     n, units = p.model.degrees_of_freedom, extents(curve, found.march.states)
     x = np.concatenate([state[:n], np.zeros(p.size - n)])
     for _ in range(MOST_NEWTON):
-        slopes = _linearised(curve, place, x, units)
+        slopes = p.march.arcs[0].slopes(x, place.tail)
         # at rest the first rates, which are the velocities, are 0; a first-order system's are all to be solved for
         step = np.linalg.lstsq(slopes[-n:, :n], -p.march.rates(x[None], place.tail)[0][-n:], rcond=1e-9)[0]
         x[:n] += step
-        if not np.all(np.isfinite(x)) or np.any(np.abs(x - state) > NEAR * units):
-            return False
+        if not np.all(np.isfinite(x)) or np.any(np.abs(x - state) > near * units):
+            break
         if np.all(np.abs(step) < 1e-6 * units[:n]):
-            growing = np.linalg.eigvals(_linearised(curve, place, x, units)).real.max()
-            return bool(growing * place.period > 1.0)
-    return False
-
-
-def _linearised(curve: Curve, place: Unknowns, x: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """d(dx/dt)/dx (2n x 2n) by central differences."""
-    p = curve.equations
-    steps = DIFFERENCE * np.diag(units)
-    pairs = [[p.march.rates((x + s * one)[None], place.tail)[0] for s in (1, -1)] for one in steps]
-    return np.stack([(a - b) / (2 * size) for (a, b), size in zip(pairs, np.diag(steps), strict=True)], axis=1)
+            return np.asarray(np.linalg.eigvals(p.march.arcs[0].slopes(x, place.tail)))
+    return np.zeros(0)
 
 
 def _singular(curve: Curve, found: Solution, failure: str) -> End | None:
@@ -178,7 +203,7 @@ def slowness(curve: Curve, found: Solution) -> tuple[float, np.ndarray]:
 def centre(curve: Curve, found: Solution) -> np.ndarray:
     """The middle of an orbit's configurations (n): where a shrinking family is going."""
     n = curve.equations.model.degrees_of_freedom
-    held, q = curve.equations.symmetry.centre(curve.constant), found.march.states[:, :n]
+    held, q = curve.centre, found.march.states[:, :n]
     return np.asarray(np.where(np.isnan(held), 0.5 * (q.max(axis=0) + q.min(axis=0)), held))
 
 

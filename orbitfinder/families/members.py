@@ -16,9 +16,10 @@ from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, at_place
 from orbitfinder.loops.symmetry import recognise
 from orbitfinder.mechanics.catalogue import with_parameters
-from orbitfinder.mechanics.model import Model, energy, positions
+from orbitfinder.mechanics.model import Model, energy
 from orbitfinder.orbits.certify import certified as with_certificate
 from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.course import course, sampled
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.family import CLOSURE, Batch, Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
@@ -32,7 +33,8 @@ Member = TypeVar("Member", FamilyPoint, Event)
 
 @dataclass(frozen=True)
 class Motion:
-    """One orbit of a family: its point, states (k x 2n) at equal times over a period, joints (k x 2 x m) or None."""
+    """One orbit of a family: its point, states (k x 2n) over a period, broken by nan where it jumps, and joints
+    (k x 2 x m) at equal times or None."""
 
     point: FamilyPoint
     states: np.ndarray
@@ -54,7 +56,10 @@ def whole(orbit: Orbit, model: Model) -> Orbit:
 
 
 def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states over one period: of a point of a family by its shooting nodes, `count` of them."""
+    """Times and states over one period: of a point of a family by its shooting nodes, `count` of them; of a hybrid
+    orbit those of its simulation."""
+    if model.hybrid is not None:
+        return sampled(model, orbit.state, orbit.period)
     if not isinstance(orbit, FamilyPoint) or not (orbit.curve and orbit.mesh.size):
         return dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
     curve = curve_of(orbit.curve, model, FamilySettings(parameter=next(iter(orbit.free), "energy")))
@@ -100,8 +105,10 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
     found = []
     for k in chosen:
         there = with_parameters(model, points[k].free)
-        states = _period(points[k], there, MOTION)[1]
-        found.append(Motion(points[k], states, positions(there, states) if model.points is not None else None))
+        path = course(there, *_period(points[k], there, MOTION))
+        moments = np.linspace(0.0, path.period, MOTION + 1)[: -1 if path.jumps else None]
+        joints = None if model.points is None else path.positions(moments)
+        found.append(Motion(points[k], path.samples, joints))
     return found
 
 

@@ -148,7 +148,7 @@ def piecewise_defect(
 
 def winding(curve: Curve) -> tuple[int, ...]:
     """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-    return tuple(int(k) for k in curve.equations.symmetry.turns(curve.constant))
+    return tuple(int(k) for k in curve.turns)
 
 
 def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:

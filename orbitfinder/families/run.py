@@ -122,7 +122,7 @@ class Interval:
 def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[str, float]:
     """d/ds of energy, period and every freed parameter along a direction over the head."""
     p, size = curve.equations, curve.equations.size
-    _, slope, free = p.quantities_at(place.nodes[0], place.free)
+    _, slope, free = p.quantities_at(place)
     energy = float(slope[p.energy] @ head[:size] + free[p.energy] @ head[size + 1 :])
     slopes = {"energy": energy, "period": float(head[size])}
     for one, by_state, by_free in zip(p.model.invariants, slope, free, strict=False):

@@ -132,7 +132,7 @@ def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     moving = np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) > STILL
     if not np.any(moving if p.model.forced else flow):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
-    return p.quantities_at(x, place.free)[1][: p.energy], np.vstack([flow, generated(p.model, x)])
+    return p.quantities_at(place)[1][: p.energy], np.vstack([flow, generated(p.model, x)])
 
 
 def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:
@@ -157,7 +157,7 @@ def matching(expected: np.ndarray, found: np.ndarray) -> np.ndarray:
     The assignment of least total distance; of equal ones, and moving together makes them equal, the one that keeps
     the order.
     """
-    if expected.shape != found.shape:
+    if expected.shape != found.shape or found.size < 2:
         return np.arange(found.size)
     gaps = np.abs(_squeezed(expected)[:, None] - _squeezed(found)[None, :])
     return np.asarray(linear_sum_assignment(gaps + CONVEX * gaps**2)[1])

@@ -192,7 +192,7 @@ def curve_at(
     if equations.links:
         end = equations.links.passed(place, equations.ends(replace(place, mesh=steps)))[0][-1]
     constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, whole)
-    values = equations.quantities_at(place.nodes[0], place.free)[0]
+    values = equations.quantities_at(place)[0]
     names = [one.name for one in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0

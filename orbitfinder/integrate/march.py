@@ -148,12 +148,21 @@ class March(Refining):
     ) -> np.ndarray:
         """d(ends)/dT (N x d): a segment gets longer and, which a forced system sees, begins later."""
         edges = mesh[:: (mesh.size - 1) // len(nodes)]
-        late = self.rates(ends, tail, tail[0] * edges[1:])
-        slopes = late * np.diff(edges)[:, None]
-        if self.forced and len(nodes) > 1:
-            early = self.rates(nodes, tail, tail[0] * edges[:-1])
-            slopes += (late - np.einsum("kij,kj->ki", transitions, early)) * edges[:-1, None]
-        return slopes
+        durations = (edges[1:] - edges[:-1])[:, None]
+        if not self.forced or len(nodes) == 1:
+            return np.asarray(self.rates(ends, tail, tail[0] * edges[1:]) * durations)
+        times = tail[0] * np.concatenate([edges[1:], edges[:-1]])
+        late, early = self.rates(np.concatenate([ends, nodes]), tail, times).reshape(2, *ends.shape)
+        return np.asarray(late * durations + (late - (transitions @ early[:, :, None])[:, :, 0]) * edges[:-1, None])
+
+    def slopes(self, x: np.ndarray, tail: np.ndarray) -> np.ndarray:
+        """d(dx/dt)/dx (d x d) at a state (d)."""
+        field, size = self._varied, self.size
+        start = np.zeros(field.size1_in(1))
+        start[:size], start[size : size + size * size] = x, np.eye(size).ravel()
+        s, free = tail[1 : 1 + self.unfolding], tail[1 + self.unfolding :]
+        found = self.at(field, 0.0, start, s, free)[0].ravel()
+        return np.asarray(found[size : size + size * size].reshape(size, size).T)
 
     def rates(self, states: np.ndarray, tail: np.ndarray, times: np.ndarray | float = 0.0) -> np.ndarray:
         """dx/dt (k x d) at states (k x d)."""
@@ -309,7 +318,7 @@ def _parameters(mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
     """(h, s, free) of every step (M x 1 + ...), h in seconds."""
     packed = np.empty((mesh.size - 1, tail.size))
     packed[:] = tail
-    packed[:, 0] *= np.diff(mesh)
+    packed[:, 0] *= mesh[1:] - mesh[:-1]
     return packed
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
-from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
+from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns, beyond
 from orbitfinder.loops.problem import clocked
 from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
@@ -51,6 +51,16 @@ class Curve(Loop):
     def units(self) -> np.ndarray:
         """The same of a state (2n) in powers of 256, so that a system of order one is computed with as it is."""
         return snapped(np.sqrt(self._unit / self.weights[: self.equations.size]))
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Where coordinates (n) must be centred, nan for those that may be anywhere."""
+        return self.equations.symmetry.centre(self.constant)
+
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """Whole turns (n) in a period."""
+        return self.equations.symmetry.turns(self.constant)
 
     @property
     def _unit(self) -> float:
@@ -92,29 +102,31 @@ def _row_units(curve: Curve, w: Unknowns, aim: Condition) -> np.ndarray:
     return curve.row_units(w, 1.0 / np.sqrt(curve.weights), aim)
 
 
-def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition) -> np.ndarray:
-    """The rows of the curve and the aim."""
-    return np.append(curve.rows(w, ends), curve.values(w, (aim,)))
+def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
+    """The rows of the curve and the aim, without what may be round-off."""
+    return beyond(np.append(curve.rows(w, ends), curve.values(w, (aim,))), lost)
 
 
-def _approached(curve: Curve, guess: Unknowns, aim: Condition, slope: np.ndarray) -> Unknowns:
+def _approached(
+    curve: Curve, guess: Unknowns, aim: Condition, slope: np.ndarray, measures: tuple[np.ndarray, np.ndarray]
+) -> Unknowns:
     """The guess improved by Broyden's method on marches of the state alone, in long steps, from the Jacobian `slope`.
 
-    Stops where a step no longer helps.
+    Stops where a step no longer helps. `measures` are what each row is measured in, and what it loses to round-off.
     """
     coarser = 2 if guess.steps % 2 == 0 and guess.steps >= FEWEST_STEPS else 1
     w, best = replace(guess, mesh=guess.mesh[::coarser]), np.inf
     matrix = np.vstack([slope, guess.spread(curve.slopes(guess, (aim,))[0])])
     cut, size = guess.nodes.size, curve.equations.size
     matrix[cut : cut + len(curve.normals), :size] = curve.normals
-    kept, units = guess, _row_units(curve, guess, aim)
+    kept, (units, lost) = guess, measures
     try:
         method = Broyden(Factors(matrix))
     except np.linalg.LinAlgError:
         return guess
     for _ in range(MOST_NEWTON):
         try:
-            rows = _all_rows(curve, w, curve.equations.ends(w), aim)
+            rows = _all_rows(curve, w, curve.equations.ends(w), aim, lost)
         except IntegrationError:
             break
         largest = float(np.abs(rows / units).max())
@@ -143,13 +155,13 @@ def correct(
     which most of the way is cheap; `fit` gives a better mesh over these segments once the orbit is nearly
     known. Raises `ConvergenceError` or `IntegrationError`.
     """
-    curve = curve.through(reference or guess)
-    w, previous, units = guess, np.inf, _row_units(curve, guess, aim)
+    family, curve = curve, curve.through(reference or guess)
+    w, previous, units, lost = guess, np.inf, _row_units(curve, guess, aim), curve.lost(guess, aim)
     if slope is not None:
-        w = _approached(curve, guess, aim, slope)
+        w = _approached(curve, guess, aim, slope, (units, lost))
     for iteration in range(MOST_NEWTON):
         path = curve.equations.varied(w, states=True)
-        rows, jacobian = _all_rows(curve, w, path.ends, aim), curve.linearised(w, path).matrix()
+        rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
         largest = float(np.abs(rows / units).max())
         ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > 0.1 * previous)
         if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
@@ -167,7 +179,7 @@ def correct(
         if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:
-            moved = replace(moved, mesh=fit(curve, Solution(w, path, jacobian, largest)))
+            moved = replace(moved, mesh=fit(family, Solution(w, path, jacobian, largest)))
             fit = None
         w, previous = moved, largest
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")

@@ -35,6 +35,8 @@ from orbitfinder.mechanics.model import Model, vector_field
 NONE_SUCH = np.zeros(0)
 GRAZED = 1e-30
 """A guard's rate at least, by which what grazes it is multiplied"""
+ROUND_OFF = float(np.finfo(float).eps)
+"""What a sum is known to, relative to the sizes of its terms."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +49,12 @@ class Unknowns:
     free: np.ndarray
     mesh: np.ndarray
 
-    @property
+    @cached_property
     def head(self) -> np.ndarray:
         """(x(0), T, free): what identifies the orbit, whatever the number of segments."""
         return np.concatenate([self.nodes[0], [self.period], self.free])
 
-    @property
+    @cached_property
     def tail(self) -> np.ndarray:
         """(T, s, free), the parameters of the flow."""
         return np.concatenate([[self.period], self.unfolding, self.free])
@@ -67,7 +69,7 @@ class Unknowns:
         """Where the segments begin and end (N + 1), in periods."""
         return self.mesh[:: self.steps]
 
-    @property
+    @cached_property
     def vector(self) -> np.ndarray:
         """w as one vector."""
         return np.concatenate([self.nodes.ravel(), self.tail])
@@ -76,13 +78,8 @@ class Unknowns:
         """The unknowns that a vector over w stands for."""
         count, size = self.nodes.shape
         cut, last = count * size, vector.size - self.free.size
-        return replace(
-            self,
-            nodes=vector[:cut].reshape(count, size),
-            period=float(vector[cut]),
-            unfolding=vector[cut + 1 : last],
-            free=vector[last:],
-        )
+        nodes = vector[:cut].reshape(count, size)
+        return Unknowns(nodes, float(vector[cut]), vector[cut + 1 : last], vector[last:], self.mesh)
 
     def symbols(self) -> tuple[list[ca.MX], list[ca.MX]]:
         """Symbols of CasADi for the nodes and for T, s and free, which stacked stand for the vector."""
@@ -235,6 +232,10 @@ class Equations:
         return found[:, 0], found[:, 1:]
 
     @cached_property
+    def _known(self) -> dict[str, tuple[Unknowns, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        return {}
+
+    @cached_property
     def _watched(self) -> dict[int, ca.Function]:
         return {}
 
@@ -248,10 +249,13 @@ class Equations:
         numbers = self.numbers if free is None else free
         return Unknowns(nodes, float(period), np.zeros(self.march.unfolding), numbers, mesh)
 
-    def quantities_at(self, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Their values (k) at one state, their derivatives by the state and by freed parameters."""
-        values, slopes, by_free = self.march.at(self.quantities, x, free)
-        return values.ravel(), slopes, by_free
+    def quantities_at(self, w: Unknowns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Their values (k) at x(0), their derivatives by the state and by freed parameters; not to be written to."""
+        known = self._known.get("quantities")
+        if known is None or known[0] is not w:  # asked for row by row, at one w after another
+            values, slopes, by_free = self.march.at(self.quantities, w.nodes[0], w.free)
+            known = self._known["quantities"] = w, (values.ravel(), slopes, by_free)
+        return known[1]
 
     def momentum_slopes(self, x: np.ndarray, free: np.ndarray) -> np.ndarray:
         """The Jacobian (d x d) of (q, momentum) in (q, v) at one state."""
@@ -457,6 +461,18 @@ class Loop:
         units += [named[:count], self.equations.links.units(w, unit), named[count:]]
         return np.asarray(np.maximum(np.concatenate(units), 1e-300))
 
+    def lost(self, w: Unknowns, *aims: Condition) -> np.ndarray:
+        """What of each row near w may be round-off, those of aims last: where an energy is large beside its changes.
+
+        Told for conditions by the sizes of their terms; 0 of all other rows.
+        """
+        chosen, count = (*self.conditions, *aims), len(self.conditions)
+        values = np.abs(np.array([one.value for one in chosen]))
+        named = ROUND_OFF * (np.abs(self.slopes(w, chosen)) @ np.abs(w.head) + 2 * values)
+        before = (len(w.nodes) - 1) * w.nodes.shape[1] + len(self.equations.boundary[0]) + len(self.normals)
+        guards = np.zeros(self.equations.links.count if self.equations.links else 0)
+        return np.concatenate([np.zeros(before), named[:count], guards, named[count:]])
+
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
         head, found = w.head, np.empty(len(conditions))
@@ -485,7 +501,12 @@ class Loop:
     def _named(self, w: Unknowns, conditions: Sequence[Condition]) -> tuple[np.ndarray, ...]:
         if all(one.quantity is None for one in conditions):
             return ()
-        return self.equations.quantities_at(w.nodes[0], w.free)
+        return self.equations.quantities_at(w)
+
+
+def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """Rows without what may be round-off, of which no step is better than another."""
+    return np.where(np.abs(rows) <= lost, 0.0, rows)
 
 
 def _action_rate(model: Model, flow: ca.Function, free: tuple[str, ...]) -> ca.Function:

@@ -11,7 +11,7 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import Linearised, Solver, eliminated
-from orbitfinder.loops.loop import Loop, Unknowns
+from orbitfinder.loops.loop import NONE_SUCH, Loop, Unknowns, beyond
 from orbitfinder.mechanics.scales import WIDE, snapped
 
 
@@ -121,12 +121,14 @@ class Newton:
     def __init__(self, loop: Loop, settings: NewtonSettings, units: Units | None = None) -> None:
         self.loop, self.settings, self.units = loop, settings, units
         self.marches, self.jacobians, self.growth, self.best = 0, 0, 1.0, np.inf
+        self._lost = NONE_SUCH
 
     def solve(self, w: Unknowns, path: Varied) -> tuple[Unknowns, float]:
         """w on the mesh that confirms it, and its largest row; `path` is w's first integration.
 
         Raises `ConvergenceError`.
         """
+        self._lost = self.loop.lost(w)
         w, solver = self._approach(w, path)
         w, rows = self._finish(w, solver)
         return w, _largest(rows)
@@ -181,7 +183,7 @@ class Newton:
 
     def _measured(self, w: Unknowns, ends: np.ndarray) -> np.ndarray:
         """The rows of w in their units."""
-        rows = self.loop.rows(w, ends)
+        rows = beyond(self.loop.rows(w, ends), self._lost)
         return rows if self.units is None else rows / self.units.rows(len(w.nodes))
 
     def _varied(self, w: Unknowns) -> Varied | None:

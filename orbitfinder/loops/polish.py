@@ -16,7 +16,7 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import Flow, sundials
 from orbitfinder.integrate.rk8 import MOST_DOUBLINGS, agree, march, refined_march
 from orbitfinder.loops.condensed import Solver
-from orbitfinder.loops.loop import Unknowns
+from orbitfinder.loops.loop import Unknowns, beyond
 from orbitfinder.loops.newton import NewtonSettings, chord
 from orbitfinder.loops.shooting import Shooting
 
@@ -108,12 +108,13 @@ def _agreed(
 
 
 def residual(shooting: Shooting, found: Unknowns) -> np.ndarray:
-    """All rows of g with the segments integrated to round-off."""
+    """All rows of g with the segments integrated to round-off, without what may be round-off of their own terms."""
     tail = tail_of(shooting.flow, found.unfolding, found.free)
     least = least_steps(round(len(found.nodes) / shooting.problem.boundary.fraction))
     spans = pairwise(found.period * found.edges)
     ends = [end_of(shooting.flow, node, span, tail, least) for node, span in zip(found.nodes, spans, strict=True)]
-    return np.asarray(shooting.rows(shooting.vector(found), np.asarray(ends).T).full().ravel())
+    rows = shooting.rows(shooting.vector(found), np.asarray(ends).T).full().ravel()
+    return beyond(np.asarray(rows), shooting.lost)
 
 
 def solver_at(shooting: Shooting, found: Unknowns) -> Solver:

@@ -27,13 +27,18 @@ FAR = 30.0
 """Units of the guess that take the place of the 1 there, where they are not 1"""
 
 
+RESOLVED = 1e-10
+"""IPOPT is asked for no more digits of a row than its round-off leaves."""
+
+
 @dataclass(frozen=True)
 class Shooting:
     """The nonlinear program: min f(w) subject to g(w) = 0, low <= h(w) <= high and bounds.
 
     w is the vector of the loop's unknowns in their `units`; `start` is where it starts. `rows(w, ends)` is g when the
     segments end at `ends` (2n x N): those of the `loop`, then the user's; `constraints(w)` is g by CVODES and
-    `jacobian(w)` its derivative by the variational equations; `inequalities` is h.
+    `jacobian(w)` its derivative by the variational equations; `lost` is what of each row may be round-off of a pin's
+    terms; `inequalities` is h.
     `objective` is 1/2 sum weight (w - guess)^2, whose Hessian is diagonal, or the problem's own;
     `residuals` is r where that is |r|^2 / 2, else empty.
     """
@@ -50,6 +55,7 @@ class Shooting:
     variables: ca.MX
     objective: ca.MX
     rows: ca.Function
+    lost: np.ndarray
     constraints: ca.MX
     jacobian: ca.Function
     inequalities: ca.MX
@@ -92,7 +98,11 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     known = _variables(problem, flow, parts, tail, given)
     equalities = _rows(loop, problem, known, tail, far)
     pinned = bool(problem.pin) and not problem.constraints
-    rows = ca.Function("rows", [w, given], [_measured(equalities, (w, given), start, guess, flow, pinned)])
+    lost = np.append(loop.lost(guess), np.zeros(equalities.numel()))[: equalities.numel()]
+    sizes = _sizes(equalities, (w, given), start, guess, flow, pinned)
+    if problem.pin:
+        sizes = np.maximum(sizes, lost / RESOLVED)
+    rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
     ends = _ends(problem, flow, parts, tail)
@@ -104,7 +114,8 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
         value = 0.5 * ca.dot(ca.DM(weights), (w - start) ** 2)
     return Shooting(
         problem, flow, loop, guess, units, np.clip(start, lower, upper), lower, upper, weights, w, value, rows,
-        constraints, ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]), inequalities, low, high, residuals,
+        lost / sizes, constraints, ca.Function("jacobian", [w], [ca.jacobian(constraints, w)]), inequalities, low, high,
+        residuals,
     )  # fmt: skip
 
 
@@ -131,22 +142,22 @@ def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[l
     return found[: len(nodes)], found[len(nodes) :]
 
 
-def _measured(
+def _sizes(
     rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow, pinned: bool
-) -> ca.MX:
-    """Rows in units of what a unit of the unknowns changes in them at the start.
+) -> np.ndarray:
+    """What a unit of the unknowns changes in each row at the start, which rows are measured in.
 
-    As they are where units are 1, unless a pin changes by more than 256 times as much (energies of a large mass).
+    1 where units are 1, unless a pin changes by more than 256 times as much (energies of a large mass).
     """
     if not flow.units and not pinned:
-        return rows
+        return np.ones(rows.numel())
     w, ends = inputs
     sizes = ca.DM(np.tile(np.asarray(flow.units or np.ones(guess.nodes.shape[1])), len(guess.nodes)))
     both = ca.horzcat(ca.jacobian(rows, w), ca.jacobian(rows, ends) @ ca.diag(sizes))
     slopes = ca.Function("slopes", [w, ends], [both])
     size = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
-    size = np.where(np.isfinite(size) & (size > 0), size, 1.0) if flow.units else scales.snapped(size, scales.WIDE)
-    return rows if np.all(size == 1.0) else rows / ca.DM(size)
+    known = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    return known if flow.units else scales.snapped(size, scales.WIDE)
 
 
 def _variables(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX) -> Variables:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -59,6 +60,7 @@ def ode(
     forcing_period: Callable[[Named], Any] | float | None = None,
     symmetries: Mapping[str, tuple[int, Mapping[str, int]]] | None = None,
     system: Mapping[str, Any] | None = None,
+    points: Callable[[Named, Named], Any] | None = None,
 ) -> Model:
     """The Model of a first-order system x' = f(t, x, p).
 
@@ -67,7 +69,7 @@ def ode(
     {name: I(x, p)}, each checked by `find_orbit`; an orbit is unfolded by x' = f + s grad I, and the first of them is
     the energy that files and atlases speak of. `angles` are the components that may turn; `forcing_period(p)`, or a
     number, is the period of an explicit dependence on time; `symmetries` {name: (sense of time, {component: -1})}.
-    Raises `InputError`.
+    `points(x, p)` are positions (down, right; 2 x k, m) that pictures join by lines. Raises `InputError`.
     """
     values = _parameters(parameters)
     symbols = _Symbols(states, values)
@@ -76,7 +78,8 @@ def ode(
     found = invariants
     if isinstance(found, Mapping):
         found = [symbols.invariant(name, _expression(name, one, symbols)) for name, one in found.items()]
-    return _model(rate, symbols, found, angles, forcing_period, symmetries, system)
+    made = _model(rate, symbols, found, angles, forcing_period, symmetries, system)
+    return made if points is None else replace(made, points=symbols.positions(points))
 
 
 @checked
@@ -139,6 +142,13 @@ class _Symbols:
         """(q, v, p) -> an expression, or (t, q, v, p) -> it."""
         inputs = [self.column, self.v, self.numbers]
         return ca.Function(name, [self.t, *inputs] if timed else inputs, [expression])
+
+    def positions(self, points: Callable[[Named, Named], Any]) -> ca.Function:
+        """(x, p) -> what is drawn. Raises `InputError`."""
+        found = ca.SX(points(self.x, self.p))
+        if found.shape[0] != 2:
+            raise InputError(f"points: shape {found.shape}; give (down, right) in m of each point, 2 x k")
+        return ca.Function("points", [self.column, self.numbers], [ca.densify(found)])
 
     def invariant(self, name: str, expression: ca.SX, generator: ca.SX | None = None) -> Invariant:
         """A first integral, unfolded by its gradient."""

@@ -60,6 +60,8 @@ class Transition:
     ignored: str = ""
     impulse: Any = None
     lost: Any = None
+    advance: Any = None
+    """(x-, p) -> where the origin of what is drawn goes, (down, right) in m: of a walker its next foothold"""
     slope: Any = None
     """the guard's gradient (1 x d), made when the system is built"""
 
@@ -91,6 +93,8 @@ class Hybrid:
     cycle: tuple[str, ...]
     given: tuple[tuple[Mode, ...], tuple[Transition, ...], tuple[str, ...]] = ((), (), ())
     """modes, transitions and what is conserved, as they were given"""
+    ground: Any = None
+    """(x, p) -> what the machine stands on or hits, a polyline (down, right; 2 x k, m); once built, of the modes' p"""
 
     def mode(self, name: str) -> Mode:
         """A mode by its name."""
@@ -178,13 +182,14 @@ def hybrid(
     *,
     conserved: Sequence[str] = (),
     system: Mapping[str, Any] | None = None,
+    ground: Expression | None = None,
 ) -> Model:
     """The Model of a hybrid system whose orbits go through the transitions of `cycle`; None: through those of the
     guess's motion, which begins in the first mode.
 
     Its parameters are those of the modes and, for each arc but the last, its share of the period (`share_1`, ...),
-    which solvers find. `conserved` names invariants of all modes that the resets keep too. Raises `InputError` where
-    modes differ in states or parameters, or the cycle does not fit together.
+    which solvers find. `conserved` names invariants of all modes that the resets keep too. `ground` is drawn only: see
+    `Hybrid`. Raises `InputError` where modes differ in states or parameters, or the cycle does not fit together.
     """
     named = tuple(Mode(name, model) for name, model in modes.items()) if isinstance(modes, Mapping) else tuple(modes)
     _check_modes(named)
@@ -200,7 +205,7 @@ def hybrid(
     whole = replace(begins, parameter_names=names, parameter_values=values)
     built = Hybrid(
         tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), cycle,
-        (named, tuple(transitions), tuple(conserved)),
+        (named, tuple(transitions), tuple(conserved)), None if ground is None else _drawn(ground, first),
     )  # fmt: skip
     return replace(
         built.first.model, parameter_names=names, parameter_values=values, hybrid=built,
@@ -221,12 +226,20 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
     made = hybrid(modes, transitions, cycle, conserved=conserved, system=dict(model.system) | {"cycle": list(cycle)})
     kept = len(modes[0].model.parameter_names)
     numbers = np.append(model.parameter_values[:kept], made.parameter_values[kept:])
-    return replace(made, parameter_values=numbers, hybrid=at_numbers(made.hybrid, numbers))
+    built = replace(made.hybrid, ground=model.hybrid.ground)
+    return replace(made, parameter_values=numbers, hybrid=at_numbers(built, numbers))
 
 
 def repeated(model: Model, times: int) -> Model:
     """The same system, the cycle of a hybrid one gone through so many times."""
     return model if model.hybrid is None else with_cycle(model, model.hybrid.cycle * times)
+
+
+def _drawn(ground: Expression, model: Model) -> ca.Function:
+    """The polyline of a ground as a function of (x, p)."""
+    x, p = ca.SX.sym("x", len(model.state_names)), ca.SX.sym("p", len(model.parameter_names))
+    found = ground(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
+    return ca.Function("ground", [x, p], [ca.densify(ca.SX(found))])
 
 
 def _conserving(mode: Mode, names: Sequence[str]) -> Model:
@@ -296,7 +309,7 @@ def _transition(one: Transition, model: Model) -> Transition:
     size = len(model.state_names)
     if reset.size_out(0) != (size, 1):
         raise InputError(f"transition {one.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
-    others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost")}
+    others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost", "advance")}
     made = {name: None if value is None else _function(name, value, model) for name, value in others.items()}
     return replace(one, guard=guard, reset=reset, slope=gradient(guard), **made)  # type: ignore[arg-type]
 
@@ -316,7 +329,8 @@ def _function(name: str, expression: Expression, model: Model) -> ca.Function:
 
     def made(symbol: Any) -> ca.Function:
         x, p = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))
-        found = expression(Named.of(model.state_names, x), Named.of(model.parameter_names, p))
+        own = [one for one in model.parameter_names if not one.startswith(SHARE)]
+        found = expression(Named.of(model.state_names, x), Named.of(own, p))
         return ca.Function(name, [x, p], [ca.densify(type(x)(ca.vertcat(*_listed(found))))])
 
     if isinstance(expression, ca.Function):

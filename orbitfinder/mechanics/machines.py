@@ -9,17 +9,46 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.first_order import Named
-from orbitfinder.mechanics.hybrid import Mode, Transition, changed, hybrid, impact
+from orbitfinder.mechanics.hybrid import Expression, Impact, Mode, Transition, changed, hybrid, impact
 from orbitfinder.mechanics.library import Ingredients, ingredients, whole_number
 from orbitfinder.mechanics.model import Model
 
 SCUFFING = "the swing foot passes the ground in mid-stance, as it does without knees; it is let through"
 
 
-def _swinging(made: Ingredients, name: str, rates: ca.SX, names: list[str]) -> Model:
+REACH = 10.0
+"""Half the length (m) of the straight ground that is drawn; pictures cut it off"""
+
+
+def _swinging(made: Ingredients, name: str, rates: ca.SX, names: list[str], points: ca.SX) -> Model:
     """Angles of unit masses moved by given accelerations."""
-    return made.model(name, ca.sumsqr(made.v) / 2, ca.SX(0), forces=rates, names=names, angles=[True] * len(names))
+    return made.model(
+        name, ca.sumsqr(made.v) / 2, ca.SX(0), forces=rates, names=names, angles=[True] * len(names), points=points
+    )
+
+
+def _along(angle: Any) -> ca.SX:
+    """(x right, y up) of a unit leg that leans back by an angle from the vertical."""
+    return ca.vertcat(-ca.sin(angle), ca.cos(angle))
+
+
+def _slope(x: Named, p: Named) -> Any:
+    """The ground of walkers: a slope through the stance foot."""
+    del x
+    return ca.horzcat(*(_downwards(reach * _downhill(p)) for reach in (-REACH, REACH)))
+
+
+def _wall(name: str) -> Any:
+    """An upright wall at the distance that a parameter gives."""
+    return lambda x, p: ca.vertcat(ca.SX([[-REACH, REACH]]), ca.horzcat(p[name], p[name]))
+
+
+def _level(x: Named, p: Named) -> Any:
+    """Level ground through the origin."""
+    del x, p
+    return ca.SX([[0.0, 0.0], [-REACH, REACH]])
 
 
 def simplest_walker(slope: float = 0.009) -> Model:
@@ -35,7 +64,9 @@ def simplest_walker(slope: float = 0.009) -> Model:
     tilt = theta - made["slope"]
     stance = ca.sin(tilt)
     swing = stance + rate**2 * ca.sin(phi) - ca.cos(tilt) * ca.sin(phi)
-    model = _swinging(made, "simplest_walker", ca.vertcat(stance, swing), ["theta", "phi"])
+    hip = _along(tilt)
+    drawn = ca.horzcat(ca.SX.zeros(2), _downwards(hip), _downwards(hip - _along(tilt - phi)))
+    model = _swinging(made, "simplest_walker", ca.vertcat(stance, swing), ["theta", "phi"], drawn)
 
     def strike(x: Named, _: Named) -> ca.SX:
         turn = ca.cos(2 * x.theta)
@@ -46,33 +77,31 @@ def simplest_walker(slope: float = 0.009) -> Model:
         "strike", "stance", "stance", guard=lambda x, p: x.phi - 2 * x.theta, reset=strike, direction=1,
         allowed=lambda x, p: -x.theta, ignored=SCUFFING,
         lost=lambda x, p: (ca.sin(2 * x.theta) * x.thetadot) ** 2 / 2,
+        advance=lambda x, p: _downwards(-2 * ca.sin(x.theta) * _downhill(p)),
     )  # fmt: skip
     push = {"stance force": lambda x, p: ca.cos(x.theta - p.slope) - x.thetadot**2}
-    return hybrid([Mode("stance", model, push)], [strikes], ["strike"], system=model.system)
+    return hybrid([Mode("stance", model, push)], [strikes], ["strike"], system=model.system, ground=_slope)
 
 
-class _Compass:
-    """Two straight legs and a hip, with the stance foot held (2 coordinates) or free (4), and what is drawn of them."""
+class _Legs:
+    """Point masses on legs with the stance foot held, or free where coordinates for its place come first."""
 
-    def __init__(self, made: Ingredients) -> None:
-        self.made, count = made, made.q.numel()
-        foot, legs = (ca.SX.zeros(2), made.q) if count == 2 else (made.q[:2], made.q[2:])
-        length = made["a"] + made["b"]
-        along = [ca.vertcat(-ca.sin(legs[k]), ca.cos(legs[k])) for k in (0, 1)]
-        self.hip = foot + length * along[0]
-        self.tip = self.hip - length * along[1]
-        places = [foot + made["a"] * along[0], self.hip, self.hip - made["b"] * along[1]]
-        self.masses = list(zip((made["mass"], made["hip_mass"], made["mass"]), places, strict=True))
+    def __init__(self, function: str, made: Ingredients, angles: int) -> None:
+        self.function, self.made, held = function, made, made.q.numel() == angles
+        self.foot, self.legs = (ca.SX.zeros(2), made.q) if held else (made.q[:2], made.q[2:])
+        self.along = [_along(self.legs[k]) for k in range(angles)]
+        self.masses: list[tuple[Any, ca.SX]] = []
+        self.tip = self.foot
 
     def model(self, **parts: Any) -> Model:
         """Its equations of motion."""
         made = self.made
         kinetic = sum((m * ca.sumsqr(ca.jtimes(place, made.q, made.v)) / 2 for m, place in self.masses), ca.SX(0))
         potential = sum((m * made["gravity"] * place[1] for m, place in self.masses), ca.SX(0))
-        return made.model("compass_gait", kinetic, potential, **parts)
+        return made.model(self.function, kinetic, potential, **parts)
 
     def ground_force(self, model: Model) -> ca.Function:
-        """The force on the stance foot (forward, up): what accelerates the masses, and their weight."""
+        """The force on the stance foot (right, up): what accelerates the masses, and their weight."""
         made = self.made
         momentum = ca.jtimes(sum((m * place for m, place in self.masses), ca.SX.zeros(2)), made.q, made.v)
         rates = ca.jtimes(momentum, made.q, made.v) + ca.jacobian(momentum, made.v) @ model.acceleration(
@@ -80,6 +109,53 @@ class _Compass:
         )
         weight = sum((m for m, _ in self.masses), ca.SX(0)) * made["gravity"]
         return ca.Function("force", [ca.vertcat(made.q, made.v), made.parameters], [rates + ca.vertcat(0, weight)])
+
+    def swing_foot(self) -> ca.Function:
+        """(q, p) -> where the swing foot is (right, up)."""
+        return ca.Function("foot", [self.made.q, self.made.parameters], [self.tip])
+
+
+class _Compass(_Legs):
+    """Two straight legs and a hip."""
+
+    def __init__(self, made: Ingredients) -> None:
+        super().__init__("compass_gait", made, 2)
+        self.hip = self.foot + (made["a"] + made["b"]) * self.along[0]
+        self.tip = self.hip - (made["a"] + made["b"]) * self.along[1]
+        places = [self.foot + made["a"] * self.along[0], self.hip, self.hip - made["b"] * self.along[1]]
+        self.masses = list(zip((made["mass"], made["hip_mass"], made["mass"]), places, strict=True))
+
+
+class _Kneed(_Legs):
+    """A straight stance leg, a hip, and a swing leg with a knee."""
+
+    def __init__(self, made: Ingredients) -> None:
+        super().__init__("kneed_walker", made, 3)
+        shank, thigh = made["a1"] + made["b1"], made["a2"] + made["b2"]
+        self.hip = self.foot + (shank + thigh) * self.along[0]
+        self.knee = self.hip - thigh * self.along[1]
+        self.tip = self.knee - shank * self.along[2]
+        heavy, light = made["thigh_mass"], made["shank_mass"]
+        self.masses = [
+            (light, self.foot + made["a1"] * self.along[0]), (heavy, self.foot + (shank + made["a2"]) * self.along[0]),
+            (made["hip_mass"], self.hip), (heavy, self.hip - made["b2"] * self.along[1]),
+            (light, self.knee - made["b1"] * self.along[2]),
+        ]  # fmt: skip
+
+
+def _struck(lifted: Model, foot: ca.Function, *held: str) -> tuple[Impact, Callable[[Named], Named]]:
+    """The impact of a swing foot without slip or bounce, coordinates `held` equal, of a walker whose state has the
+    stance foot's place and velocity too; and such a state of one that has not."""
+    count = lifted.degrees_of_freedom
+
+    def contact(x: Named, p: Named) -> list[Any]:
+        place = foot(ca.vertcat(*x[:count]), ca.vertcat(*p))
+        return [ca.dot(_normal(p), place), ca.dot(_downhill(p), place), *(x[held[0]] - x[one] for one in held[1:])]
+
+    def whole(x: Named) -> Named:
+        return Named.of(lifted.state_names, ca.vertcat(0, 0, *x[: count - 2], 0, 0, *x[count - 2 :]))
+
+    return impact(lifted, contact), whole
 
 
 def compass_gait(
@@ -103,19 +179,8 @@ def compass_gait(
     names, drawn = ["stance", "swing"], ca.horzcat(ca.SX.zeros(2), _downwards(fixed.hip), _downwards(fixed.tip))
     model = fixed.model(names=names, angles=[True, True], points=drawn)
     lifted = floating.model(names=["x", "y", *names], angles=[False, False, True, True])
-    foot = ca.Function("foot", [floating.made.q, floating.made.parameters], [floating.tip])
-    ground = fixed.ground_force(model)
-
-    def contact(x: Named, p: Named) -> list[Any]:
-        """The swing foot's height along the slope's normal, and its place along the slope."""
-        place = foot(ca.vertcat(*x[:4]), ca.vertcat(*p))
-        return [ca.dot(_normal(p), place), ca.dot(_downhill(p), place)]
-
-    struck = impact(lifted, contact)
-
-    def whole(x: Named) -> Named:
-        """The same state with the stance foot's place and velocity, which are 0."""
-        return Named.of(lifted.state_names, ca.vertcat(0, 0, *x[:2], 0, 0, *x[2:]))
+    foot, ground = fixed.swing_foot(), fixed.ground_force(model)
+    struck, whole = _struck(lifted, floating.swing_foot())
 
     def after(x: Named, p: Named) -> Any:
         found = struck.after(whole(x), p)
@@ -125,9 +190,78 @@ def compass_gait(
         "strike", "step", "step", guard=lambda x, p: x.stance + x.swing + 2 * p.slope, reset=after,
         allowed=lambda x, p: x.swing - x.stance, ignored=SCUFFING,
         impulse=lambda x, p: struck.impulse(whole(x), p), lost=lambda x, p: struck.lost(whole(x), p),
+        advance=lambda x, p: _downwards(foot(ca.vertcat(*x[:2]), ca.vertcat(*p))),
     )  # fmt: skip
     force = {"ground force": lambda x, p: ca.dot(_normal(p), ground(ca.vertcat(*x), ca.vertcat(*p)))}
-    return hybrid([Mode("step", model, force)], [strikes], ["strike"], system=model.system)
+    return hybrid([Mode("step", model, force)], [strikes], ["strike"], system=model.system, ground=_slope)
+
+
+def kneed_walker(
+    slope: float = 0.0504,
+    a1: float = 0.375,
+    b1: float = 0.125,
+    a2: float = 0.175,
+    b2: float = 0.325,
+    thigh_mass: float = 0.5,
+    shank_mass: float = 0.05,
+    hip_mass: float = 0.5,
+    gravity: float = 9.81,
+) -> Model:
+    """A walker with knees on a slope (rad): the swing leg's knee is `free` until it straightens, then `locked`.
+
+    The stance leg is straight. Masses: of the shank at a1 from the foot, b1 from the knee (m), of the thigh at a2 from
+    the knee, b2 from the hip. Angles from the vertical. The knee stops without bounce and locks; so does the foot at
+    the strike, after which the legs change their names and the knee behind is free.
+    Source: V. F. Hsu Chen, Passive dynamic walking with knees: a point foot model, MIT (2007).
+    """
+    numbers = {"a1": a1, "b1": b1, "a2": a2, "b2": b2, "thigh_mass": thigh_mass, "shank_mass": shank_mass}
+    parameters = numbers | {"hip_mass": hip_mass, "gravity": gravity}, {"slope": slope}
+    fixed, floating = (_Kneed(ingredients(count, *parameters)) for count in (3, 5))
+    names, corners = ["stance", "thigh", "shank"], (fixed.foot, fixed.hip, fixed.knee, fixed.tip)
+    drawn = {"names": names, "angles": [True] * 3, "points": ca.horzcat(*map(_downwards, corners))}
+    free = fixed.model(**drawn)
+    locked = fixed.model(**drawn, forces=_locking(free, fixed.made))
+    lifted = floating.model(names=["x", "y", *names], angles=[False] * 2 + [True] * 3)
+    struck, whole = _struck(lifted, floating.swing_foot(), "thigh", "shank")
+    straight, foot = impact(free, lambda x, p: x.thigh - x.shank), fixed.swing_foot()
+
+    def height(x: Named, p: Named) -> Any:
+        return ca.dot(_normal(p), foot(ca.vertcat(*x[:3]), ca.vertcat(*p)))
+
+    def after(x: Named, p: Named) -> Any:
+        found = struck.after(whole(x), p)
+        return ca.vertcat(found[3], found[2], found[2], found[8], found[7], found[7])
+
+    transitions = [
+        Transition(
+            "knee", "free", "locked", guard=straight.gap, reset=straight.after, impulse=straight.impulse,
+            lost=straight.lost,
+        ),
+        Transition(
+            "strike", "locked", "free", guard=height, reset=after, impulse=lambda x, p: struck.impulse(whole(x), p),
+            lost=lambda x, p: struck.lost(whole(x), p),
+            advance=lambda x, p: _downwards(foot(ca.vertcat(*x[:3]), ca.vertcat(*p))),
+        ),
+    ]  # fmt: skip
+
+    def pushing(model: Model) -> dict[str, Any]:
+        ground = fixed.ground_force(model)
+        return {"ground force": lambda x, p: ca.dot(_normal(p), ground(ca.vertcat(*x), ca.vertcat(*p)))}
+
+    modes = [
+        Mode("free", free, pushing(free) | {"knee": lambda x, p: x.thigh - x.shank}),
+        Mode("locked", locked, pushing(locked) | {"foot": height}),
+    ]
+    return hybrid(modes, transitions, ["knee", "strike"], system=free.system, ground=_slope)
+
+
+def _locking(free: Model, made: Ingredients) -> ca.SX:
+    """The forces of a lock that keeps thigh and shank in line: M a = M a_free + J^T L with J a = 0."""
+    given = [made.q, made.v, made.parameters]
+    mass = ca.hessian(free.kinetic(*given), made.v)[0]
+    line = ca.SX([[0.0, 1.0, -1.0]])
+    balances = LinearBalances(mass, -mass @ free.acceleration(0, *given), line.T, line, ca.SX(0))
+    return line.T @ eliminated(balances, given, True)(*given)[3]
 
 
 def _downwards(place: ca.SX) -> ca.SX:
@@ -155,7 +289,7 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
         raise InputError(f"system.arguments.spokes: must be at least 3, got {spokes}; a wheel needs them")
     made = ingredients(1, {"length": length, "gravity": gravity}, {"slope": slope})
     arm, half = made["length"], np.pi / count
-    ends = [ca.vertcat(arm * ca.cos(made.q + 2 * half * k), arm * ca.sin(made.q + 2 * half * k)) for k in range(count)]
+    ends = [ca.vertcat(arm * ca.cos(made.q + 2 * half * k), -arm * ca.sin(made.q + 2 * half * k)) for k in range(count)]
     hub = ca.vertcat(-arm * ca.cos(made.q), arm * ca.sin(made.q))
     rays = [hub + change * one for one in ends for change in (1, 0)]
     model = made.model(
@@ -167,9 +301,10 @@ def rimless_wheel(spokes: int = 8, slope: float = 0.08, length: float = 1.0, gra
         "strike", "spoke", "spoke", guard=lambda x, p: x.theta - p.slope - half, direction=1,
         reset=lambda x, p: ca.vertcat(x.theta - 2 * half, turn * x.thetadot),
         lost=lambda x, p: (1 - turn**2) * (p.length * x.thetadot) ** 2 / 2,
+        advance=lambda x, p: _downwards(2 * p.length * np.sin(half) * _downhill(p)),
     )  # fmt: skip
     force = {"spoke force": lambda x, p: p.gravity * ca.cos(x.theta) - p.length * x.thetadot**2}
-    return hybrid([Mode("spoke", model, force)], [strikes], ["strike"], system=model.system)
+    return hybrid([Mode("spoke", model, force)], [strikes], ["strike"], system=model.system, ground=_slope)
 
 
 def slip_runner(
@@ -202,17 +337,84 @@ def slip_runner(
             "stance",
             guard=lambda x, p: x.y - p.length * ca.cos(p.attack),
             reset=lambda x, p: changed(x, x=-p.length * ca.sin(p.attack)),
+            advance=lambda x, p: ca.vertcat(0, x.x + p.length * ca.sin(p.attack)),
         ),
         Transition(
             "liftoff", "stance", "flight", guard=lambda x, p: ca.norm_2(ca.vertcat(*x[:2])) - p.length, direction=1
         ),
-        Transition("apex", "flight", "flight", guard=lambda x, p: x.ydot, reset=lambda x, p: changed(x, x=0)),
+        Transition(
+            "apex",
+            "flight",
+            "flight",
+            guard=lambda x, p: x.ydot,
+            reset=lambda x, p: changed(x, x=0),
+            advance=lambda x, p: ca.vertcat(0, x.x),
+        ),
     ]
     holds = {"height": lambda x, p: x.y}
     return hybrid(
         [Mode("flight", flight, holds), Mode("stance", stance, holds)], transitions,
-        ["touchdown", "liftoff", "apex"], conserved=["energy"], system=flight.system,
+        ["touchdown", "liftoff", "apex"], conserved=["energy"], system=flight.system, ground=_level,
     )  # fmt: skip
+
+
+def slip_walker(
+    mass: float = 80.0, stiffness: float = 14000.0, length: float = 1.0, attack: float = 0.3665, gravity: float = 9.81
+) -> Model:
+    """The spring-loaded inverted pendulum walking: a point mass on one or two massless spring legs.
+
+    The leg in the air is held at the angle `attack` (rad) ahead of the vertical. x is measured from the foot that came
+    down last, the other one is `step` behind it. The cycle begins when only one leg is left on the ground.
+    Source: H. Geyer, A. Seyfarth, R. Blickhan, "Compliant leg behaviour explains basic dynamics of walking and
+    running", Proc. R. Soc. B 273 (2006) 2861-2867.
+    """
+    positive = {"mass": mass, "stiffness": stiffness, "length": length, "gravity": gravity}
+    made = ingredients(1, positive, {"attack": attack})
+
+    def legs(x: Named, double: bool) -> list[Any]:
+        """(right, up) of the mass from the feet on the ground."""
+        return [ca.vertcat(x.x, x.y), ca.vertcat(x.x + x.step, x.y)][: 1 + double]
+
+    def energy(x: Named, p: Named, double: bool) -> Any:
+        springs = sum((p.length - ca.norm_2(leg)) ** 2 for leg in legs(x, double))
+        return p.mass * (x.vx**2 + x.vy**2) / 2 + p.mass * p.gravity * x.y + p.stiffness * springs / 2
+
+    def field(x: Named, p: Named, double: bool) -> list[Any]:
+        pushes = [p.stiffness / p.mass * (p.length / ca.norm_2(leg) - 1) * leg for leg in legs(x, double)]
+        rates = sum(pushes, ca.SX.zeros(2))
+        return [x.vx, x.vy, rates[0], rates[1] - p.gravity, 0]
+
+    def feet(x: Named, p: Named, double: bool) -> Any:
+        ahead = x.x + p.length * ca.sin(p.attack), x.y - p.length * ca.cos(p.attack)
+        behind = (-x.step, 0) if double else ahead
+        return ca.horzcat(ca.SX.zeros(2), ca.vertcat(-x.y, x.x), ca.vertcat(-behind[1], behind[0]))
+
+    def mode(name: str, double: bool) -> Mode:
+        model = made.first_order(
+            "slip_walker", lambda _, x, p: field(x, p, double), ("x", "y", "vx", "vy", "step"),
+            invariants={"energy": lambda x, p: energy(x, p, double)}, points=lambda x, p: feet(x, p, double),
+        )  # fmt: skip
+        pairs = zip(("leg", "leg behind"), range(1 + double), strict=False)
+        return Mode(name, model, {
+            f"{one} pushes": lambda x, p, k=k: p.length - ca.norm_2(legs(x, double)[k]) for one, k in pairs
+        })  # fmt: skip
+
+    def landed(x: Named, p: Named) -> Any:
+        step = x.x + p.length * ca.sin(p.attack)
+        return changed(x, x=x.x - step, step=step)
+
+    single, double = mode("single", False), mode("double", True)
+    transitions = [
+        Transition(
+            "touchdown", "single", "double", guard=lambda x, p: x.y - p.length * ca.cos(p.attack), reset=landed,
+            advance=lambda x, p: ca.vertcat(0, x.x + p.length * ca.sin(p.attack)),
+        ),
+        Transition(
+            "liftoff", "double", "single", guard=lambda x, p: ca.norm_2(legs(x, True)[1]) - p.length, direction=1
+        ),
+    ]  # fmt: skip
+    cycle = ["touchdown", "liftoff"]
+    return hybrid([single, double], transitions, cycle, conserved=["energy"], system=single.model.system, ground=_level)
 
 
 def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float = 9.81) -> Model:
@@ -222,17 +424,19 @@ def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float 
     """
     made = ingredients(1, {"mass": mass, "stiffness": stiffness, "gravity": gravity})
     kinetic, weight = made["mass"] * made.v**2 / 2, made["mass"] * made["gravity"] * made.q
-    drawn = ca.horzcat(ca.SX.zeros(2), ca.vertcat(-made.q, 0))
-    flight = made.model("vertical_hopper", kinetic, weight, names=["y"], points=drawn)
+    foot, mass_at = ca.vertcat(-made.q, 0), ca.vertcat(-1 - made.q, 0)  # of a leg that is drawn 1 m long
+    flight = made.model("vertical_hopper", kinetic, weight, names=["y"], points=ca.horzcat(foot, mass_at))
     ground = made.model(
-        "vertical_hopper", kinetic, weight + made["stiffness"] * made.q**2 / 2, names=["y"], points=drawn
-    )
+        "vertical_hopper", kinetic, weight + made["stiffness"] * made.q**2 / 2, names=["y"],
+        points=ca.horzcat(ca.SX.zeros(2), mass_at),
+    )  # fmt: skip
     transitions = [
         Transition("liftoff", "ground", "flight", guard=lambda x, p: x.y, direction=1),
         Transition("touchdown", "flight", "ground", guard=lambda x, p: x.y),
     ]
     modes = [Mode("ground", ground), Mode("flight", flight, {"height": lambda x, p: x.y})]
-    return hybrid(modes, transitions, ["liftoff", "touchdown"], conserved=["energy"], system=flight.system)
+    cycle = ["liftoff", "touchdown"]
+    return hybrid(modes, transitions, cycle, conserved=["energy"], system=flight.system, ground=_level)
 
 
 def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
@@ -243,15 +447,93 @@ def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
     Seismological Society of America 53 (1963) 403-417.
     """
     made = ingredients(1, {"angle": angle, "stiffness": stiffness})
+    side = 2 * ca.sin(made["angle"]) * ca.vertcat(ca.cos(made.q), -ca.sin(made.q))  # (right, up), the diagonal is 2 m
+    up = 2 * ca.cos(made["angle"]) * ca.vertcat(ca.sin(made.q), ca.cos(made.q))
+    corners = [_downwards(place) for place in (0 * up, up, up - side, -side, 0 * up)]
     model = made.model(
         "rocking_block", made.v**2 / 2, made["stiffness"] * (ca.cos(made["angle"] - made.q)), names=["phi"],
-        points=ca.horzcat(ca.SX.zeros(2), ca.vertcat(-ca.cos(made["angle"] - made.q), ca.sin(made.q - made["angle"]))),
+        angles=[True], points=ca.horzcat(*corners),
     )  # fmt: skip
     bounce = Transition(
         "bounce", "rocking", "rocking", guard=lambda x, p: x.phi, reset=lambda x, p: changed(x, phidot=-x.phidot)
     )
     holds = {"gap": lambda x, p: x.phi}
-    return hybrid([Mode("rocking", model, holds)], [bounce], ["bounce"], conserved=["energy"], system=model.system)
+    parts = [Mode("rocking", model, holds)], [bounce], ["bounce"]
+    return hybrid(*parts, conserved=["energy"], system=model.system, ground=_level)
+
+
+def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:
+    """A unit point mass that bounces elastically in a symmetric wedge, whose walls lean by `angle` (rad).
+
+    x is measured from the middle, y up from the corner. The parabola that meets both walls at right angles has the
+    period T = 4 sin(a) / g sqrt(2 E / (1 + 2 cos(a)^2)).
+    Source: H. Lehtihet, B. Miller, "Numerical study of a billiard in a gravitational field", Physica D 21 (1986)
+    93-104.
+    """
+    made = ingredients(2, {"angle": angle, "gravity": gravity})
+    model = made.model(
+        "gravity_wedge", ca.sumsqr(made.v) / 2, made["gravity"] * made.q[1], names=["x", "y"],
+        points=_downwards(made.q),
+    )  # fmt: skip
+
+    def wall(side: int) -> tuple[Expression, Expression]:
+        """The distance from a wall, and the reflection there."""
+
+        def gap(x: Named, p: Named) -> Any:
+            return x.y * ca.sin(p.angle) - side * x.x * ca.cos(p.angle)
+
+        return gap, impact(model, gap, 1.0).after
+
+    sides = {"right": wall(1), "left": wall(-1)}
+    bounces = [Transition(name, "air", "air", guard=gap, reset=after) for name, (gap, after) in sides.items()]
+
+    def walls(x: Named, p: Named) -> Any:
+        del x
+        across = REACH * ca.tan(p.angle)
+        return ca.horzcat(ca.vertcat(-REACH, -across), ca.SX.zeros(2), ca.vertcat(-REACH, across))
+
+    holds = {f"distance from the {name} wall": gap for name, (gap, _) in sides.items()}
+    parts = [Mode("air", model, holds)], bounces, ["right", "left"]
+    return hybrid(*parts, conserved=["energy"], system=model.system, ground=walls)
+
+
+def wall_pendulum(
+    wall: float = 0.2,
+    length1: float = 1.0,
+    length2: float = 1.0,
+    mass1: float = 1.0,
+    mass2: float = 1.0,
+    gravity: float = 9.81,
+) -> Model:
+    """A double pendulum of point masses, the lower of which hits an upright wall (m to the right) elastically.
+
+    Angles from the downward vertical; M (v+ - v-) = J^T P, J v+ = -J v-.
+    """
+    numbers = {"length1": length1, "length2": length2, "mass1": mass1, "mass2": mass2, "gravity": gravity}
+    made = ingredients(2, numbers, {"wall": wall})
+    places = [made["length1"] * ca.vertcat(ca.cos(made.q[0]), ca.sin(made.q[0]))]
+    places.append(places[0] + made["length2"] * ca.vertcat(ca.cos(made.q[1]), ca.sin(made.q[1])))
+    masses = list(zip((made["mass1"], made["mass2"]), places, strict=True))
+    kinetic = sum((m * ca.sumsqr(ca.jtimes(place, made.q, made.v)) / 2 for m, place in masses), ca.SX(0))
+    potential = sum((-m * made["gravity"] * place[0] for m, place in masses), ca.SX(0))
+    model = made.model(
+        "wall_pendulum", kinetic, potential, names=["theta1", "theta2"], angles=[True, True],
+        points=ca.horzcat(ca.SX.zeros(2), *places),
+    )  # fmt: skip
+
+    def elbow(x: Named, p: Named) -> Any:
+        return p.wall - p.length1 * ca.sin(x.theta1)
+
+    def gap(x: Named, p: Named) -> Any:
+        return elbow(x, p) - p.length2 * ca.sin(x.theta2)
+
+    struck = impact(model, gap, 1.0)
+    hit = Transition(
+        "hit", "free", "free", guard=struck.gap, reset=struck.after, impulse=struck.impulse, lost=struck.lost
+    )
+    holds = {"gap": gap, "gap of the elbow": elbow}
+    parts = [Mode("free", model, holds)], [hit], ["hit"]
+    return hybrid(*parts, conserved=["energy"], system=model.system, ground=_wall("wall"))
 
 
 def bouncing_ball(
@@ -265,8 +547,9 @@ def bouncing_ball(
     positive = {"frequency": frequency, "gravity": gravity}
     made = ingredients(1, positive, {"amplitude": amplitude, "restitution": restitution})
     model = made.first_order(
-        "bouncing_ball", lambda _, x, p: [x.v, -p.gravity, p.frequency], ("y", "v", "phase"), angles=("phase",)
-    )
+        "bouncing_ball", lambda _, x, p: [x.v, -p.gravity, p.frequency], ("y", "v", "phase"), angles=("phase",),
+        points=lambda x, p: ca.vertcat(-x.y, 0),
+    )  # fmt: skip
 
     def table(x: Named, p: Named) -> Any:
         return p.amplitude * ca.sin(x.phase)
@@ -277,7 +560,11 @@ def bouncing_ball(
 
     bounce = Transition("bounce", "air", "air", guard=lambda x, p: x.y - table(x, p), reset=bounced)
     holds = {"gap": lambda x, p: x.y - table(x, p)}
-    return hybrid([Mode("air", model, holds)], [bounce], ["bounce"], system=model.system)
+
+    def surface(x: Named, p: Named) -> Any:
+        return ca.vertcat(ca.horzcat(-table(x, p), -table(x, p)), ca.SX([[-REACH, REACH]]))
+
+    return hybrid([Mode("air", model, holds)], [bounce], ["bounce"], system=model.system, ground=surface)
 
 
 def impact_oscillator(
@@ -295,19 +582,21 @@ def impact_oscillator(
     def field(_: Any, x: Named, p: Named) -> list[Any]:
         return [x.v, p.force * ca.cos(x.phase) - p.damping * x.v - x.x, p.frequency]
 
-    model = made.first_order("impact_oscillator", field, ("x", "v", "phase"), angles=("phase",))
+    model = made.first_order(
+        "impact_oscillator", field, ("x", "v", "phase"), angles=("phase",), points=lambda x, p: ca.vertcat(0, x.x)
+    )
     hit = Transition(
         "hit", "free", "free", guard=lambda x, p: x.x - p.stop, direction=1,
         reset=lambda x, p: changed(x, x=p.stop, v=-p.restitution * x.v),
     )  # fmt: skip
     holds = {"gap": lambda x, p: p.stop - x.x}
-    return hybrid([Mode("free", model, holds)], [hit], ["hit"], system=model.system)
+    return hybrid([Mode("free", model, holds)], [hit], ["hit"], system=model.system, ground=_wall("stop"))
 
 
 MACHINES: dict[str, Callable[..., Model]] = {
     one.__name__: one
     for one in (
-        bouncing_ball, compass_gait, impact_oscillator, rimless_wheel, rocking_block, simplest_walker, slip_runner,
-        vertical_hopper,
+        bouncing_ball, compass_gait, gravity_wedge, impact_oscillator, kneed_walker, rimless_wheel, rocking_block,
+        simplest_walker, slip_runner, slip_walker, vertical_hopper, wall_pendulum,
     )
 }  # fmt: skip

@@ -111,6 +111,11 @@ class PythonSystem(Table):
     arguments: dict[str, float | int | bool | str | list[float]] = Field(
         {}, description="its arguments by name: numbers (SI units), text or lists of numbers"
     )
+    cycle: list[Line] | None = Field(
+        None,
+        description="hybrid systems: the events of one period in their order, such as ['strike', 'strike'] for two "
+        "steps; the system's own when left out",
+    )
     scales: dict[str, Positive] | None = Field(
         None, description="sizes to measure in, where the motion does not show them: `length` of all coordinates that "
         "are no angles, coordinates or physical parameters by name, such as `{ length = 2e-6 }`",

@@ -63,7 +63,7 @@ class Step:
     """A validated step of length h (part of a segment) from `begin`.
 
     Every solution from the starting box is sum_k series_k t^k + remainder t^{p+1} for 0 <= t <= h
-    (2n components); `constants` are s and tau.
+    (d components); `constants` are s and tau.
     """
 
     begin: float
@@ -73,12 +73,12 @@ class Step:
     constants: Vector
 
     def at(self, time: Any) -> Vector:
-        """(q, v) (2n balls) at a time, or over a ball of times, after the beginning of the step."""
+        """(q, v) (d balls) at a time, or over a ball of times, after the beginning of the step."""
         return valued(self.series, self.remainder, time)
 
     @property
     def reach(self) -> Vector:
-        """Extended states z (2n + 2) over the whole step."""
+        """Extended states z (d + 2) over the whole step."""
         return self.at(up_to(arb(self.h))) + self.constants
 
 
@@ -121,9 +121,9 @@ def _rounded(h: float) -> float:
 
 
 def state_remainder(field: Field, found: Solution, h: Any, order: int) -> Vector | None:
-    """eta (2n) of a step of length h, or None when Picard's operator maps no trial into itself."""
+    """eta (d) of a step of length h, or None when Picard's operator maps no trial into itself."""
     span = up_to(h)
-    trial = [arb(0)] * (2 * field.size)
+    trial = [arb(0)] * field.dimension
     for _ in range(GUESSES):
         image = _state_image(field, found, span, trial, order)[0]
         if not all(x.is_finite() for x in image):
@@ -144,29 +144,29 @@ def _state_image(
     rest = remainders(found.code, found.values, order, span, inputs)
     accelerations = outputs(found.code, rest)[0]
     factor = found.tau / (order + 1)
-    image = [factor * x for x in own[n:]] + [factor * accelerations.get(i, arb(0)) for i in range(n)]
+    image = [factor * x for x in own[n:]] + [factor * accelerations.get(i, arb(0)) for i in range(n)]  # q' = v first
     return image, rest, own
 
 
 def transition_over(field: Field, step: Step, plain: Solution, settings: Settings) -> Any:
-    """dz(h)/dz over the starting box (2n+2 square), by the same argument for the variational equations."""
-    order, n, span = settings.order, field.size, up_to(arb(step.h))
+    """dz(h)/dz over the starting box (d+2 square), by the same argument for the variational equations."""
+    order, n, d, span = settings.order, field.size, field.dimension, up_to(arb(step.h))
     found = plain.varied(field.varied)
     _, rest, own = _state_image(field, found, span, step.remainder, order)
     series, values = found.transitions(), outputs(found.code, rest)
-    slopes = [*slope_series(n, found.results()[1], order),
-              slope_series(n, {k: [x] for k, x in values[1].items()}, 1)[0]]  # fmt: skip
+    slopes = [*slope_series(n, d, found.results()[1], order),
+              slope_series(n, d, {k: [x] for k, x in values[1].items()}, 1)[0]]  # fmt: skip
     forcing = own[n:] + [values[0].get(i, arb(0)) for i in range(n)]
-    blocks = [block(one, 2 * n + 1, 0, 2 * n + 2) for one in series]
-    trial = arb_mat(2 * n + 1, 2 * n + 2)
+    blocks = [block(one, d + 1, 0, d + 2) for one in series]
+    trial = arb_mat(d + 1, d + 2)
     for _ in range(GUESSES + 3):
         image = _transition_image(field, found, blocks, slopes, forcing, trial, span, order)
-        if inside(trial.entries()[: -2 * n - 2], image.entries()[: -2 * n - 2]):
-            last = arb_mat(2 * n + 2, 2 * n + 2, trial.entries() + [arb(0)] * (2 * n + 2))
+        if inside(trial.entries()[: -d - 2], image.entries()[: -d - 2]):
+            last = arb_mat(d + 2, d + 2, trial.entries() + [arb(0)] * (d + 2))
             return horner([*series, last], arb(step.h))
         grown = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + 1e-300)
-                 for x in image.entries()[: -2 * n - 2]]  # fmt: skip
-        trial = arb_mat(2 * n + 1, 2 * n + 2, grown + [arb(0)] * (2 * n + 2))
+                 for x in image.entries()[: -d - 2]]  # fmt: skip
+        trial = arb_mat(d + 1, d + 2, grown + [arb(0)] * (d + 2))
     raise IntegrationError(
         "the derivatives over a step could not be enclosed; raise the order", time=step.begin * float(found.tau.mid())
     )
@@ -176,22 +176,22 @@ def _transition_image(
     field: Field, found: Solution, blocks: list[Any], slopes: list[Any], forcing: Vector, trial: Any, span: Any,
     order: int,
 ) -> Any:  # fmt: skip
-    """Picard's image of the remainder H (2n+1 x 2n+2) of the derivatives of (q, v, s).
+    """Picard's image of the remainder H (d+1 x d+2) of the derivatives of (q, v, s).
 
     `blocks` their coefficients 0..p, `slopes` those of d(a + s u)/d(q, v, s) below p and its remainder,
-    `forcing` the remainders (2n) of the field, its derivative by tau.
+    `forcing` the remainders (d) of the field, its derivative by tau.
     """
-    n, width = field.size, 2 * field.size + 2
+    n, d, width = field.size, field.dimension, field.dimension + 2
     own = blocks[order] + trial * span
     found_tails = tails(blocks[:order], own, span)
     lower = slopes[0] * found_tails[0]
     for slope, tail in zip(slopes[1:], found_tails[1:], strict=True):
         lower += slope * tail
     factor = found.tau / (order + 1)
-    rows = [factor * x for x in own.entries()[n * width : 2 * n * width]] + [factor * x for x in lower.entries()]
+    rows = [factor * x for x in own.entries()[n * width : d * width]] + [factor * x for x in lower.entries()]
     for i, x in enumerate(forcing):
         rows[i * width + width - 1] += x / (order + 1)
-    return arb_mat(2 * n + 1, width, rows + [arb(0)] * width)
+    return arb_mat(d + 1, width, rows + [arb(0)] * width)
 
 
 # --------------------------------------------------------------------------------------------------
@@ -206,9 +206,9 @@ def _transition_image(
 class Cloud:
     """Every solution from a box at one time.
 
-    `centre` (2n + 2, exact) with `spread` (2n) in `frame` (2n square) encloses the solution from the
-    box's centre; `middle` + `turned` `rest` encloses the derivatives (2n x 2n+2) with respect to the
-    initial z at every point of the box; `start` (2n + 2) is the box about its centre.
+    `centre` (d + 2, exact) with `spread` (d) in `frame` (d square) encloses the solution from the
+    box's centre; `middle` + `turned` `rest` encloses the derivatives (d x d+2) with respect to the
+    initial z at every point of the box; `start` (d + 2) is the box about its centre.
     """
 
     centre: Vector
@@ -221,19 +221,19 @@ class Cloud:
 
     @property
     def point(self) -> Vector:
-        """Enclosure (2n + 2) of the solution from the centre of the initial box."""
+        """Enclosure (d + 2) of the solution from the centre of the initial box."""
         size = self.frame.nrows()
         moved = (self.frame * self.spread).entries()
         return [c + e for c, e in zip(self.centre[:size], moved, strict=True)] + self.centre[size:]
 
     @property
     def derivatives(self) -> Any:
-        """Enclosure (2n x 2n+2) of d(q, v)/dz0 over the box."""
+        """Enclosure (d x d+2) of d(q, v)/dz0 over the box."""
         return self.middle + self.turned * self.rest
 
     @property
     def hull(self) -> Vector:
-        """Enclosure (2n + 2) of all solutions: the mean value theorem from the centre."""
+        """Enclosure (d + 2) of all solutions: the mean value theorem from the centre."""
         size = self.frame.nrows()
         moved = (self.derivatives * self.start).entries()
         constants = [c + d for c, d in zip(self.centre[size:], self.start.entries()[size:], strict=True)]
@@ -241,7 +241,7 @@ class Cloud:
 
 
 def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
-    """The Cloud of a box z (2n + 2 balls) at the start, about a point of it (balls; its centre if absent)."""
+    """The Cloud of a box z (d + 2 balls) at the start, about a point of it (balls; its centre if absent)."""
     size = len(box) - 2
     about = list(point) if point is not None else midpoints(box)
     centre = midpoints(about)

@@ -3,8 +3,9 @@
     q' = tau v,    v' = tau (a(q, v) + s u(q, v)),    s' = tau' = 0,    0 <= time <= 1
 
 with tau the duration (s) of a segment and s the unfolding parameter. Both are components of the
-extended state z = (q, v, s, tau) (size 2n + 2), so that one integrator gives the derivatives with
-respect to everything that the theorem varies.
+extended state z = (q, v, s, tau) (size d + 2, d = 2n), so that one integrator gives the derivatives with
+respect to everything that the theorem varies. Of a first-order system q is the whole state (d = n), v is empty and
+q' = tau (f(q) + s grad I(q)); the programs' results are then all of the rates, and none where v makes half of them.
 """
 
 from __future__ import annotations
@@ -26,56 +27,87 @@ from orbitfinder.proof.series import BALLS, Recurrence, coefficients, outputs, r
 
 @dataclass(frozen=True)
 class Programs:
-    """What a proof evaluates, as programs in (q, v, s, p): accelerations, their Jacobian, energy, mass matrix.
+    """What a proof evaluates, as programs in (q, v, s, p): accelerations or rates, their Jacobian, energy, mass matrix.
 
-    `jacobian` has two results, a + s u (n) and its derivatives (n x 2n+1) by (q, v, s); `energy` has
-    E (1) and its gradient (2n); `mass` is M = d2T/dv2 (n x n).
+    `jacobian` has two results, a + s u (n) and its derivatives (n x d+1) by (q, v, s); `energy` has E (1) and its
+    gradient (d), None where nothing is conserved; `mass` is M = d2T/dv2 (n x n), None there and of first-order systems.
     """
 
     rates: Program
     jacobian: Program
-    energy: Program
-    mass: Program
+    energy: Program | None
+    mass: Program | None
+
+    @property
+    def all(self) -> tuple[Program, ...]:
+        """Those that whole turns of angles must leave as they are."""
+        return (self.rates,) if self.energy is None else (self.rates, self.energy)
 
 
 def programs(model: Model) -> Programs:
-    """The programs of an autonomous conservative Model. `InputError` says what cannot be proved."""
+    """The programs of an autonomous Model. `InputError` says what cannot be proved."""
     check_provable(model)
     n = model.degrees_of_freedom
-    q, v, s = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("s")
+    q, v, s = ca.SX.sym("q", n), ca.SX.sym("v", len(model.state_names) - n), ca.SX.sym("s")
     p = ca.SX.sym("p", len(model.parameter_values))
-    kinds = [model.acceleration, model.kinetic, model.potential, model.invariants[0].unfolding]
+    if model.rates is not None:
+        return _alone(model, model.rates, q, v, s, p)
+    kinds = [model.acceleration, model.kinetic, model.potential, *(one.unfolding for one in model.invariants)]
     if not all(one.is_a("SXFunction") for one in kinds):
         raise InputError(
             "system: its equations are solved numerically inside the graph (many coordinates, linkages), "
             "which ball arithmetic cannot follow; only systems with closed-form accelerations can be proved"
         )
-    rates = model.acceleration(0.0, q, v, p) + s * model.invariants[0].unfolding(q, v, p)
-    check_unfolding(program(model.invariants[0].unfolding), n)
-    total, kinetic = model.invariants[0].value(q, v, p), model.kinetic(q, v, p)
-    inputs, x = [q, v, s, p], ca.vertcat(q, v)
+    rates, inputs, x = model.acceleration(0.0, q, v, p), [q, v, s, p], ca.vertcat(q, v)
+    energy = mass = None
+    for one in model.invariants:
+        rates += s * one.unfolding(q, v, p)
+        check_unfolding(program(one.unfolding), n)
+        total = one.value(q, v, p)
+        energy = program(ca.Function("energy", inputs, [total, ca.gradient(total, x)]))
+        mass = program(ca.Function("mass", inputs, [ca.hessian(model.kinetic(q, v, p), v)[0]]))
     derivatives = ca.jacobian(rates, ca.vertcat(x, s))
     return Programs(
         program(ca.Function("accelerations", inputs, [rates])),
-        program(ca.Function("accelerations_and_jacobian", inputs, [rates, derivatives])),
-        program(ca.Function("energy", inputs, [total, ca.gradient(total, x)])),
-        program(ca.Function("mass", inputs, [ca.hessian(kinetic, v)[0]])),
-    )
+        program(ca.Function("accelerations_and_jacobian", inputs, [rates, derivatives])), energy, mass,
+    )  # fmt: skip
+
+
+def _alone(model: Model, rates: ca.Function, x: ca.SX, v: ca.SX, s: ca.SX, p: ca.SX) -> Programs:
+    """The programs of a first-order system: f + s grad H where f is J grad H on the graph, else f alone."""
+    inputs, rate, energy = [x, v, s, p], rates(0.0, x, p), None
+    if model.hamiltonian:
+        total = model.invariants[0].value(x, v, p)
+        slope, half = ca.gradient(total, x), x.numel() // 2
+        turned = ca.densify(ca.vertcat(slope[half:], -slope[:half]))
+        if program(ca.Function("f", inputs, [rate])) != program(ca.Function("f", inputs, [turned])):
+            raise InputError("system: its rates are not Hamilton's of its energy on their graph; use hamiltonian(...)")
+        rate, energy = rate + s * slope, program(ca.Function("energy", inputs, [total, slope]))
+    slopes = ca.jacobian(rate, ca.vertcat(x, s))
+    return Programs(
+        program(ca.Function("rates", inputs, [rate])),
+        program(ca.Function("rates_and_jacobian", inputs, [rate, slopes])), energy, None,
+    )  # fmt: skip
 
 
 def check_provable(model: Model) -> None:
-    """`InputError` unless the theorem covers the Model: autonomous, and the energy its only integral."""
+    """`InputError` unless the theorem covers the Model: autonomous, the energy its only integral, or without any."""
     if model.constraint is not None:
         raise InputError("system: linkages (systems under constraints) cannot be proved yet; prove a chain")
-    if model.rates is not None:
+    if model.forced:
         raise InputError(
-            "system: first-order systems cannot be proved yet, the theorem is about accelerations; describe it by "
-            "lagrange(...) where it has a Lagrangian, as restricted_three_body is"
+            "system: forced systems cannot be proved yet, the theorem is about fields that do not depend on time; "
+            "prove an orbit of an autonomous one"
         )
-    if model.forced or not model.conservative or model.forces is not None:
-        raise InputError("system: forced and dissipative systems cannot be proved yet; the theorem fixes the energy")
+    if not model.invariants:
+        return
+    names = ", ".join(one.name for one in model.invariants)
+    if not model.canonical or not model.conservative:
+        raise InputError(
+            f"system: that it conserves {names} is declared and not how it is made, which the theorem needs; describe "
+            "it by hamiltonian(...) or lagrange(...)"
+        )
     if len(model.invariants) != 1:
-        names = ", ".join(one.name for one in model.invariants)
         raise InputError(
             f"system: it conserves {names}; the theorem unfolds the energy alone, so give the system gravity "
             "or remove the other symmetry"
@@ -94,15 +126,17 @@ class Field:
     """The field with its parameters filled in, at the precision in force when it was made."""
 
     size: int
-    """n, degrees of freedom"""
+    """n, degrees of freedom, of a first-order system d"""
+    dimension: int
+    """d, components of the state"""
     plain: Recurrence
     varied: Recurrence
-    energy_program: Program
-    mass_program: Program
+    energy_program: Program | None
+    mass_program: Program | None
     parameters: Vector
 
     def states(self, z: Sequence[Any], order: int) -> list[Vector]:
-        """Series of (q, v) (2n lists of order + 1 balls) of the solution through z (2n + 2)."""
+        """Series of (q, v) (d lists of order + 1 balls) of the solution through z (d + 2)."""
         return self.solution(z, order).states
 
     def solution(self, z: Sequence[Any], order: int, vary: bool = False) -> Solution:
@@ -111,21 +145,25 @@ class Field:
         return plain.varied(self.varied) if vary else plain
 
     def rates(self, z: Sequence[Any]) -> Vector:
-        """The field at z: z' (2n + 2)."""
+        """The field at z: z' (d + 2)."""
         states = self.states(z, 1)
         return [series[1] for series in states] + [arb(0), arb(0)]
 
     def energy(self, z: Sequence[Any]) -> tuple[Any, Vector]:
-        """Energy (J) and its gradient (2n) at z."""
-        n = self.size
-        value, slope = self.energy_program.run([z[:n], z[n : 2 * n], [z[2 * n]], self.parameters], BALLS)
-        return value[0], [slope.get(i, arb(0)) for i in range(2 * n)]
+        """Energy (J) and its gradient (d) at z, of a Model that conserves it."""
+        assert self.energy_program is not None
+        value, slope = self.energy_program.run(self._arguments(z), BALLS)
+        return value[0], [slope.get(i, arb(0)) for i in range(self.dimension)]
 
     def mass(self, z: Sequence[Any]) -> Any:
-        """Mass matrix M(q) (n x n) at z."""
-        n = self.size
-        found = self.mass_program.run([z[:n], z[n : 2 * n], [z[2 * n]], self.parameters], BALLS)[0]
+        """Mass matrix M(q) (n x n) at z, of a mechanical system."""
+        assert self.mass_program is not None
+        n, found = self.size, self.mass_program.run(self._arguments(z), BALLS)[0]
         return arb_mat(n, n, [found.get(i + n * j, arb(0)) for i in range(n) for j in range(n)])
+
+    def _arguments(self, z: Sequence[Any]) -> list[Any]:
+        n, d = self.size, self.dimension
+        return [z[:n], z[n:d], [z[d]], self.parameters]
 
 
 def make_field(model: Model, codes: Programs | None = None) -> Field:
@@ -135,6 +173,7 @@ def make_field(model: Model, codes: Programs | None = None) -> Field:
     constants = {3: parameters}
     return Field(
         model.degrees_of_freedom,
+        len(model.state_names),
         recurrence(codes.rates, constants),
         recurrence(codes.jacobian, constants),
         codes.energy,
@@ -146,14 +185,14 @@ def make_field(model: Model, codes: Programs | None = None) -> Field:
 class Solution:
     """The series of one solution: q_{k+1} = tau v_k / (k+1), v_{k+1} = tau a_k / (k+1).
 
-    `states` (2n lists) has orders 0..order, `values` (of the program) 0..order - 1.
+    `states` (d lists) has orders 0..order, `values` (of the program) 0..order - 1.
     """
 
     def __init__(self, field: Field, z: Sequence[Any], order: int) -> None:
-        n = field.size
+        n, d = field.size, field.dimension
         self.n, self.order, self.z, self.code = n, order, z, field.plain
-        self.unfolding, self.tau = z[2 * n], z[2 * n + 1]
-        self.states: list[Vector] = [[value] for value in z[: 2 * n]]
+        self.unfolding, self.tau = z[d], z[d + 1]
+        self.states: list[Vector] = [[value] for value in z[:d]]
         self.values = coefficients(self.code, order - 1, self._variables)
         first = self.results()[0]
         self._grow(order, [first.get(i, [arb(0)] * order) for i in range(n)])
@@ -172,7 +211,7 @@ class Solution:
         return outputs(self.code, self.values)
 
     def transitions(self) -> list[Any]:
-        """Series (order + 1 matrices, 2n+2 square) of dz(t)/dz; the program must be the Jacobian's."""
+        """Series (order + 1 matrices, d+2 square) of dz(t)/dz; the program must be the Jacobian's."""
         return transition_series(self.n, self.z, self.states, self.results())
 
     def _variables(self, k: int, accelerations: list[Vector]) -> Vector:
@@ -183,9 +222,10 @@ class Solution:
     def _grow(self, k: int, accelerations: list[Vector]) -> None:
         """Coefficients of order k of the state from those of order k - 1 of the accelerations."""
         n, factor = self.n, self.tau / k
-        for i in range(n):
+        for i in range(len(self.states) - n):
             self.states[i].append(factor * self.states[n + i][k - 1])
-            self.states[n + i].append(factor * accelerations[i][k - 1])
+        for one, rate in zip(self.states[-n:], accelerations, strict=True):
+            one.append(factor * rate[k - 1])
 
     def _coefficient(self, argument: int, entry: int, k: int) -> Any:
         """Coefficient k of an argument (q, v, s) of the programs."""
@@ -199,22 +239,22 @@ def transition_series(n: int, z: Sequence[Any], states: list[Vector], results: l
 
     V' = tau (A V) + f e_tau^T with A = d(v, a)/d(q, v, s), V(0) = 1; rows of s and tau stay unit rows.
     """
-    size, order, tau = 2 * n + 2, len(states[0]) - 1, z[2 * n + 1]
-    slopes = slope_series(n, results[1], order)
-    blocks, series = [exact(np.eye(2 * n + 1, size))], [identity(size)]
+    d, order, tau = len(states), len(states[0]) - 1, z[-1]
+    size, slopes = d + 2, slope_series(n, d, results[1], order)
+    blocks, series = [exact(np.eye(d + 1, size))], [identity(size)]
     for k in range(order):
         lower = sum((slopes[j] * blocks[k - j] for j in range(1, k + 1)), slopes[0] * blocks[k])
         rows = _next_rows(n, k, tau, lower, blocks[k], [one[k + 1] for one in states])
-        blocks.append(arb_mat(2 * n + 1, size, rows + [arb(0)] * size))
+        blocks.append(arb_mat(d + 1, size, rows + [arb(0)] * size))
         series.append(arb_mat(size, size, rows + [arb(0)] * (2 * size)))
     return series
 
 
-def slope_series(n: int, jacobian: dict[int, Vector], order: int) -> list[Any]:
-    """Coefficients 0..order - 1 of d(a + s u)/d(q, v, s) as matrices (n x 2n+1)."""
+def slope_series(n: int, d: int, jacobian: dict[int, Vector], order: int) -> list[Any]:
+    """Coefficients 0..order - 1 of d(a + s u)/d(q, v, s) as matrices (n x d+1)."""
     zero = [arb(0)] * order
-    columns = [jacobian.get(i + n * j, zero) for i in range(n) for j in range(2 * n + 1)]
-    return [arb_mat(n, 2 * n + 1, [one[k] for one in columns]) for k in range(order)]
+    columns = [jacobian.get(i + n * j, zero) for i in range(n) for j in range(d + 1)]
+    return [arb_mat(n, d + 1, [one[k] for one in columns]) for k in range(order)]
 
 
 def _next_rows(n: int, k: int, tau: Any, lower: Any, block: Any, step: Vector) -> Vector:
@@ -222,9 +262,9 @@ def _next_rows(n: int, k: int, tau: Any, lower: Any, block: Any, step: Vector) -
 
     `step` are the coefficients k + 1 of the state, (tau f)_k / (k + 1).
     """
-    size, factor = 2 * n + 2, tau / (k + 1)
-    upper = block.entries()[n * size : 2 * n * size]
+    d, factor = len(step), tau / (k + 1)
+    size, upper = d + 2, block.entries()[n * (d + 2) : d * (d + 2)]
     rows = [factor * x for x in upper] + [factor * x for x in lower.entries()]
-    for i in range(2 * n):
+    for i in range(d):
         rows[i * size + size - 1] += step[i] / tau
     return rows

@@ -8,6 +8,10 @@
 | reversal | T/2 | v (n), q = k pi | q = k' pi (n) | energy |
 | brake+reflection | T/4 | q (n), v = 0 | q = k pi (n) | energy |
 
+A first-order system has its whole state (d components) where a mechanical one has (q, v), and the brake and declared
+reversals hold those that they flip. Where it conserves nothing, without the rows of the energy and without s, there are
+no such reversals: the section alone fixes an orbit.
+
 Unknowns: the first node's free components, the other nodes (2n each), s where it is used, and the
 segments' duration tau = T / (parts N). Equations: N - 1 times continuity (2n), then as above.
 
@@ -39,8 +43,8 @@ from orbitfinder.records.orbit import Orbit
 class Formulation:
     """A symmetry's boundary conditions for n coordinates in N segments.
 
-    `constants` (2n integers) are those of the symmetry's boundary rows in multiples of pi; `turns` (n integers) the
-    whole turns of a period.
+    `constants` (d integers) are those of the symmetry's boundary rows in multiples of pi; `turns` (n integers) the
+    whole turns of a period; `conserved` says that the energy is held.
     """
 
     symmetry: Symmetry
@@ -48,6 +52,12 @@ class Formulation:
     segments: int
     constants: tuple[int, ...]
     turns: tuple[int, ...]
+    conserved: bool = True
+
+    @property
+    def dimension(self) -> int:
+        """d, components of the state."""
+        return self.size if self.symmetry.first_order else 2 * self.size
 
     @property
     def parts(self) -> int:
@@ -57,7 +67,14 @@ class Formulation:
     @property
     def unfolded(self) -> bool:
         """True when the equations need the unfolding parameter to be square."""
-        return not self.symmetry.reverses
+        return self.conserved and not self.symmetry.reverses
+
+    @property
+    def square(self) -> bool:
+        """True when there are as many equations as unknowns: a reversal may hold too many components, or too few."""
+        section = int(not self.symmetry.reverses)
+        equations = self.dimension * (self.segments - 1) + len(self.ends) + section + int(self.conserved)
+        return equations == self.unknowns
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -71,15 +88,15 @@ class Formulation:
 
     @property
     def mirror(self) -> tuple[int, ...]:
-        """Signs (2n) with which the first node's components enter the conditions at the end."""
+        """Signs (d) with which the first node's components enter the conditions at the end."""
         if self.symmetry.reverses:
-            return (0,) * (2 * self.size)
+            return (0,) * self.dimension
         return tuple(int(one) for one in np.diag(self.symmetry.rows(self.size)[0]))
 
     @property
     def unknowns(self) -> int:
         """Number of unknowns, and of equations."""
-        return len(self.free) + 2 * self.size * (self.segments - 1) + 1 + int(self.unfolded)
+        return len(self.free) + self.dimension * (self.segments - 1) + 1 + int(self.unfolded)
 
     @property
     def targets(self) -> list[Any]:
@@ -87,19 +104,19 @@ class Formulation:
         return [arb.pi() * k for k in self.constants[-len(self.ends) :]]
 
     def nodes(self, unknowns: Vector) -> list[Vector]:
-        """The extended states z (2n + 2) at the nodes from the unknowns."""
-        n, count = self.size, len(self.free)
+        """The extended states z (d + 2) at the nodes from the unknowns."""
+        d, count = self.dimension, len(self.free)
         tail = [unknowns[-2] if self.unfolded else arb(0), unknowns[-1]]
-        first = [arb(0)] * (2 * n)
-        for component, k in zip(np.flatnonzero(self.symmetry.held(n)), self.constants, strict=False):
+        first = [arb(0)] * d
+        for component, k in zip(np.flatnonzero(self.symmetry.held(self.size)), self.constants, strict=False):
             first[component] = arb.pi() * k
         for place, value in zip(self.free, unknowns[:count], strict=True):
             first[place] = value
-        rest = [unknowns[count + 2 * n * k : count + 2 * n * (k + 1)] for k in range(self.segments - 1)]
+        rest = [unknowns[count + d * k : count + d * (k + 1)] for k in range(self.segments - 1)]
         return [[*node, *tail] for node in (first, *rest)]
 
     def unknowns_of(self, nodes: np.ndarray, duration: float) -> list[float]:
-        """The unknowns of float nodes (N x 2n) and a segment's duration (s)."""
+        """The unknowns of float nodes (N x d) and a segment's duration (s)."""
         head = [float(nodes[0, i]) for i in self.free]
         return [*head, *map(float, nodes[1:].ravel()), *([0.0] if self.unfolded else []), float(duration)]
 
@@ -131,7 +148,7 @@ SCAN = 2000
 
 @dataclass(frozen=True)
 class Approach:
-    """Where the proof starts: the formulation, float nodes (N x 2n), a segment's duration (s), and the
+    """Where the proof starts: the formulation, float nodes (N x d), a segment's duration (s), and the
     fraction of the period by which the recorded state comes after the first node.
     """
 
@@ -140,13 +157,13 @@ class Approach:
     duration: float
     phase: float
     flow: np.ndarray
-    """the field (2n) at the first node"""
+    """the field (d) at the first node"""
 
 
 def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | None) -> Approach:
     """Nodes of the orbit in a formulation, by DOP853 from the recorded state."""
     n, period = model.degrees_of_freedom, orbit.period
-    if orbit.state.size != 2 * n or len(orbit.winding) != n:
+    if orbit.state.size != len(model.state_names) or len(orbit.winding) != n:
         raise InputError(
             f"state: {plural(orbit.state.size, 'number')} for {plural(n, 'coordinate')}; run the problem again"
         )
@@ -166,7 +183,8 @@ def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | Non
     grid = begin + np.linspace(0.0, period / parts, count + 1)
     path = integrate(field, orbit.state, np.concatenate([[0.0], grid]) if begin > 0 else grid, SECOND)[-count - 1 :]
     constants = symmetry.constants(angles, path[0], path[-1], orbit.winding) / np.pi
-    form = Formulation(symmetry, n, count, tuple(map(round, constants)), tuple(int(k) for k in orbit.winding))
+    turns = tuple(int(k) for k in orbit.winding)
+    form = Formulation(symmetry, n, count, tuple(map(round, constants)), turns, bool(model.invariants))
     return Approach(form, path[:-1], period / parts / count, (-begin / period) % 1.0, field(0.0, path[0]))
 
 

@@ -7,10 +7,11 @@ sine of an odd value is odd, a product of two odd values even), so an answer "ye
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from orbitfinder.loops.symmetry import NONE, Symmetry
+from orbitfinder.loops.symmetry import ALONE, NONE, Symmetry
 from orbitfinder.proof.program import Program
 
 EVEN, ODD, NEITHER, BOTH = 1, -1, 0, 2
@@ -45,29 +46,31 @@ def _parity(name: str, a: int, b: int, exponent: float | None) -> int:
     return EVEN if a in (EVEN, BOTH) else NEITHER
 
 
-def has_symmetry(rates: Program, energy: Program, symmetry: Symmetry, n: int) -> bool:
+def has_symmetry(rates: Program, energy: Program | None, symmetry: Symmetry, n: int) -> bool:
     """True when the accelerations a(q, v, s) of n coordinates (and the energy) provably have a symmetry of orbits.
 
-    a(P q, sense P v, sense s) = P a(q, v, s), and E(P q, P v) = E(q, v) of one that does not reverse time. Arguments
-    are numbered q, v, s = 0, 1, 2.
+    a(P q, sense P v, sense s) = P a(q, v, s), and E(P q, P v) = E(q, v) of one that does not reverse time. Of rates
+    f(q, s) alone f(P q, sense s) = sense P f(q, s). Arguments are numbered q, v, s = 0, 1, 2.
     """
     for one in symmetry.maps:
         places = [round(sign) for sign in np.diag(one.places(n))]
         signs = {0: places, 1: [one.sense * sign for sign in places], 2: [one.sense]}
-        if one.order or any(found not in (places[i], BOTH) for i, found in parities(rates, signs)[0].items()):
+        image = [one.sense * sign for sign in places] if one.first_order else places
+        if one.order or any(found not in (image[i], BOTH) for i, found in parities(rates, signs)[0].items()):
             return False
-        if one.sense > 0 and any(found not in (EVEN, BOTH) for found in parities(energy, signs)[0].values()):
+        if energy and one.sense > 0 and any(found not in (EVEN, BOTH) for found in parities(energy, signs)[0].values()):
             return False
     return True
 
 
-def usable_symmetry(rates: Program, energy: Program, symmetry: Symmetry, n: int) -> Symmetry:
+def usable_symmetry(rates: Program, energy: Program | None, symmetry: Symmetry, n: int) -> Symmetry:
     """The recorded symmetry, or the part of it that the equations provably have; none when it is no part.
 
     A motion can look symmetric where its equations are not (x -> -x together with another reflection).
     """
-    candidates = (symmetry, *(Symmetry((one,)) for one in symmetry.maps))
-    return next((one for one in candidates if has_symmetry(rates, energy, one, n)), NONE)
+    candidates = (symmetry, *(replace(symmetry, maps=(one,)) for one in symmetry.maps))
+    found = (one for one in candidates if has_symmetry(rates, energy, one, n))
+    return next(found, ALONE if symmetry.first_order else NONE)
 
 
 def turns_leave(code: Program, angles: Sequence[bool]) -> bool:

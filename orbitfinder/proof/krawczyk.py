@@ -20,14 +20,15 @@ from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation
 
 Arc = tuple[Vector, Any, Vector, list[Step]]
-"""a segment: its end from the box's centre, derivatives over the box (2n x 2n+2), its end from the box, steps"""
+"""a segment: its end from the box's centre, derivatives over the box (d x d+2), its end from the box, steps"""
 
 
 @dataclass(frozen=True)
 class Equations:
     """F(u) = 0 with everything it needs besides the unknowns.
 
-    `section` are (anchor (2n), normal (2n)) of the hyperplane that fixes the phase, `energy` (J) a ball.
+    `section` are (anchor (d), normal (d)) of the hyperplane that fixes the phase, `energy` (J) a ball, None where
+    nothing is conserved.
     """
 
     field: Field
@@ -56,12 +57,12 @@ def arcs_over(equations: Equations, box: Vector, centre: Vector, settings: Setti
     nodes = equations.formulation.nodes
     for node, point in zip(nodes(box), nodes(centre), strict=True):
         end, steps = integrate(equations.field, cloud(node, point), settings)
-        found.append((end.point[: 2 * equations.field.size], end.derivatives, end.hull, steps))
+        found.append((end.point[: equations.field.dimension], end.derivatives, end.hull, steps))
     return found
 
 
 def residual(equations: Equations, unknowns: Vector, ends: Sequence[Vector]) -> Vector:
-    """F at a point (or over a box, without its correlations) from the segments' ends (2n each)."""
+    """F at a point (or over a box, without its correlations) from the segments' ends (d each)."""
     form = equations.formulation
     nodes = form.nodes(unknowns)
     rows: Vector = []
@@ -72,19 +73,19 @@ def residual(equations: Equations, unknowns: Vector, ends: Sequence[Vector]) -> 
     if equations.section is not None:
         anchor, normal = equations.section
         rows.append(sum((w * (x - a) for w, x, a in zip(normal, nodes[0], anchor, strict=False)), arb(0)))
-    return [*rows, equations.field.energy(nodes[0])[0] - equations.energy]
+    return rows if equations.energy is None else [*rows, equations.field.energy(nodes[0])[0] - equations.energy]
 
 
 def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> Any:
-    """DF over a box of unknowns from the segments' derivatives (2n x 2n+2 each)."""
+    """DF over a box of unknowns from the segments' derivatives (d x d+2 each)."""
     form = equations.formulation
-    n2, total, mirror = 2 * form.size, form.unknowns, form.mirror
+    d, total, mirror = form.dimension, form.unknowns, form.mirror
     free = {component: k for k, component in enumerate(form.free)}
     rows = [[arb(0)] * total for _ in range(total)]
 
     def place(k: int, component: int) -> int | None:
         if k:
-            return len(free) + n2 * (k - 1) + component
+            return len(free) + d * (k - 1) + component
         return free.get(component)
 
     def put(row: int, k: int, component: int, value: Any) -> None:
@@ -95,9 +96,9 @@ def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> A
     for k, matrix in enumerate(derivatives):
         last = k == len(derivatives) - 1
         values = matrix.entries()
-        for row, i in enumerate(form.ends if last else range(n2), start=n2 * k):
-            line = values[i * (n2 + 2) : (i + 1) * (n2 + 2)]
-            for j in range(n2):
+        for row, i in enumerate(form.ends if last else range(d), start=d * k):
+            line = values[i * (d + 2) : (i + 1) * (d + 2)]
+            for j in range(d):
                 put(row, k, j, line[j])
             rows[row][-1] += line[-1]
             if form.unfolded:
@@ -108,9 +109,10 @@ def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> A
                 put(row, k + 1, i, arb(-1))
     if equations.section is not None:
         for i, weight in enumerate(equations.section[1]):
-            put(total - 2, 0, i, arb(weight))
-    for i, slope in enumerate(equations.field.energy(form.nodes(box)[0])[1]):
-        put(total - 1, 0, i, slope)
+            put(total - 1 - int(form.conserved), 0, i, arb(weight))
+    if form.conserved:
+        for i, slope in enumerate(equations.field.energy(form.nodes(box)[0])[1]):
+            put(total - 1, 0, i, slope)
     return arb_mat(rows)
 
 
@@ -166,8 +168,8 @@ def step_length(series: list[Vector], left: float, settings: Settings) -> float:
 
 
 def flow(equations: Equations, node: Vector, settings: Settings, vary: bool) -> tuple[Vector, Any]:
-    """End (2n) of a segment and, when asked for, the derivatives (2n x 2n+2), as centres of balls."""
-    field, size = equations.field, 2 * equations.field.size
+    """End (d) of a segment and, when asked for, the derivatives (d x d+2), as centres of balls."""
+    field, size = equations.field, equations.field.dimension
     here, begin = midpoints(node), 0.0
     total = exact(np.eye(size + 2))
     while begin < 1.0:

@@ -58,7 +58,7 @@ def _proved(proof: Proof) -> dict[str, Any]:
         "box_radius": proof.radius,
         "enclosure_radius": proof.tightness,
         "contraction": proof.contraction,
-        "energy": enclosure(proof.energy),
+        "energy": None if proof.energy is None else enclosure(proof.energy),
         "period": enclosure(proof.period),
         "state": [enclosure(x) for x in proof.state],
         "phase": proof.phase,

@@ -52,9 +52,9 @@ Progress = Callable[[str], None]
 class Proof:
     """What was proved of one orbit, or why nothing was.
 
-    `radius` of the box X of unknowns about `nodes` (N x 2n balls, K(X)) in which exactly one orbit of
+    `radius` of the box X of unknowns about `nodes` (N x d balls, K(X)) in which exactly one orbit of
     this symmetry and energy exists; `contraction` bounds the norm of 1 - C DF(X); `period` (s) and
-    `state` (2n, the first node) are enclosures of that orbit; `distance` bounds how far the recorded
+    `state` (d, the first node) are enclosures of that orbit; `distance` bounds how far the recorded
     state is from it and `period_distance` (s) the recorded period from the enclosed one.
     """
 
@@ -83,7 +83,7 @@ class Proof:
 
     @property
     def state(self) -> Vector:
-        """The first node (2n balls)."""
+        """The first node (d balls)."""
         return self.nodes[0]
 
 
@@ -142,7 +142,7 @@ def _prove(
 ) -> dict[str, Any]:
     start = approach(model, orbit, symmetry, options.segments)
     check_symmetries(codes, start, model)
-    equations = make_equations(model, codes, start, decimal(orbit.energy))
+    equations = make_equations(model, codes, start, level(orbit, codes))
     centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
@@ -156,6 +156,11 @@ def _prove(
     }  # fmt: skip
 
 
+def level(orbit: Orbit, codes: Programs) -> Any:
+    """The recorded energy as a ball, None where none is conserved."""
+    return None if codes.energy is None else decimal(orbit.energy)
+
+
 def unknowns_at(start: Approach) -> Vector:
     """The approach's floats as exact unknowns."""
     return [arb(x) for x in start.formulation.unknowns_of(start.nodes, start.duration)]
@@ -164,7 +169,7 @@ def unknowns_at(start: Approach) -> Vector:
 def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) -> Equations:
     """The theorem's equations; the section is normal to the flow at the first node."""
     section = None
-    if start.formulation.unfolded:
+    if not start.formulation.symmetry.reverses:
         section = ([float(x) for x in start.nodes[0]], [float(x) for x in start.flow])
     return Equations(make_field(model, codes), start.formulation, energy, section)
 
@@ -172,10 +177,12 @@ def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) 
 def check_symmetries(codes: Programs, start: Approach, model: Model) -> None:
     """`NotProved` unless the symmetry used (and whole turns, where they occur) follow from the graphs."""
     form = start.formulation
+    if not form.square:
+        raise NotProved(f"{form.symmetry.name} does not fix the orbit in the state space of this system; use none")
     if not has_symmetry(codes.rates, codes.energy, form.symmetry, form.size):
         raise NotProved(f"the equations' {form.symmetry.name} symmetry could not be read off their graph; use none")
     turning = any(form.constants) or any(form.turns)
-    if turning and not all(turns_leave(code, model.angles) for code in (codes.rates, codes.energy)):
+    if turning and not all(turns_leave(code, model.angles) for code in codes.all):
         raise NotProved("the equations' invariance under whole turns could not be read off their graph")
 
 
@@ -200,11 +207,16 @@ def sharpened(equations: Equations, path: Trajectory, settings: Settings, say: P
     """The trajectory again in ever smaller boxes while the multipliers are too blurred for a verdict."""
     finer = replace(settings, order=settings.order + 6, tolerance=settings.tolerance * 1e-6)
     for _ in range(SHARPENINGS):
-        if stability(reduced(path, monodromy(path))).verdict != "open":
+        if verdict(path).verdict != "open":
             break
         say(f"stability open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
         path = trajectory(equations, path.box, finer)
     return path
+
+
+def verdict(path: Trajectory) -> Stability:
+    """The stability of an enclosed orbit."""
+    return stability(reduced(path, monodromy(path)), path.formulation.conserved)
 
 
 def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, options: Options) -> dict[str, Any]:
@@ -212,7 +224,7 @@ def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, o
     form = start.formulation
     if not moves(path):
         raise NotProved("the state could be an equilibrium")
-    if form.unfolded and not positive_mass(path):
+    if form.unfolded and not model.hamiltonian and not positive_mass(path):
         raise NotProved("the mass matrix could not be shown to be positive definite along the orbit")
     distance, apart = gaps(orbit, path, start, model.angles)
     if not max(distance, apart) <= options.nearness:
@@ -226,10 +238,10 @@ def conclusions(orbit: Orbit, model: Model, path: Trajectory, start: Approach, o
     return {
         "segments": form.segments, "period": path.period, "phase": start.phase,
         "tightness": radius(path.box),
-        "nodes": [node[: 2 * form.size] for node in form.nodes(path.box)],
+        "nodes": [node[: form.dimension] for node in form.nodes(path.box)],
         "unfolding": path.box[-2] if form.unfolded else None,
         "distance": distance, "period_distance": apart, "minimal": minimal, "divisors": divisors,
-        "stability": stability(reduced(path, monodromy(path))),
+        "stability": verdict(path),
     }  # fmt: skip
 
 
@@ -240,7 +252,8 @@ def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]
     recorded, corrected along the flow.
     """
     recorded, turn = [arb(float(x)) for x in orbit.state], 2 * arb.pi()
-    n, turning = path.formulation.size, [*angles, *([False] * path.formulation.size)]
+    d = path.formulation.dimension
+    turning = [*angles, *([False] * (d - len(angles)))]
 
     def difference(phase: Fraction) -> Vector:
         raw = [a - b for a, b in zip(path.state(phase % 1), recorded, strict=True)]
@@ -251,7 +264,7 @@ def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]
     for _ in range(3):
         apart = [float(x.mid()) for x in difference(phase)]
         here = path.state(phase % 1)
-        flow = [float(x.mid()) for x in path.field.rates([*here, arb(0), arb(1)])[: 2 * n]]
+        flow = [float(x.mid()) for x in path.field.rates([*here, arb(0), arb(1)])[:d]]
         speed = sum(x * x for x in flow)
         if speed > 0:
             phase -= Fraction(sum(a * b for a, b in zip(apart, flow, strict=True)) / speed / float(path.period.mid()))
@@ -269,7 +282,7 @@ GUARD = 8
 
 @dataclass(frozen=True)
 class Refined:
-    """An orbit to many digits: its period (s) and first node (2n) as balls.
+    """An orbit to many digits: its period (s) and first node (d) as balls.
 
     `enclosed` is True when exactly one orbit lies in the balls, False when they are only Newton's limit.
     `phase` is the fraction of the period by which the recorded state comes after the first node.
@@ -315,7 +328,7 @@ def refine(
         codes = programs(model)
         chosen = chosen_symmetry(orbit, model, codes, symmetry)
         start = approach(model, orbit, chosen, None)
-        equations = make_equations(model, codes, start, decimal(orbit.energy))
+        equations = make_equations(model, codes, start, level(orbit, codes))
         rough = solve(equations, unknowns_at(start), Settings(), 1e-20)[0]
         centre, rounds = solve(equations, rough, settings, 10.0 ** -(digits + GUARD // 2))
         say(f"Newton settled in {plural(rounds, 'iteration')} at {settings.bits} bits, order {settings.order}")
@@ -334,6 +347,6 @@ def refine(
         node = form.nodes(image)[0]
         return Refined(
             digits, enclose and not reason, reason, chosen.name, equations.energy,
-            node[-1] * form.segments * form.parts, node[: 2 * form.size],
+            node[-1] * form.segments * form.parts, node[: form.dimension],
             Fraction(start.phase), settings, time.perf_counter() - began,
         )  # fmt: skip

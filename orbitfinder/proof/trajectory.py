@@ -22,7 +22,7 @@ PIECES = 8
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The orbit's horizon enclosed: `steps` of every segment, derivatives (2n square) over the horizon.
+    """The orbit's horizon enclosed: `steps` of every segment, derivatives (d square) over the horizon.
 
     `box` (unknowns) holds every zero; all other boxes follow from it.
     """
@@ -35,7 +35,7 @@ class Trajectory:
 
     @property
     def first(self) -> Vector:
-        """The extended first node (2n + 2)."""
+        """The extended first node (d + 2)."""
         return self.formulation.nodes(self.box)[0]
 
     @property
@@ -44,7 +44,7 @@ class Trajectory:
         return self.box[-1] * self.formulation.segments * self.formulation.parts
 
     def state(self, fraction: Fraction) -> Vector:
-        """Enclosure of the state (2n) at a fraction (0..1, exact) of the period."""
+        """Enclosure of the state (d) at a fraction (0..1, exact) of the period."""
         time, transform = image(self.formulation, fraction)
         return list(transform(self._inside(Fraction(time) * self.formulation.segments)))
 
@@ -61,7 +61,7 @@ def trajectory(equations: Equations, box: Vector, settings: Settings) -> Traject
     """The trajectories from a box of unknowns that holds every zero, itself made smaller by the operator once more."""
     again = krawczyk(equations, box, settings)
     both = [x.intersection(y) for x, y in zip(box, again.image, strict=True)]
-    size = 2 * equations.field.size
+    size = equations.field.dimension
     total = identity(size)
     for arc in again.arcs:
         total = block(arc[1], size, 0, size) * total
@@ -69,8 +69,8 @@ def trajectory(equations: Equations, box: Vector, settings: Settings) -> Traject
 
 
 def monodromy(found: Trajectory) -> Any:
-    """dx(T)/dx(0) (2n square) from the horizon's, by the symmetry."""
-    phi, size = found.horizon_matrix, 2 * found.formulation.size
+    """dx(T)/dx(0) (d square) from the horizon's, by the symmetry."""
+    phi, size = found.horizon_matrix, found.formulation.dimension
     root, power = found.formulation.symmetry.root(
         phi,
         lambda other: phi.solve(other, algorithm="precond"),
@@ -101,16 +101,16 @@ def positive_definite(matrix: Any) -> bool:
 
 def moves(found: Trajectory) -> bool:
     """True when some component of the field is provably not zero at the first node."""
-    return any(not x.contains(0) for x in found.field.rates(found.first)[: 2 * found.formulation.size])
+    return any(not x.contains(0) for x in found.field.rates(found.first)[: found.formulation.dimension])
 
 
-def escape(found: Trajectory) -> tuple[Fraction, int] | None:
+def escape(found: Trajectory, angles: Sequence[bool]) -> tuple[Fraction, int] | None:
     """A fraction of the period within which one component, which is also returned, moves one way only.
 
     Until then the orbit has not been back at its first state.
     """
     form = found.formulation
-    rates = found.field.rates(found.first)[: 2 * form.size]
+    rates, turning = found.field.rates(found.first)[: form.dimension], dict(enumerate(angles))
     component = max(range(len(rates)), key=lambda i: float(abs(rates[i]).lower().mid()))
     reached = Fraction(0)
     for k, steps in enumerate(found.steps):
@@ -119,7 +119,8 @@ def escape(found: Trajectory) -> tuple[Fraction, int] | None:
                 low, high = (Fraction(step.h) * Fraction(j, PIECES) for j in (piece, piece + 1))
                 here = step.at(between(_ball(low), _ball(high))) + found.first[-2:]
                 turned = found.field.rates(here)[component].contains(0)
-                far = component < form.size and not abs(here[component] - found.first[component]) < 2 * arb.pi()
+                whole = abs(here[component] - found.first[component]) < 2 * arb.pi()
+                far = turning.get(component, False) and not whole
                 if turned or far:
                     return (reached, component) if reached else None
                 reached = (k + Fraction(step.begin) + high) / (form.segments * form.parts)
@@ -136,7 +137,7 @@ def minimal_period(found: Trajectory, angles: Sequence[bool]) -> tuple[bool, int
     A period T/k below the escape time is impossible; for the other k, x(T/k) must differ from x(0) in
     some component (angles modulo whole turns).
     """
-    left = escape(found)
+    left = escape(found, angles)
     if left is None:
         return False, 0, "no component of the state is monotone at first"
     most = int(1 / left[0])
@@ -156,13 +157,19 @@ def _apart(difference: Any, angle: bool) -> bool:
 
 
 def reduced(found: Trajectory, matrix: Any) -> Any:
-    """The monodromy on the energy surface modulo the flow (2n - 2 square).
+    """The monodromy on the energy surface modulo the flow (2n - 2 square; modulo the flow alone without an energy).
 
     With f the field, g = grad E, g Phi = g and Phi f = f; in a basis (f, W, u) with g W = 0 the matrix
     is block triangular and its middle block is what is asked for.
     """
-    size = 2 * found.formulation.size
+    size = found.formulation.dimension
     flow = found.field.rates(found.first)[:size]
+    if not found.formulation.conserved:
+        middle = np.array([[float(x.mid()) for x in flow]])
+        across = np.linalg.svd(middle / np.linalg.norm(middle))[2][1:]
+        basis = arb_mat([[x, *map(arb, row)] for x, row in zip(flow, across.T.tolist(), strict=True)])
+        whole = basis.solve(matrix * basis, algorithm="precond").tolist()
+        return arb_mat([row[1:] for row in whole[1:]])
     slope = found.field.energy(found.first)[1]
     g, f = (np.array([float(x.mid()) for x in vector]) for vector in (slope, flow))
     u = g / np.linalg.norm(g)
@@ -183,8 +190,8 @@ def reduced(found: Trajectory, matrix: Any) -> Any:
 class Stability:
     """Enclosed reduced multipliers (balls of complex numbers) and the verdict with its reason.
 
-    `verdict` is "linearly stable" (every multiplier simple and on the unit circle), "unstable" (one
-    is off it) or "open".
+    `verdict` is "linearly stable" (every multiplier simple and on the unit circle), "asymptotically stable" (every one
+    inside it, where nothing is conserved), "unstable" (one is off it; outside it) or "open".
     """
 
     verdict: str
@@ -192,8 +199,8 @@ class Stability:
     multipliers: list[Any]
 
 
-def stability(reduced: Any) -> Stability:
-    """The verdict on a reduced monodromy (2n - 2 square).
+def stability(reduced: Any, conserved: bool = True) -> Stability:
+    """The verdict on a reduced monodromy (2n - 2 square, d - 1 where nothing is conserved).
 
     The reduced matrix is real and preserves a symplectic form, so with mu also conj(mu), 1/mu and
     1/conj(mu) are multipliers. An enclosure that holds one multiplier and meets the mirror images
@@ -201,17 +208,22 @@ def stability(reduced: Any) -> Stability:
     Mathematical Methods of Classical Mechanics, section 42.
     """
     if reduced.nrows() == 0:
-        return Stability("linearly stable", "one degree of freedom: no multiplier besides the two at 1", [])
+        others = "one degree of freedom: no multiplier besides the two at 1"
+        return Stability("linearly stable", others if conserved else "no multiplier besides the flow's", [])
     try:
         found = list(reduced.eig(algorithm="rump"))
     except (ValueError, ZeroDivisionError):
         return Stability("open", "two multipliers could not be separated", [])
     found.sort(key=lambda one: (-round(float(abs(one).mid()), 6), float(one.imag.mid())))
     largest = abs(found[0])
+    if not conserved and max(abs(one).upper() for one in found) < 1:
+        return Stability("asymptotically stable", "every multiplier is inside the unit circle", found)
     if largest > 1:
         return Stability(
             "unstable", f"a multiplier of absolute value {arb(largest).str(12)} is off the unit circle", found
         )
+    if not conserved:
+        return Stability("open", "a multiplier could be on the unit circle or off it", found)
     for k, one in enumerate(found):
         mirrored = 1 / one.conjugate()
         for j, other in enumerate(found):

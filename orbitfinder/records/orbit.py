@@ -206,12 +206,16 @@ def read_orbit(source: Path) -> Orbit:
 
 
 def dense_samples(path: Path, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times (s) and states (k x 2n) of an orbit.npz; none where there is no such file. Raises `InputError`."""
+    """Times (s) and states (k x 2n) of an orbit.npz; none where there is no such file. Raises `InputError`.
+
+    Times increase; those of a hybrid orbit's events come twice, with the state before and the state after.
+    """
     if not path.exists():
         return np.zeros(0), np.zeros((0, size))
     found = arrays(path, ("times", "samples"), AGAIN)
     times, samples = found["times"].astype(float), found["samples"].astype(float)
-    if samples.shape != (*times.shape, size) or times.size == 1 or np.any(np.diff(times) <= 0):
+    back = np.any(np.diff(times) < 0) or np.any(times[2:] <= times[:-2])
+    if samples.shape != (*times.shape, size) or times.size == 1 or back:
         raise InputError(f"{path}: damaged (its times and states do not fit together or the orbit); {AGAIN}")
     return times, samples
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.orbits.closure import between
+from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.svg import COLOURS
@@ -35,6 +36,8 @@ class AnimationSettings:
     shortest: float = 2.0
     """s of motion at least, by repeating the period"""
     most_periods: int = 6
+    steps: int = 4
+    """footholds at least of what walks"""
     trace: float = 1.0
     """length of the tip's trace in units of the period or, for a simulation, in s"""
     supersampling: int = 3
@@ -54,6 +57,10 @@ class Clip:
     loops: bool
     closed: bool = False
     """True when the last point is a fixed joint too (a linkage)"""
+    ground: np.ndarray | None = None
+    """(frames x 2 x g) what the machine stands on or hits"""
+    cuts: tuple[int, ...] = ()
+    """frames before which the path of the last point is broken"""
 
 
 def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
@@ -79,12 +86,19 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
     if model.points is None and model.rates is None:
         raise InputError(f"{orbit.name}: this system declares no points to draw; pass points= when you build it")
     orbit = whole(orbit, model)
+    course = course_of(orbit, model)
     periods, frames = loop_frames(orbit.period, settings)
-    moments = (np.arange(frames) * (periods * orbit.period / frames)) % orbit.period
-    states = between(orbit.times, orbit.samples, model.degrees_of_freedom, moments)
+    if course.walks:
+        landed = sum(np.any(one.origin != other.origin) for one, other in pairwise([*course.pieces, course.pieces[0]]))
+        periods = max(periods, -(-settings.steps // max(int(landed), 1)))
+        frames = round(periods * orbit.period * settings.rate)
+    moments = np.arange(frames) * (periods * orbit.period / frames)
     trace = min(frames, round(settings.trace * orbit.period * settings.rate))
-    shown = portrait(model, states) if model.points is None else positions(model, states)
-    return Clip(shown, settings.rate, orbit.title or orbit.name, trace, loops=True)
+    shown = portrait(model, course.states(moments)) if model.points is None else course.positions(moments)
+    title, ground = orbit.title or orbit.name, course.grounds(moments) if model.points is not None else None
+    ends = [moment + k * orbit.period for k in range(periods) for moment, _ in course.events]
+    cuts = tuple(int(k) for k in np.searchsorted(moments, ends))
+    return Clip(shown, settings.rate, title, trace, loops=not course.walks, ground=ground, cuts=cuts)
 
 
 def portrait(model: Model, states: np.ndarray) -> np.ndarray:
@@ -109,17 +123,29 @@ def simulation_clip(
 def draw_frames(clip: Clip, settings: AnimationSettings | None = None) -> list[Any]:
     """The frames as Pillow images with one common palette."""
     settings = settings or AnimationSettings()
-    view = _View.around(clip.points, settings)
+    view = _View.around(clip.points, settings, clip.ground is not None and not clip.loops)
     count = len(clip.points)
     pictures = []
     for k in range(count):
         back = [(k - j) % count if clip.loops else max(0, k - j) for j in range(clip.trace, -1, -1)]
-        pictures.append(_draw(clip, k, clip.points[back, :, -1], view))
+        pictures.append(_draw(clip, k, [clip.points[one, :, -1] for one in _unbroken(back, clip.cuts)], view))
     palette = _palette()
     return [picture.quantize(palette=palette, dither=0) for picture in pictures]
 
 
+def _unbroken(frames: list[int], cuts: tuple[int, ...]) -> list[list[int]]:
+    """Frames in a row, parted where one of the cuts lies."""
+    parts: list[list[int]] = [[]]
+    for k in frames:
+        if k in cuts and parts[-1]:
+            parts.append([])
+        parts[-1].append(k)
+    return parts
+
+
 TRACE = "#F0B48A"
+WIDER = 1.6
+"""How much wider the picture of what walks is"""
 SHADES = 10
 """steps from white to each colour: what smooth edges need"""
 
@@ -143,30 +169,37 @@ class _View:
     scale: float
     pixels: int
     factor: int
+    height: int
     header: int = 26
 
     @staticmethod
-    def around(points: np.ndarray, settings: AnimationSettings) -> _View:
+    def around(points: np.ndarray, settings: AnimationSettings, wide: bool = False) -> _View:
         low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
-        span = max(float((high - low).max()), 1e-9)
-        return _View((low + high) / 2, 0.88 * settings.pixels / span, settings.pixels, settings.supersampling)
+        down, right = np.maximum(high - low, 1e-9)
+        pixels, span = settings.pixels, max(float(down), float(right))
+        if not wide:
+            return _View((low + high) / 2, 0.88 * pixels / span, pixels, settings.supersampling, pixels)
+        pixels = round(WIDER * pixels)
+        scale = 0.9 * min(pixels / right, settings.pixels / down)
+        return _View((low + high) / 2, scale, pixels, settings.supersampling, round(scale * down + 0.12 * pixels))
 
     def place(self, points: np.ndarray) -> list[tuple[float, float]]:
         """Pixels of (2 x k) positions, supersampled."""
         across = self.pixels / 2 + (points[1] - self.centre[1]) * self.scale
-        down = self.header + self.pixels / 2 + (points[0] - self.centre[0]) * self.scale
+        down = self.header + self.height / 2 + (points[0] - self.centre[0]) * self.scale
         return [(float(x) * self.factor, float(y) * self.factor) for x, y in zip(across, down, strict=True)]
 
 
-def _draw(clip: Clip, frame: int, trail: np.ndarray, view: _View) -> Any:
-    size = (view.pixels, view.pixels + view.header)
+def _draw(clip: Clip, frame: int, trails: list[np.ndarray], view: _View) -> Any:
+    size = (view.pixels, view.height + view.header)
     image = Image.new("RGB", (size[0] * view.factor, size[1] * view.factor), "white")
     pen = ImageDraw.Draw(image)
     where = view.place(clip.points[frame])
     many = len(where) > 20
-    if not clip.closed:
-        path = view.place(trail.T)
-        pen.line(path, fill=TRACE, width=2 * view.factor, joint="curve")
+    if clip.ground is not None:
+        pen.line(view.place(clip.ground[frame]), fill="#000000", width=2 * view.factor, joint="curve")
+    for trail in [] if clip.closed else trails:
+        pen.line(view.place(trail.T), fill=TRACE, width=2 * view.factor, joint="curve")
     pen.line(where, fill=COLOURS[0], width=(2 if many else 4) * view.factor, joint="curve")
     if not many:
         for x, y in where[1:]:

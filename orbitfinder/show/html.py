@@ -16,13 +16,16 @@ from orbitfinder.errors import OrbitfinderError, plural
 from orbitfinder.families.members import STEADY
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import positions
+from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.orbits.course import course, sampled
 from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Certificate, Orbit
 from orbitfinder.show.svg import diagram, moving_mechanism, moving_portrait, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
+EVENLY = 481
+"""Points of a period of a hybrid orbit, whose samples are not at equal times."""
 ROWS = 12
 """Orbits of an atlas in its table."""
 ROW = "display:flex;flex-wrap:wrap;gap:16px;align-items:center"
@@ -79,18 +82,32 @@ def motions(orbit: Orbit) -> list[str]:
     """Mechanism (where one is declared) and phase portrait of a period; nothing for a system that no file describes."""
     try:
         model = build_model(orbit.system)
-        recorded, states = len(orbit.samples) > 1, orbit.samples
-        states = states if recorded else sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
+        seen = course(model, *_period(orbit, model), orbit.winding)
     except OrbitfinderError:
         return []
+    moments = np.linspace(0.0, seen.period, EVENLY)[:-1]
+    states = seen.states(moments) if seen.jumps else seen.samples
     moved, period = np.ptp(states, axis=0), orbit.period
-    across, up = max(model.planes, key=lambda pair: moved[pair[0]])
+    jumping = seen.jumps and model.rates is not None  # a clock among the states would turn most
+    across, up = model.planes[0] if jumping else max(model.planes, key=lambda pair: moved[pair[0]])
     name = model.state_names[across]
     against = f"rate of {name}" if model.rates is None else model.state_names[up]
     parts = [moving_portrait(states[:, across], states[:, up], period, f"{against} against {name}")]
     if model.points is not None:
-        parts.insert(0, moving_mechanism(positions(model, states), period, f"the mechanism over {period:.4g} s"))
+        shown = seen.positions(moments) if seen.jumps else positions(model, states)
+        lines = seen.grounds(moments[:1])
+        ground = None if lines is None else lines[0]
+        parts.insert(0, moving_mechanism(shown, period, f"the mechanism over {period:.4g} s", ground))
     return parts
+
+
+def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states over a period, integrated from the state where none are recorded."""
+    if len(orbit.samples) > 1:
+        return orbit.times, orbit.samples
+    if model.hybrid is not None:
+        return sampled(model, orbit.state, orbit.period)
+    return np.linspace(0.0, orbit.period, SAMPLES), sample(build_flow(model), orbit.state, orbit.period, SAMPLES)
 
 
 def verdict_of(certificate: Certificate) -> str:

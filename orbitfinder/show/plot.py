@@ -19,7 +19,8 @@ from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.members import Motion, amplitudes, motions, whole
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model, energies, positions
+from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.paths import family_paths, has_path, path_views
@@ -28,6 +29,10 @@ from orbitfinder.show.svg import COLOURS, runs
 
 SNAPSHOTS = 48
 """Configurations drawn over one period."""
+STILL = 1e-9
+"""Change relative to its size below which a component stands still."""
+WALKED, GROUNDS, LEAST_SIDE = 3, 8, 0.4
+"""Periods drawn of what walks, places of a ground that moves, and the shorter side of a picture with ground."""
 MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
@@ -46,7 +51,7 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
         "time_histories": time_histories(orbit, model),
         "phase_portraits": phase_portraits(orbit, model),
     }
-    if np.isfinite(orbit.energy):
+    if np.isfinite(orbit.energy) and (model.hybrid is None or model.conservative):
         figures["energy_error"] = energy_error(orbit, model)
     if has_path(model):
         figures["path"] = path_views(orbit, model)
@@ -75,12 +80,6 @@ def units(model: Model) -> list[str]:
     return ["rad" if angle else "m" for angle in angles]
 
 
-def _samples(orbit: Orbit) -> tuple[np.ndarray, np.ndarray]:
-    if len(orbit.samples) < 2:
-        raise InputError(f"{orbit.name}: no samples to draw; keep orbit.npz beside orbit.json, or run it again")
-    return orbit.times, orbit.samples
-
-
 def _unit(model: Model, suffix: str = "") -> str:
     known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(units(model)) if unit)
     return f" ({known})" if known else ""
@@ -96,12 +95,16 @@ def axis(model: Model, i: int) -> str:
 
 
 def time_histories(orbit: Orbit, model: Model) -> Figure:
-    """Coordinates and velocities over one period; of a first-order system each component on its own scale."""
-    times, states = _samples(orbit)
+    """Coordinates and velocities over one period; of a first-order system each component on its own scale.
+
+    Events of a hybrid orbit are marked and named.
+    """
+    course = course_of(orbit, model)
+    times, states = course.times, course.samples
     n = model.degrees_of_freedom
     figure = new_figure(8.0, 6.0, *heading(orbit, "time histories"))
     if model.rates is not None:
-        return _components(figure, orbit, model)
+        return _components(figure, course, model)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for i in range(n):
         style = line_style(i, n)
@@ -110,6 +113,7 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
     dress(upper, "", f"coordinates{_unit(model)}")
     dress(lower, "time (s)", f"velocities{_unit(model, '/s')}")
     lower.set_xlim(0.0, orbit.period)
+    mark_events([upper, lower], course)
     if n <= MOST_IN_LEGEND:
         figure.legend(*upper.get_legend_handles_labels(), loc="outside right center", frameon=False)
     else:
@@ -117,15 +121,34 @@ def time_histories(orbit: Orbit, model: Model) -> Figure:
     return figure
 
 
-def _components(figure: Figure, orbit: Orbit, model: Model) -> Figure:
+def mark_events(panels: Sequence[Any], course: Course) -> None:
+    """A line at every event of a hybrid orbit, and its name above the first panel unless there are many."""
+    for moment, name in course.events:
+        for axes in panels:
+            axes.axvline(moment, color="0.45", linestyle=":", linewidth=0.9)
+        if len(course.events) <= MOST_IN_LEGEND:
+            panels[0].annotate(
+                name, (moment, 1.0), (0, 2), xycoords=("data", "axes fraction"), textcoords="offset points",
+                ha="right" if moment == course.period else "center", fontsize=8, color="0.3",
+            )  # fmt: skip
+
+
+def _components(figure: Figure, course: Course, model: Model) -> Figure:
     """Components of a state over one period below each other (at most 12, evenly chosen)."""
     n = model.degrees_of_freedom
     chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PORTRAITS)).round().astype(int))
     panels = np.atleast_1d(figure.subplots(chosen.size, 1, sharex=True))
     for axes, i in zip(panels, chosen, strict=True):
-        axes.plot(orbit.times, orbit.samples[:, i], color=COLOURS[0], linewidth=1.3)
+        axes.plot(course.times, course.samples[:, i], color=COLOURS[0], linewidth=1.3)
         dress(axes, "time (s)" if axes is panels[-1] else "", axis(model, int(i)))
-    panels[-1].set_xlim(0.0, orbit.period)
+        middle, spread = (
+            np.nanmean(course.samples[:, i]),
+            np.nanmax(np.abs(course.samples[:, i] - course.samples[0, i])),
+        )
+        if 0 < spread < STILL * abs(middle):  # what stands still must not have its round-off magnified
+            axes.set_ylim(*(middle + np.array([-0.5, 0.5]) * abs(middle)))
+    panels[-1].set_xlim(0.0, course.period)
+    mark_events(list(panels), course)
     return figure
 
 
@@ -139,8 +162,12 @@ def _colour_bar(figure: Figure, axes: Any, count: int) -> None:
 
 
 def phase_portraits(orbit: Orbit, model: Model) -> Figure:
-    """Velocity against coordinate, one panel each (at most 12, evenly chosen); see `Model.planes`."""
-    _, states = _samples(orbit)
+    """Velocity against coordinate, one panel each (at most 12, evenly chosen); see `Model.planes`.
+
+    Jumps of a hybrid orbit are dashed.
+    """
+    course = course_of(orbit, model)
+    states = course.samples
     planes = model.planes
     chosen = np.unique(np.linspace(0, len(planes) - 1, min(len(planes), MOST_PORTRAITS)).round().astype(int))
     columns = min(chosen.size, 3 if chosen.size != 4 else 2)
@@ -149,6 +176,17 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, (i, j) in zip(grid, [planes[k] for k in chosen], strict=False):
         axes.plot(states[:, i], states[:, j], color=COLOURS[0], linewidth=1.3)
+        for k, (before, after) in enumerate(course.resets):
+            name = "" if k else "reset"
+            axes.plot(
+                [before[i], after[i]],
+                [before[j], after[j]],
+                "--",
+                color=COLOURS[0],
+                linewidth=0.8,
+                alpha=0.7,
+                label=name,
+            )
         axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
         dress(axes, axis(model, i), axis(model, j))
         axes.locator_params(axis="x", nbins=4)
@@ -160,39 +198,77 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
 
 
 def swept_configuration(orbit: Orbit, model: Model) -> Figure:
-    """The links over one period, early ones faint, and the path of the tip; gravity points down the page."""
-    _, states = _samples(orbit)
-    figure = new_figure(6.4, 6.4, *heading(orbit, "swept configuration"))
-    axes = figure.subplots()
-    joints = positions(model, states[:: max(1, (len(states) - 1) // SNAPSHOTS)])
+    """The links over one period, early ones faint, and the path of the tip; gravity points down the page.
+
+    What walks is shown for three periods, on its ground.
+    """
+    course = course_of(orbit, model)
+    figure = new_figure(*((9.0, 5.0) if course.walks else (6.4, 6.4)), *heading(orbit, "swept configuration"))
+    axes, rounds = figure.subplots(), WALKED if course.walks else 1
+    if course.jumps:
+        moments = np.linspace(0.0, rounds * course.period, rounds * SNAPSHOTS // (2 if course.walks else 1) + 1)[:-1]
+        joints, paths = course.positions(moments), _tips(course, rounds)
+    else:
+        _, states = orbit.times, orbit.samples
+        joints, paths = positions(model, states[:: max(1, (len(states) - 1) // SNAPSHOTS)]), positions(model, states)
     sweep(axes, joints)
-    trail(axes, positions(model, states)[:, :, -1], 1.4, label="path of the tip")
+    trail(axes, paths[:, :, -1], 1.4, label="path of the tip")
     down, right = joints[0]
     marks = "o" if right.size <= 12 else None
     axes.plot(right, -down, color="black", marker=marks, linewidth=2.0, markersize=4.5, label="t = 0")
-    axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
+    if not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0:
+        axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
     plane(axes)
     axes.margins(0.06)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    draw_ground(axes, course)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
+
+
+def _tips(course: Course, rounds: int) -> np.ndarray:
+    """Positions (k x 2 x m) at the samples of some periods, broken by nan at events."""
+    found = []
+    for k in range(rounds):
+        for one in course.pieces:
+            found.append(positions(one.model, one.states) + (one.origin + k * course.stride)[:, None])
+            found.append(np.full((1, *found[-1].shape[1:]), np.nan))
+    return np.concatenate(found)
+
+
+def draw_ground(axes: Any, course: Course) -> None:
+    """What the machine stands on or hits, without changing what is seen; where it moves, its places at equal times."""
+    moments = np.linspace(0.0, course.period, GROUNDS, endpoint=False)
+    if (lines := course.grounds(moments)) is None:
+        return
+    moving = not course.walks and np.ptp(lines, axis=0).max() > 0
+    low, high = (np.array(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
+    wide, tall = np.ptp(low), np.ptp(high)
+    low, high = (each + np.array([-1, 1]) * max(0.0, LEAST_SIDE * side - own) / 2
+                 for each, side, own in ((low, tall, wide), (high, wide, tall)))  # fmt: skip
+    axes.set_aspect("equal", adjustable="box")
+    for k, (down, right) in enumerate(lines if moving else lines[:1]):
+        shade = {"alpha": 0.35} if moving else {}
+        axes.plot(right, -down, color="0.35", linewidth=1.6, zorder=1, label="" if k else "ground", **shade)
+    axes.set(xlim=low, ylim=high)
 
 
 def energy_error(orbit: Orbit, model: Model) -> Figure:
     """Energy of the samples minus that of the first, with the energies exchanged for scale."""
-    times, states = _samples(orbit)
-    kinetic, potential = energies(model, states)
+    course = course_of(orbit, model)
+    times, (kinetic, potential) = course.times, course.energies
     total = kinetic + potential
     figure = new_figure(8.0, 5.6, *heading(orbit, "energy"))
     upper, lower = (None, figure.subplots()) if model.rates is not None else figure.subplots(2, 1, sharex=True)
     if upper is not None:  # a first-order system's energy is one expression
         upper.plot(times, kinetic, label="kinetic", **line_style(0, 3))
-        upper.plot(times, potential - potential.min(), label="potential above its least", **line_style(1, 3))
+        upper.plot(times, potential - np.nanmin(potential), label="potential above its least", **line_style(1, 3))
         dress(upper, "", "energy (J)")
         upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
     lower.plot(times, total - total[0], color=COLOURS[2], linewidth=1.1)
     lower.axhline(0.0, color="0.5", linewidth=0.7)
     dress(lower, "time (s)", "E(t) \N{MINUS SIGN} E(0) (J)")
     lower.set_xlim(0.0, orbit.period)
+    mark_events([lower], course)
     return figure
 
 

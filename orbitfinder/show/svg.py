@@ -33,9 +33,9 @@ def picture(content: str, label: str, width: int = SIZE, height: int = SIZE) -> 
     )
 
 
-def fitted(points: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """Positions (..., 2) of x to the right and y up as pixels of a square, equal scales, centred."""
-    flat = points.reshape(-1, 2)
+def fitted(points: np.ndarray, size: int = SIZE, around: np.ndarray | None = None) -> np.ndarray:
+    """Positions (..., 2) of x to the right and y up as pixels of a square, equal scales, centred as `around` is."""
+    flat = (points if around is None else around).reshape(-1, 2)
     low, high = flat.min(axis=0), flat.max(axis=0)
     scale = (size - 2 * MARGIN) / max(float((high - low).max()), 1e-12)
     return np.asarray(size / 2 + (points - (low + high) / 2) * scale * np.array([1.0, -1.0]))
@@ -73,14 +73,19 @@ def dot(places: np.ndarray, duration: float) -> str:
     return f'<circle cx="{places[0][0]:.1f}" cy="{places[0][1]:.1f}" r="4" fill="{TIP}">{"".join(moves)}</circle>'
 
 
-def moving_mechanism(positions: np.ndarray, duration: float, label: str) -> str:
-    """A polyline through one period: `positions` (k x 2 x m; x down, y right), the path of its end behind it."""
-    places = fitted(np.stack([positions[:, 1, :], -positions[:, 0, :]], axis=-1))
+def moving_mechanism(positions: np.ndarray, duration: float, label: str, ground: np.ndarray | None = None) -> str:
+    """A polyline through one period: `positions` (k x 2 x m; x down, y right), the path of its end behind it, and what
+    it stands on (2 x g)."""
+    places = np.stack([positions[:, 1, :], -positions[:, 0, :]], axis=-1)
+    floor = np.zeros((0, 2)) if ground is None else fitted(ground[::-1].T * [1, -1], around=places)
+    places = fitted(places)
     shown = places[frames_of(places, places.shape[1])]
     tip = places[:: max(1, len(places) // 200), -1]
     fixed = np.ptp(places, axis=0).max(axis=1) < 0.5
     joints = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="currentColor"/>' for x, y in places[0][fixed])
+    below = f'<polyline points="{path(floor)}" fill="none" stroke="currentColor" stroke-opacity=".6"/>'
     return picture(
+        f"{below if len(floor) else ''}"
         f'<polyline points="{path(tip)}" fill="none" stroke="{TIP}" stroke-opacity=".45"/>'
         f'<polyline points="{path(shown[0])}" fill="none" stroke="{BODY}" stroke-width="3" stroke-linejoin="round">'
         f"{motion('points', [path(one) for one in shown], duration)}</polyline>{joints}"

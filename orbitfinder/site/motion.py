@@ -19,6 +19,7 @@ from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions, vector_field
 from orbitfinder.orbits.closure import alone, between
+from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 
 COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480)
@@ -32,6 +33,8 @@ ENDS = 1e-7
 """Agreement of two step sizes that is enough for a picture."""
 GAP = 1e-2
 """Largest jump between pieces of a motion that is still shown, relative to its extent."""
+JUMPING = 240
+"""Samples of a hybrid period, between whose events the page interpolates."""
 SMOOTH = 0.004
 LEVELS = 32767
 
@@ -51,6 +54,8 @@ class Motion:
     angles: tuple[bool, ...]
     points: np.ndarray
     drawn: str
+    course: Course | None = None
+    """of a hybrid orbit, whose motion jumps"""
 
     @property
     def partners(self) -> list[int]:
@@ -60,6 +65,9 @@ class Motion:
 
     def at(self, count: int, endpoint: bool = False) -> np.ndarray:
         """States at `count` equal times over the period."""
+        if self.course is not None:
+            moments = np.linspace(0.0, self.period, count, endpoint=endpoint)
+            return self.course.states(np.minimum(moments, np.nextafter(self.period, 0.0)))
         return resampled(self.times, self.states, self.period, count, len(self.angles), endpoint)
 
 
@@ -93,6 +101,8 @@ class Simulator:
         if found is None:
             return None if dense is None else _without_model(document, *dense)
         model, field = found
+        if model.hybrid is not None:
+            return _jumping(model, np.asarray(document["state"], float), period, dense)
         nodes = np.asarray(document.get("nodes") or [document["state"]], float)
         if nodes.ndim != 2 or nodes.shape[1] != len(model.state_names):
             return None
@@ -107,6 +117,8 @@ class Simulator:
         if found is None or len(one.state) != len(found[0].state_names):
             return None
         model, field = found
+        if model.hybrid is not None:
+            return _jumping(model, one.state, period, None)
         symmetry = symmetries_of(model).get(one.symmetry)
         if symmetry is None:
             return None
@@ -160,6 +172,21 @@ def _closes(states: np.ndarray, model: Model) -> bool:
     """True when the velocities return; the coordinates may have turned by whole turns."""
     n = model.degrees_of_freedom
     return named(NONE.name, model).closes(states, np.ones(n, bool) if model.rates is None else model.angular) <= GAP
+
+
+def _jumping(
+    model: Model, state: np.ndarray, period: float, dense: tuple[np.ndarray, np.ndarray] | None
+) -> Motion | None:
+    """The motion of a hybrid orbit from its samples or its state, by pieces; None where it goes another way."""
+    try:
+        times, states = dense or sampled(model, state, period)
+        path = course(model, times, states)
+    except OrbitfinderError:
+        return None
+    n, moments = model.degrees_of_freedom, np.arange(JUMPING) * period / JUMPING
+    shown = path.positions(moments) if model.points is not None else _plane(path.states(moments), n)
+    drawn = "mechanism" if model.points is not None else "plane"
+    return Motion(period, times, states, model.state_names, model.angles or (True,) * n, shown, drawn, path)
 
 
 def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
@@ -220,7 +247,7 @@ def packed(motion: Motion) -> dict[str, Any]:
     middle = np.repeat(centre, many)
     numbers = np.rint((channels - middle[:, None]) / half * LEVELS)
     still = {str(c): float(round(channels[c, 0], 9)) for c in range(2 * many) if c not in moving}
-    return {
+    return _landscape(motion) | {
         "count": count,
         "points": many,
         "period": motion.period,
@@ -233,6 +260,21 @@ def packed(motion: Motion) -> dict[str, Any]:
     }
 
 
+def _landscape(motion: Motion) -> dict[str, Any]:
+    """Of a hybrid orbit: the samples after which the motion jumps, and the ground, one polyline or one a sample."""
+    if motion.course is None:
+        return {}
+    count = len(motion.points)
+    step = motion.period / count
+    jumps = sorted({min(int(np.ceil(at / step - 1e-6)), count) - 1 for at, _ in motion.course.events})
+    lines = motion.course.grounds(np.arange(count) * step)
+    if lines is None:
+        return {"jumps": jumps}
+    if motion.course.walks or np.ptp(lines, axis=0).max() == 0:
+        lines = lines[:1]
+    return {"jumps": jumps, "ground": [[[float(f"{x:.6g}") for x in row] for row in line] for line in lines.tolist()]}
+
+
 def histories(motion: Motion) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
@@ -243,7 +285,7 @@ def histories(motion: Motion) -> dict[str, Any]:
     # a component that stands still must not have its round-off sampled
     among = np.repeat([extent[:n].max(), extent[n:].max()], n) if n < size else alone(extent)
     extent = np.maximum(extent, 1e-3 * among + 1e-12)
-    for count in (240, 360, 480, 960):
+    for count in (240, 360, 480, 960) if motion.course is None else (960,):
         states = motion.at(2 * count + 1, endpoint=True)
         turned = states[-1] - states[0]  # whole turns of running orbits
         inner = np.vstack([states[-3] - turned, states[::2], states[2] + turned])
