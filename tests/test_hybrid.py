@@ -623,3 +623,14 @@ def test_the_cascade_is_followed_to_period_8(walker):
         assert dict(family.points[0].system)["cycle"] == ["strike"] * order
     assert found == pytest.approx([0.0150884379411, 0.0176693748, 0.0181601196], abs=1e-9)
     assert of.certify(family.points[-1]).passed
+
+
+def test_a_saved_point_of_several_arcs_is_an_orbit(tmp_path):
+    """Durations of arcs are no arguments of its system; and what is edited is no orbit."""
+    orbit = of.find_orbit(of.Problem(vertical_hopper(), of.Guess([0.0, -1.9], 1.0), pin=of.pin(energy=2.0)))
+    of.follow_family(orbit, "stiffness", until=99.0, out=tmp_path, name="hopper")
+    point = of.load_orbit(tmp_path / "hopper" / "family.json#1")
+    assert set(point.free) == {"stiffness", "share_1"} and "share_1" not in point.system["arguments"]
+    assert of.certify(point).passed and point.system["arguments"]["stiffness"] == point.free["stiffness"]
+    moved = {**point.system, "arguments": {**point.system["arguments"], "stiffness": point.free["stiffness"] + 1e-3}}
+    failing(replace(point, system=moved), vertical_hopper(stiffness=point.free["stiffness"] + 1e-3), "recorded_period")

@@ -14,7 +14,6 @@ from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import shifting, turned
-from orbitfinder.mechanics.hybrid import SHARE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.closure import alone, carried
@@ -90,7 +89,7 @@ def make_point(
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",
-        system=system_at(p.model.system, {k: v for k, v in free.items() if not k.startswith(SHARE)}),
+        system=system_at(p.model.system, free),
         winding=winding(curve),
         shift=shift,
         nodes=place.nodes[:1],

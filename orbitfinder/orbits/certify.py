@@ -83,9 +83,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     describes.
     """
     allowed = tolerances or Tolerances()
-    model = model or build_model(orbit.system)
-    if model.hybrid is not None and not model.hybrid.cycle:
-        model = with_cycle(model, orbit.system.get("cycle", ()))
+    model = _model_of(orbit, model)
     whole = _turns(orbit, model)
     turns = turned(model, whole, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
@@ -135,6 +133,14 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         *_expected_checks(orbit, model),
     ]  # fmt: skip
     return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+
+
+def _model_of(orbit: Orbit, model: Model | None) -> Model:
+    """The orbit's Model, of a hybrid one without a cycle that with the record's."""
+    model = model or build_model(orbit.system)
+    if model.hybrid is not None and not model.hybrid.cycle:
+        return with_cycle(model, orbit.system.get("cycle", ()))
+    return model
 
 
 def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances) -> Certificate:
