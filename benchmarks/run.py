@@ -56,6 +56,7 @@ PARTS = (
 )
 ELSEWHERE = {
     "long_chains": "Normal modes of long chains: `python benchmarks/long_chains.py`, longer than this command runs",
+    "hybrid": "Walking machines, against a script by hand and a second program: `python benchmarks/hybrid.py`",
 }
 
 

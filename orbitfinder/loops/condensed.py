@@ -77,10 +77,10 @@ def eliminated(system: Linearised) -> Solver:
     count, size, _ = system.transitions.shape
     product, columns = np.eye(size), np.zeros((size, system.tail.shape[1]))
     places, slopes, by_tail = system.inner or (np.zeros(0, int), np.zeros((0, size)), np.zeros((0, columns.shape[1])))
-    inner = np.zeros((len(places), size + columns.shape[1]))
+    inner, at = np.zeros((len(places), size + columns.shape[1])), {int(k): j for j, k in enumerate(places)}
     for k, (transition, own) in enumerate(zip(system.transitions, system.columns, strict=True)):
-        for j in np.flatnonzero(places == k):
-            inner[j] = np.concatenate([slopes[j] @ product, slopes[j] @ columns + by_tail[j]])
+        if k in at:
+            inner[at[k]] = np.concatenate([slopes[at[k]] @ product, slopes[at[k]] @ columns + by_tail[at[k]]])
         product, columns = transition @ product, transition @ columns + own
     if not np.abs(product).max() <= LARGEST_PRODUCT:
         whole = system.matrix()
@@ -93,8 +93,8 @@ def eliminated(system: Linearised) -> Solver:
         defects, closing = rows[: (count - 1) * size].reshape(-1, size), rows[(count - 1) * size :]
         carried, closing = np.zeros(size), closing.copy()
         for k, transition in enumerate(system.transitions):
-            for j in np.flatnonzero(places == k):
-                closing[len(system.tail) + j] += slopes[j] @ carried
+            if k in at:
+                closing[len(system.tail) + at[k]] += slopes[at[k]] @ carried
             carried = transition @ carried
             if k < count - 1:
                 carried += defects[k]
