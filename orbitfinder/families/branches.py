@@ -36,9 +36,10 @@ from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, cor
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.hybrid import SHARE, repeated
+from orbitfinder.mechanics.hybrid import repeated
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
+from orbitfinder.records.orbit import SHARE
 from orbitfinder.records.reading import finite
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")

@@ -29,8 +29,9 @@ from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
-from orbitfinder.mechanics.hybrid import SHARE, Transition, share
+from orbitfinder.mechanics.hybrid import Transition, share
 from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.records.orbit import SHARE
 
 NONE_SUCH = np.zeros(0)
 GRAZED = 1e-30

@@ -22,7 +22,7 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.first_order import Named
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.orbit import SHARE as SHARE
+from orbitfinder.records.orbit import SHARE
 
 Expression = Callable[[Named, Named], Any]
 """(x, p) -> an expression of the state and the parameters, which have names: x.theta, p.slope"""
