@@ -152,7 +152,7 @@ class Equations:
             shares = [one for one in self.model.parameter_names if one.startswith(SHARE) and one not in self.free]
             object.__setattr__(self, "free", (*self.free, *shares))
             arcs = [self._marched(arc.model, k) for k, (arc, _) in enumerate(self.model.hybrid.arcs)]
-            object.__setattr__(self, "march", Marches(arcs))
+            object.__setattr__(self, "march", arcs[0] if len(arcs) == 1 else Marches(arcs))
         else:
             object.__setattr__(self, "march", given or self._marched(self.model))
 
