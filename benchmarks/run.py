@@ -55,7 +55,9 @@ PARTS = (
     Part("derivation", "Deriving chains: time and operations against the number of links"),
 )
 ELSEWHERE = {
+    "first_order": "First-order systems by Newton's method over DOP853 alone: `python benchmarks/first_order.py`",
     "long_chains": "Normal modes of long chains: `python benchmarks/long_chains.py`, longer than this command runs",
+    "hybrid": "Walking machines, against a script by hand and a second program: `python benchmarks/hybrid.py`",
 }
 
 

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from conftest import PRINTED
 
+import orbitfinder as of
+
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
+import first_order  # noqa: E402
 import machine  # noqa: E402
 import run  # noqa: E402
 from peers import auto, octave  # noqa: E402
@@ -119,3 +122,16 @@ def test_machine_is_described_without_paths():
     text = " ".join([machine.processor(), machine.versions("heyoka"), machine.load(), *run.conditions("load 0")])
     assert "casadi" in text and str(ROOT) not in text and "/usr" not in text
     assert machine.said_by("no-such-program") == "" and machine.package("no-such-package") is None
+
+
+def test_first_order_systems_are_written_twice():
+    """Rates by hand are the library's; Newton closes an orbit of Rössler's, and finds none where there is none."""
+    for name, field in first_order.GALLERY.items():
+        model = getattr(of.systems, name.replace("-", "_"))()
+        x = 0.3 + 0.1 * np.arange(len(model.state_names))
+        ours = model.rate(0.0, x, model.parameter_values).full().ravel()
+        assert field(x) == pytest.approx(ours, rel=1e-13, abs=1e-13), name
+    one = first_order.closed(first_order.rossler, np.array([-3.9, 5.6, 0.03]), 5.88)
+    assert one.period == pytest.approx(5.881088455553877, abs=1e-12) and one.closure < 1e-12
+    assert first_order.closed(lambda u: np.array([u[1], u[0]]), np.array([1.0, 0.2]), 1.0) is None
+    assert first_order.words(4) == ["LR", "LLR", "LRR", "LLLR", "LLRR", "LRRR"]

@@ -1,6 +1,7 @@
 """Hybrid orbits: references at 140 bits, closed forms, planted failures, saltation, the simulator, families."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,10 @@ from orbitfinder.mechanics.machines import (
     vertical_hopper,
 )
 from orbitfinder.orbits.hybrid import HybridCheck, cycle_from, first_unknowns, gather_hybrid
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+
+from peers.walkers import compass, doubling
 
 REFERENCE = {
     one["id"]: one["values"]
@@ -565,3 +570,69 @@ def test_no_family_starts_from_another_cycle():
     model = with_cycle(slip_runner(attack=0.35), ["apex"])
     with pytest.raises(ConvergenceError, match="goes through touchdown"):
         of.follow_family(of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=of.pin(energy=1800.0)), "energy")
+
+
+@pytest.mark.parametrize(
+    "guess, period, limit",
+    [([0.20, 0.40, -0.20, -0.02], "long_T", 0.970956), ([0.19, 0.38, -0.20, -0.01], "short_T", 0.943976)],
+)
+def test_the_walkers_gaits_as_the_slope_vanishes(guess, period, limit):
+    """theta / slope^(1/3) and the period tend to the published limits, with corrections in slope^(2/3)."""
+    wanted = np.pi if period == "short_T" else number("walker-limit", period)
+    orbit = of.find_orbit(of.Problem(simplest_walker(0.009), of.Guess(guess, 3.9 if period == "long_T" else 3.1)))
+    settings = of.FamilySettings(directions="backward", events=False)
+    slopes = (1e-5, 1e-6)
+    family = of.follow_family(orbit, "slope", at=slopes, until=5e-7, settings=settings)
+    points = [next(one for one in family.points if one.value == slope) for slope in slopes]
+    for read, known in ((lambda one: one.state[0] / one.value ** (1 / 3), limit), (lambda one: one.period, wanted)):
+        far, near = map(read, points)
+        ratio = 10 ** (2 / 3)
+        assert (ratio * near - far) / (ratio - 1) == pytest.approx(known, abs=1e-6)
+
+
+def test_a_second_program_finds_the_same_compass_gait():
+    """Equations, impact (from angular momentum), events and multipliers of `benchmarks/peers/walkers.py` alone."""
+    slope, guess = float(np.deg2rad(3.0)), of.Guess([0.22, -0.32, -1.09, -0.38], 0.73)
+    orbit = of.find_orbit(of.Problem(compass_gait(slope=slope), guess))
+    walker = compass(slope)
+    state, period = walker.orbit(np.asarray(guess.state))
+    assert orbit.state == pytest.approx(state, abs=1e-11) and orbit.period == pytest.approx(period, abs=1e-11)
+    for one in walker.multipliers(state)[:3]:
+        assert np.min(np.abs(orbit.floquet_multipliers - one)) < 1e-8
+
+
+@pytest.mark.slow
+def test_a_second_program_finds_the_same_period_doubling():
+    """The compass gait's first, to 1e-9: 4.3909 degrees, where simulations had told 4.37."""
+    orbit = of.find_orbit(of.Problem(compass_gait(), of.Guess([0.22, -0.32, -1.09, -0.38], 0.73)))
+    family = of.follow_family(orbit, "slope", until=float(np.deg2rad(4.6)))
+    first = next(one for one in family.events if one.kind == "period_doubling")
+    place, _ = doubling(compass, orbit.state, (float(np.deg2rad(4.3)), float(np.deg2rad(4.5))))
+    assert first.certified and first.parameter == pytest.approx(place, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_the_cascade_is_followed_to_period_8(walker):
+    """By continuing, and switching where periods double: the doublings of the simplest walker."""
+    family, found = of.follow_family(walker, "slope", until=0.0165), []
+    for order, points in ((2, 16), (4, 16), (8, 2)):
+        settings = of.FamilySettings(parameter="slope", directions="away", points=points)
+        event = next(one for one in family.events if one.kind == "period_doubling")
+        found.append(event.parameter)
+        family = of.follow_family(of.switch_branch(family, event), settings=settings)
+        assert dict(family.points[0].system)["cycle"] == ["strike"] * order
+        certificate = of.certify(family.points[0])
+        assert set(certificate.failures) <= {"action", "recorded_closure"}  # what a point of period 4 and 8 records
+        assert any(one.name == "minimal_cycle" and one.passed for one in certificate.checks)
+    assert found == pytest.approx([0.0150884379411, 0.0176693748, 0.0181601196], abs=1e-9)
+
+
+def test_a_saved_point_of_several_arcs_is_an_orbit(tmp_path):
+    """Durations of arcs are no arguments of its system; and what is edited is no orbit."""
+    orbit = of.find_orbit(of.Problem(vertical_hopper(), of.Guess([0.0, -1.9], 1.0), pin=of.pin(energy=2.0)))
+    of.follow_family(orbit, "stiffness", until=99.0, out=tmp_path, name="hopper")
+    point = of.load_orbit(tmp_path / "hopper" / "family.json#1")
+    assert set(point.free) == {"stiffness", "share_1"} and "share_1" not in point.system["arguments"]
+    assert of.certify(point).passed and point.system["arguments"]["stiffness"] == point.free["stiffness"]
+    moved = {**point.system, "arguments": {**point.system["arguments"], "stiffness": point.free["stiffness"] + 1e-3}}
+    failing(replace(point, system=moved), vertical_hopper(stiffness=point.free["stiffness"] + 1e-3), "recorded_period")

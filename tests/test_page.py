@@ -560,6 +560,7 @@ def test_problem_text_loads_as_the_same_problem(file, tmp_path):
         "period": problem.guess.period,
         "energy": 1.0,
         "winding": list(problem.turns),
+        "shift": dict.fromkeys(problem.relative, 0.0),
         "provenance": {"pin": {one.name: one.value for one in problem.pin}},
     }
     (tmp_path / "again.toml").write_text(orbit_text(about), encoding="utf-8")
@@ -567,6 +568,7 @@ def test_problem_text_loads_as_the_same_problem(file, tmp_path):
     assert dict(again.model.system) == dict(problem.model.system)
     assert np.array_equal(again.guess.state, problem.guess.state) and again.guess.period == problem.guess.period
     assert again.pin == problem.pin and again.title == problem.title and tuple(again.turns) == tuple(problem.turns)
+    assert again.relative == problem.relative
 
 
 def test_problem_text_finds_the_orbit_again(tmp_path):

@@ -15,6 +15,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.proof.balls import arb, precision
+from orbitfinder.proof.field import programs
 from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 
 ROOT = Path(__file__).parents[1]
@@ -155,6 +156,8 @@ def test_a_false_hamiltonian_is_refused(loop):
         prove(orbit, replace(model, hamiltonian=False))
     with pytest.raises(InputError, match="forced systems cannot be proved"):
         prove(orbit, replace(model, forcing_period=ca.Function("T", [p], [1.0])))
+    with pytest.raises(InputError, match="orbits with events cannot be proved"):
+        programs(of.systems.simplest_walker())
 
 
 def test_commands_prove_and_replay_without_energy(tmp_path):

@@ -20,7 +20,6 @@ from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import begin
 from orbitfinder.integrate.march import rounded, uniform
-from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Guess, Problem, segments_needed
 from orbitfinder.loops.symmetry import NONE
@@ -73,7 +72,7 @@ class ClosedLoop:
     @property
     def numbers(self) -> Numbers:
         """Energy, period and |action|, which images of a loop share."""
-        return self.problem.pin[0].value, self.w.period, abs(self.action)
+        return (self.problem.pin[0].value if self.problem.pin else 0.0), self.w.period, abs(self.action)
 
     @property
     def signature(self) -> Signature:
@@ -138,7 +137,7 @@ def finished(context: Context, seed: int, start: Start, known: ArrayLike | None)
 def converged(context: Context, start: Start) -> ClosedLoop:
     """The loop that a start leads to, over the period found."""
     guess = Guess(start.state, start.period)
-    problem = Problem(context.model, guess, pin=pin(energy=context.target.energy), symmetry=start.symmetry)
+    problem = Problem(context.model, guess, pin=context.pins, symmetry=start.symmetry)
     equations = context.equations[start.symmetry]
     w, end = begun(context, equations, start.state, start.period)
     if not problem.boundary.maps:
@@ -172,7 +171,8 @@ def solved(context: Context, problem: Problem, w: Unknowns) -> ClosedLoop:
     """The polished loop near w."""
     low, high = context.target.periods
     periods = low / PERIOD_MARGIN, high * PERIOD_MARGIN
-    loop = scaled(problem, context.equations[problem.symmetry], context.step, w, periods, context.units)
+    equations = context.equations[problem.symmetry]
+    loop = scaled(problem, equations, context.step, w, periods, context.units, context.clock)
     try:
         found = polished(loop, *solve(loop, w))
     except Stalled as stall:
@@ -200,7 +200,7 @@ def centred(context: Context, problem: Problem, nodes: np.ndarray) -> np.ndarray
     if problem.boundary.forward is not None:
         return nodes
     whole = np.ceil((nodes[0, :n] - np.pi) / (2 * np.pi)) * context.model.angular
-    return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(n)])
+    return nodes - 2 * np.pi * np.concatenate([whole, np.zeros(nodes.shape[1] - n)])
 
 
 def minimal(context: Context, loop: ClosedLoop) -> ClosedLoop:
@@ -211,7 +211,7 @@ def minimal(context: Context, loop: ClosedLoop) -> ClosedLoop:
     covers = [k for k in range(2, LARGEST_COVER + 1) if not np.any(loop.problem.turns % k)]
     near: list[bool] = []
     if covers:
-        states = loop.states / np.tile(context.lengths, 2)
+        states = loop.states / context.sizes
         near = [far < COVER for far in return_distances(loop.times, states, context.model.angular, covers)]
     if any(near):
         loop = uncovered(context, loop, max(compress(covers, near)))
@@ -226,7 +226,7 @@ def uncovered(context: Context, loop: ClosedLoop, cover: int) -> ClosedLoop:
     if period < context.target.periods[0]:
         raise ConvergenceError("period outside the range")
     winding = tuple(int(k) // cover for k in loop.problem.turns)
-    problem = Problem(context.model, Guess(state, period), pin=pin(energy=context.target.energy), winding=winding)
+    problem = Problem(context.model, Guess(state, period), pin=context.pins, winding=winding)
     w, _ = begun(context, context.equations[NONE.name], state, period)
     return solved(context, problem, w)
 

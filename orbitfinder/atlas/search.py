@@ -258,7 +258,7 @@ class Found:
 
 def search(
     model: Model,
-    energies: float | Sequence[float],
+    energies: float | Sequence[float] | None,
     periods: tuple[float, float],
     atlas: str | Path,
     *,
@@ -274,18 +274,19 @@ def search(
 ) -> Found:
     """Search for periodic orbits of a Model and keep the distinct certified ones in an atlas file.
 
-    `energies` in J, `periods` the range of minimal periods in s. Ends at `starts` starts for each energy
-    or after `budget` seconds (60 when neither is given), shared among the energies. The result depends on the
-    seed, not on the workers: 0 is this process, n are n spawned ones, `scheduler` the address of a Dask cluster,
-    `executor` any executor of concurrent.futures. `shard` (k, n), or "k/n", makes every n-th start only, from the k-th,
-    each shard in an atlas of its own for `merge_atlases`; "auto" takes k and n from the Slurm array that runs it.
+    `energies` in J, None of a system that conserves nothing, `periods` the range of minimal periods in s. Ends at
+    `starts` starts for each energy or after `budget` seconds (60 when neither is given), shared among the energies. The
+    result depends on the seed, not on the workers: 0 is this process, n are n spawned ones, `scheduler` the address of
+    a Dask cluster, `executor` any executor of concurrent.futures. `shard` (k, n), or "k/n", makes every n-th start
+    only, from the k-th, each shard in an atlas of its own for `merge_atlases`; "auto" takes k and n from the Slurm
+    array that runs it.
     A search that was stopped, however, goes on when the same is asked again. `folder`: see `Request`.
     Raises `InputError`.
     """
     part = shard_from(shard)
-    shells = tuple(float(one) for one in (energies if isinstance(energies, Sequence) else [energies]))
     if model.hybrid is not None:
         raise InputError("system: hybrid systems are not searched yet; find their orbits from guesses, then families")
+    shells = levels(model, energies)
     check_request(shells, starts, budget, seed, workers)
     shells = shells if part is None else tuple(sorted(shells))  # as `merge_atlases` orders them
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
@@ -301,6 +302,16 @@ def search(
                 tallies.append((energy, run.run(crew)))
             ids.append(run.id)
         return Found(Path(atlas), tuple(tallies), summarise(book, ids))
+
+
+def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[float, ...]:
+    """The energies (J) to search at, 0 alone where none is conserved. Raises `InputError`."""
+    if model.invariants or energies is not None:
+        if not model.invariants and model.rates is not None:
+            raise InputError("energy: this system conserves none; leave it out")
+        given = [] if energies is None else energies
+        return tuple(float(one) for one in (given if isinstance(given, Sequence) else [given]))
+    return (0.0,)
 
 
 def employed(

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Loop, Unknowns
 from orbitfinder.loops.problem import Problem, loop_of
@@ -95,10 +96,16 @@ def scaled(
     w: Unknowns,
     periods: tuple[float, float],
     units: np.ndarray,
+    clock: float,
 ) -> Scaled:
-    """The loop of one start, scales and references taken from its guess, and from the `units` of states (2n)."""
+    """The loop of one start, scales and references from its guess, from the `units` of states (2n) and a `clock` (s).
+
+    A first-order system's states (d) are scaled by their units alone.
+    """
+    if problem.model.rates is not None:
+        return _scaled_alone(problem, equations, step, w, periods, units, clock)
     n, count = problem.model.degrees_of_freedom, len(w.nodes)
-    lengths, clock = units[:n], float(units[0] / units[n])
+    lengths = units[:n]
     rate = max(float(np.sqrt(np.mean((w.nodes[:, n:] / lengths) ** 2))), 2 * np.pi / problem.guess.period)
     node = np.concatenate([lengths, rate * lengths])
     loop = loop_of(problem, equations, w, None, problem.pin)
@@ -118,6 +125,24 @@ def scaled(
     )  # fmt: skip
 
 
+def _scaled_alone(
+    problem: Problem, equations: Equations, step: float, w: Unknowns, periods: tuple[float, float], units: np.ndarray,
+    clock: float,
+) -> Scaled:  # fmt: skip
+    loop = loop_of(problem, equations, w, None, problem.pin)
+    first, last = problem.boundary.rows(problem.model.degrees_of_freedom)
+    slope = invariant_gradients(problem.model)(w.nodes[0]).full()
+    return Scaled(
+        loop, step,
+        columns=w.joined(units, problem.guess.period, 1.0 / clock, np.zeros(0)),
+        rows=np.concatenate([
+            np.tile(units, len(w.nodes) - 1), (np.maximum(np.abs(first), np.abs(last)) * units).max(axis=1),
+            np.linalg.norm(loop.normals * units, axis=1),
+            [max(float(np.linalg.norm(slope[0] * units)), 1e-300) for _ in problem.pin],
+        ]), periods=periods, units=tuple(units),
+    )  # fmt: skip
+
+
 def linearised(one: Scaled, w: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     """Scaled residual and Jacobian by the variational equations."""
     w = one.at(w)
@@ -134,8 +159,9 @@ def moved(one: Scaled, w: Unknowns, step: np.ndarray) -> Unknowns:
 
 def bounded(one: Scaled, w: Unknowns) -> Unknowns:
     """The unknowns, if rates and unfolding are within bounds; `IntegrationError` otherwise."""
-    n, total = w.nodes.shape[1] // 2, w.nodes.size
-    fast = float(np.abs(w.nodes[:, n:] / one.columns[n : 2 * n]).max()) > LARGEST_RATE
+    total = w.nodes.size
+    n = 0 if one.loop.equations.model.rates is not None else w.nodes.shape[1] // 2
+    fast = float(np.abs(w.nodes[:, n:] / one.columns[n : w.nodes.shape[1]]).max()) > LARGEST_RATE
     damped = np.abs(w.unfolding / one.columns[total + 1 : total + 1 + w.unfolding.size])
     if fast or float(damped.max(initial=0.0)) > LARGEST_UNFOLDING:
         raise IntegrationError("out of bounds", time=0.0, state=w.nodes[0])

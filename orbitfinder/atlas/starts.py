@@ -13,13 +13,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from orbitfinder.atlas.regions import Region, region_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.guesses.modes import normal_modes, resting_place
 from orbitfinder.integrate.cvodes import Flow, build_flow
 from orbitfinder.integrate.equations import prepare
 from orbitfinder.integrate.march import rounded, uniform
+from orbitfinder.loops.conditions import Pin, pin
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import (
+    ALONE,
     BRAKE,
     NONE,
     QUARTER,
@@ -29,6 +32,7 @@ from orbitfinder.loops.symmetry import (
     Involution,
     Symmetry,
     declared,
+    involutions,
     off_centre,
     with_mirrors,
 )
@@ -60,7 +64,7 @@ next return to it, and solve half a period."""
 
 @dataclass(frozen=True)
 class Target:
-    """What a search looks for: energy in J and the range of minimal periods in s."""
+    """What a search looks for: energy in J, 0 where none is conserved, and the range of minimal periods in s."""
 
     energy: float
     periods: tuple[float, float]
@@ -85,12 +89,24 @@ class Context:
     strategies: tuple[str, ...]
     lengths: np.ndarray
     declared: Mapping[str, Involution] = field(default_factory=dict)
-    """the system's own reversals, by strategy"""
+    """the system's own reversals, by strategy; of a first-order system all that it may have, forwards too"""
+    region: Region | None = None
+    """where the states of a first-order system are drawn from"""
 
     @property
     def units(self) -> np.ndarray:
         """What states (2n) are measured in: lengths, and lengths over a power of 256 near the longest period / 2 pi."""
-        return np.concatenate([self.lengths, self.lengths / self.clock])
+        return self.lengths if self.region is not None else np.concatenate([self.lengths, self.lengths / self.clock])
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Lengths of a state's components (2n), rates in lengths a second."""
+        return self.lengths if self.region is not None else np.tile(self.lengths, 2)
+
+    @property
+    def pins(self) -> tuple[Pin, ...]:
+        """What orbits are pinned by: the energy, where there is one."""
+        return pin(energy=self.target.energy) if self.model.conservative else ()
 
     @property
     def clock(self) -> float:
@@ -112,6 +128,8 @@ class Start:
 def context_of(model: Model, target: Target) -> Context:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     check(model, target)
+    if model.rates is not None:
+        return _alone(model, target)
     model = with_mirrors(model)
     place = resting_place(model, target.energy)
     prepare(model)
@@ -137,6 +155,26 @@ def context_of(model: Model, target: Target) -> Context:
     units = tuple(map(float, one.units)) if np.any(one.units != 1.0) else ()
     flows = {name: build_flow(model, (), kinds, units=units) for name, kinds in unfolded.items()}
     return replace(one, flows=flows, step=calibrated(one))
+
+
+def _alone(model: Model, target: Target) -> Context:
+    """The shared part of a search of a first-order system."""
+    region = region_of(model, target.energy, target.periods[1])
+    prepare(model)
+    place = region.drawn(np.random.default_rng(0))
+    own = {f"{DECLARED}{one.name}": one for one in involutions(model) if Symmetry((one,), True).held_by(model, place)}
+    chosen = {NONE.name: ALONE} | {one.name: Symmetry((one,), True) for one in own.values()}
+    unfolded = {name: one.unfolded(model) for name, one in chosen.items()}
+    units = tuple(map(float, region.lengths)) if np.any(region.lengths != 1.0) else ()
+    one = Context(
+        model, target,
+        equations={name: Equations(model, one, alone=True) for name, one in chosen.items()},
+        flows={name: build_flow(model, (), kinds, units=units) for name, kinds in unfolded.items()},
+        step=0.0, equilibrium=place, shapes=np.zeros((place.size, 0)),
+        strategies=("recurrence", *own, "random", "recurrence", *own), declared=own,
+        lengths=region.lengths, region=region,
+    )  # fmt: skip
+    return replace(one, step=calibrated(one))
 
 
 def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
@@ -198,13 +236,9 @@ def check(model: Model, target: Target) -> None:
             "search: works in minimal coordinates, not on systems under constraints; give minimal_linkage(...) from "
             "Python, or use find with a guess"
         )
-    if model.rates is not None:
-        raise InputError(
-            "search: draws its starts by kinetic and potential energy, which a first-order system has not; find its "
-            "orbits from close returns of a simulation ([guess] state and duration), or from modes of equilibria"
-        )
     names = [one.name for one in model.invariants]
-    if not model.conservative or model.forced or len(names) != 1:
+    alone = model.rates is not None and not names
+    if model.forced or not (alone or (model.conservative and len(names) == 1)):
         raise InputError(
             f"search: works on energy shells of systems that conserve the energy and nothing else; this one "
             f"conserves {', '.join(names) or 'nothing'}; use find with a guess instead"
@@ -222,7 +256,7 @@ def make_start(context: Context, seed: int, index: int) -> Start:
     random = np.random.default_rng([seed, index])
     if name in context.declared:
         one = context.declared[name]
-        symmetry, state = one.name, _fixed(context, one, random)
+        symmetry, state = one.name, _fixed(context, one, random) if one.sense < 0 else _random_state(context, random)
         return Start(index, name, symmetry, state, _return_time(context, name, state, random))
     symmetry, propose = STRATEGIES[name]
     state = propose(context, random)
@@ -278,6 +312,8 @@ def at_rest(context: Context, q: np.ndarray, direction: np.ndarray) -> np.ndarra
 
 
 def _random_state(context: Context, random: np.random.Generator) -> np.ndarray:
+    if context.region is not None:
+        return context.region.drawn(random)
     q = random_position(context, random)
     return on_shell(context, q, context.lengths * random.normal(size=q.size))
 
@@ -313,6 +349,8 @@ def _crossing(context: Context, random: np.random.Generator) -> np.ndarray:
 
 def _fixed(context: Context, one: Involution, random: np.random.Generator) -> np.ndarray:
     """In the fixed set of a reversal: some coordinates at 0 (or a half turn), the others at rest."""
+    if context.region is not None:
+        return context.region.fixed(one, random)
     angles = context.model.angular
     signs = np.broadcast_to(one.signs, angles.size)
     for _ in range(ATTEMPTS):
@@ -343,7 +381,9 @@ TURNS = (
 
 def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndarray:
     """How far each of states (k x 2n) is from ending the horizon that began at the first of them."""
-    n, angular, states = context.model.degrees_of_freedom, context.model.angular, states / np.tile(context.lengths, 2)
+    n, angular, states = context.model.degrees_of_freedom, context.model.angular, states / context.sizes
+    if context.region is not None:
+        return _gap_alone(context.declared.get(symmetry), states, angular)
     rate = max(float(np.sqrt(np.mean(states[:, n:] ** 2))), 1e-300)
     if symmetry == REVERSAL.name or symmetry in context.declared:
         known = (context.declared[symmetry],) if symmetry in context.declared else REVERSAL.maps
@@ -356,6 +396,14 @@ def boundary_gap(context: Context, symmetry: str, states: np.ndarray) -> np.ndar
     if not imposed.reverses:
         gaps = wrapped(gaps + first @ states[0], angular)
     return np.asarray((np.abs(gaps) / np.where(units > 0, units, 1.0)).max(axis=1))
+
+
+def _gap_alone(one: Involution | None, states: np.ndarray, angular: np.ndarray) -> np.ndarray:
+    """The same of first-order states (k x d) in lengths, under an involution or none."""
+    if one is not None and one.sense < 0:
+        return np.asarray(np.abs(off_centre(one, states, angular)).max(axis=1))
+    first = states[0] if one is None else one.matrix(states.shape[1]) @ states[0]
+    return np.asarray(np.abs(wrapped(states - first, angular)).max(axis=1))
 
 
 def simulated(context: Context, state: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:

@@ -80,19 +80,20 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     loaded = load_problem_file(file, trust)
     energies, periods = wanted(loaded)
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
-    limits = Limits(starts, None if budget is None else budget / len(energies), shard_from(how["shard"]))
+    limits = Limits(starts, None if budget is None else budget / len(energies or [0.0]), shard_from(how["shard"]))
     folder = file.parent.resolve() if trust else None
     with display(SPEAK_EVERY, REFRESH_EVERY) as shown:
 
         def report(energy: float, tally: Statistics) -> None:
             interrupt.check()
-            shown.show(progress(energy, tally, limits))
+            shown.show(progress(energy, tally, limits, bool(loaded.model.invariants)))
 
         found = run(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
                     progress=report, **how)  # fmt: skip
     for energy, tally in found.tallies:
         text(
-            f"{energy:g} J: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, {plural(tally.new, 'new orbit')}, "
+            f"{level(energy, bool(loaded.model.invariants))}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, "
+            f"{plural(tally.new, 'new orbit')}, "
             f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
         )
     text(f"{found.atlas}: {plural(found.summary.orbits, 'distinct certified orbit')}")
@@ -108,27 +109,35 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
     finish("search", {"atlas": str(found.atlas), "runs": runs, "summary": found.summary.document()})
 
 
-def wanted(loaded: ProblemFile) -> tuple[list[float], tuple[float, float]]:
-    """Energies (J) and range of periods (s) that a problem file asks for."""
+def level(energy: float, conserved: bool) -> str:
+    """An energy in words."""
+    return f"{energy:g} J" if conserved else "any energy"
+
+
+def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]]:
+    """Energies (J; None of a system that conserves none) and range of periods (s) that a problem file asks for."""
     table = loaded.document.get("search", {})
     if loaded.search is None:
         raise InputError(f"{loaded.path}: {MISSING}")
     energy = table.get("energy", (loaded.document.get("find", {}).get("pin") or {}).get("energy"))
+    if energy is None and loaded.model.rates is not None and not loaded.model.invariants:
+        return None, loaded.search
     if energy is None:
         raise InputError(f"{loaded.path}: search.energy: missing; give the energy in J, or find.pin.energy")
     return [float(one) for one in (energy if isinstance(energy, list) else [energy])], loaded.search
 
 
-def progress(energy: float, tally: Statistics, limits: Limits) -> Progress:
+def progress(energy: float, tally: Statistics, limits: Limits, conserved: bool = True) -> Progress:
     """How far a search has come."""
     made, failed, left = tally.before + tally.done, sum(tally.failures.values()), tally.left(limits)
     rate, remaining = f"{tally.done / max(tally.elapsed, 1e-9):.1f}", "" if left is None else f"{left:.0f} s"
     line = (
-        f"{energy:g} J: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
+        f"{level(energy, conserved)}: {plural(made, 'start')}, {plural(tally.hits, 'hit')}, {tally.new} new, "
         f"{tally.duplicates} known, {failed} failed, {plural(tally.orbits, 'orbit')} in the atlas, {rate} starts/s"
     ) + (remaining and f", {remaining} left")
     rows = [
-        ("energy", f"{energy:g} J"), ("starts", f"{made}"), ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
+        ("energy", level(energy, conserved)), ("starts", f"{made}"),
+        ("hits", f"{tally.hits}"), ("new orbits", f"{tally.new}"),
         ("known orbits", f"{tally.duplicates}"), ("orbits in the atlas", f"{tally.orbits}"),
         ("starts a second", rate), ("time left", remaining),
         *((f"failed: {reason}", str(count)) for reason, count in tally.failures.most_common(REASONS_SHOWN)),

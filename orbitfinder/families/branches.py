@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.point import FamilySettings, extent, parameter_value, shift_at, unknowns_of, winding
+from orbitfinder.families.point import FamilySettings, extent, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
 from orbitfinder.families.start import (
     Start,
@@ -36,9 +36,10 @@ from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, cor
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.hybrid import SHARE, repeated
+from orbitfinder.mechanics.hybrid import repeated
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
+from orbitfinder.records.orbit import SHARE
 from orbitfinder.records.reading import finite
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
@@ -148,7 +149,7 @@ def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
 
 
 def _turns(curve: Curve, event: Event) -> np.ndarray:
-    return np.array(winding(curve)) * event.order
+    return np.array(curve.turns) * event.order
 
 
 def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> Unknowns:
@@ -161,7 +162,7 @@ def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> U
     first = int(np.argmin(np.abs(mesh - share)))
     laps, index = np.divmod(first + np.arange(round(fraction * event.order * count) + 1), count)
     times = (laps + mesh[index] - mesh[first]) / event.order
-    turns = turned(curve.equations.model, np.array(winding(curve)), shift_at(curve, base.place))
+    turns = turned(curve.equations.model, np.array(curve.turns), shift_at(curve, base.place))
     turn = np.concatenate([2 * np.pi * turns, np.zeros(curve.equations.size - n)])
     nodes = (states[index] + laps[:, None] * turn)[:-1:each]
     nodes[0, n:][symmetry.held(n)[n:]] = 0.0
@@ -343,8 +344,9 @@ def _event(family: Family, number: int, where: str) -> Event:
     known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
     if number in known:
         return family.events[number]
-    listed = "; ".join(described(family, k) for k in known) or "this family has none"
-    raise InputError(f"event: no branch leaves at event {number}; choose one of {listed}")
+    listed = "; ".join(described(family, k) for k in known)
+    choice = f"choose one of {listed}" if listed else "this family has none from which one does"
+    raise InputError(f"event: no branch leaves at event {number}; {choice}")
 
 
 def described(family: Family, number: int) -> str:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
@@ -139,7 +139,7 @@ class _Arc:
             self.states[[0, -1]] = self.known[[0, -1]]
             self.slopes = self.march.rates(self.states, place.tail)
 
-    def watched(self, function: ca.Function, direction: int) -> _Watched:
+    def watched(self, function: Any, direction: int) -> _Watched:
         """A function of the mode along the arc."""
         values, by_state = self.curve.equations.watched(function, self.states, self.place.free)
         return _Watched(self, function, direction, direction * values, direction * (by_state * self.slopes).sum(axis=1))
@@ -159,7 +159,7 @@ class _Watched:
     """The heights of a function along an arc, above 0 once it is crossed, and their rates."""
 
     arc: _Arc
-    function: ca.Function
+    function: Any
     direction: int
     heights: np.ndarray
     rates: np.ndarray
@@ -174,7 +174,7 @@ class _Watched:
         """Whether it is uncrossed anywhere: else it began the arc, which goes on through it."""
         return bool(self.heights.min() < -LEAST * self.range)
 
-    def peaks(self, allowed: ca.Function | None = None) -> Iterator[float]:
+    def peaks(self, allowed: Any | None = None) -> Iterator[float]:
         """The margin of each highest place inside the arc; where crossings are ignored, of what ignores them."""
         for i in np.flatnonzero((self.rates[:-1] > 0) & (self.rates[1:] < 0)):
             top, moment = self._peak(int(i))
@@ -209,7 +209,7 @@ class _Watched:
         _, climb = self._read(self.function, moment)
         return self.direction * climb
 
-    def _read(self, function: ca.Function, moment: float) -> tuple[float, float]:
+    def _read(self, function: Any, moment: float) -> tuple[float, float]:
         """A function and its rate at a moment."""
         x = self.arc.at(moment)
         values, by_state = self.arc.curve.equations.watched(function, x[None], self.arc.place.free)

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
-from orbitfinder.families.point import extents, freed, parameter_value, span
+from orbitfinder.families.point import LEAST, extents, freed, parameter_value, span
 from orbitfinder.families.run import Interval, Run, Step
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct, distance
@@ -26,6 +26,8 @@ MOST_NEWTON = 12
 LINEAR, NEARLY, STEADY = 1e-7, 1e-5, 1e-5
 """A small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and how
 little the period changes in a step there."""
+SMALLER = 0.95
+"""... and how much smaller the orbits become."""
 ABRUPT = 30.0
 """A largest acceleration this many times the median one speaks of a singularity where a family cannot go on."""
 SLOW_SHARE = 0.4
@@ -74,10 +76,11 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
 
 
 def _shrinking(curve: Curve, before: Solution, found: Solution) -> bool:
-    """Whether an orbit is smaller than the one before, and hardly slower or faster."""
+    """Whether an orbit is smaller than the one before, hardly slower or faster, and small beside where it is."""
     n, periods = curve.equations.model.degrees_of_freedom, (before.place.period, found.place.period)
     sizes = [float(np.ptp(one.march.states[:, :n], axis=0).max()) for one in (before, found)]
-    return sizes[1] < sizes[0] and abs(periods[1] / periods[0] - 1.0) < STEADY
+    far = float(np.abs(found.march.states[0, :n]).max())
+    return sizes[1] < min(SMALLER * sizes[0], LEAST * far) and abs(periods[1] / periods[0] - 1.0) < STEADY
 
 
 def _at_equilibrium(curve: Curve, found: Solution) -> End:
@@ -96,7 +99,9 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     dead = dead_point(curve.equations.model.system, found.march.states, freed(curve, found.place))
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
-    if linear(curve, found, NEARLY):
+    n = curve.equations.model.degrees_of_freedom
+    small = np.ptp(found.march.states[:, :n], axis=0).max() < 10 * LEAST * np.abs(found.march.states[0, :n]).max()
+    if small and linear(curve, found, NEARLY):
         return _at_equilibrium(curve, found)
     return _singular(curve, found, failure) or End("step underflow", failure)
 
@@ -246,12 +251,15 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
 
     What looks near is confirmed by an orbit on the family in the plane through the earlier one: it must be the same.
     """
-    one, other, heads = before.found.place, after.found.place, np.asarray(before.heads)
+    one, other, heads = before.found.place, after.found.place, before.heads
     if len(heads) < FEWEST_STEPS:
         return None
-    step, past, ahead = other.head - one.head, heads[: 1 - FEWEST_STEPS], np.diff(heads[: 2 - FEWEST_STEPS], axis=0)
+    step, past = other.head - one.head, heads[: 1 - FEWEST_STEPS]
     normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
     shares = (past - one.head) @ normal / square
+    if not np.any((shares >= 0.0) & (shares <= 1.0)):
+        return None
+    ahead = np.diff(heads[: 2 - FEWEST_STEPS], axis=0)
     aside = np.sqrt(np.maximum(((past - one.head) ** 2) @ curve.weights - shares**2 * square, 0.0))
     near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ normal > 0)
     for k in np.flatnonzero(near):

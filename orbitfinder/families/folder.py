@@ -16,7 +16,7 @@ from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
-from orbitfinder.families.point import FamilySettings, winding
+from orbitfinder.families.point import FamilySettings
 from orbitfinder.families.run import Run, first_point
 from orbitfinder.families.start import Start, begin, curve_of, entry_of, unknown_parameters
 from orbitfinder.integrate.equations import prepare
@@ -134,7 +134,7 @@ def _check_again(journal: Journal, curve: Curve, folder: Path) -> None:
     check = ClosureCheck(model) if model.hybrid is None else HybridCheck(model)
     for point in (restored(FamilyPoint, journal.header["origin"]), *(p for one in journal.batches for p in one.points)):
         allowed = CLOSURE * max(1.0, float(np.abs(point.floquet_multipliers).max(initial=1.0)))
-        turns = turned(curve.equations.model, np.array(winding(curve)), point.shift)
+        turns = turned(curve.equations.model, np.array(curve.turns), point.shift)
         closure = check(point.state, point.period, turns, allowed, point.free)
         if not closure <= allowed:
             raise InputError(
@@ -206,7 +206,7 @@ def _header(
         "away": 1 if np.sum(curve.weights * origin.tangent * start.direction) > 0 else -1,
         "curve": {
             "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
-            "constant": curve.constant, "winding": winding(curve), "weights": curve.weights,
+            "constant": curve.constant, "winding": curve.turns, "weights": curve.weights,
             **entry_of(curve),
         },
     })  # fmt: skip

@@ -109,7 +109,7 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     here = replace(last, distance=0.0) if found is raw else make_sample(curve, 0.0, found, whole, last.indices)
     after = Step(
         point, here, bend(curve, found.place, whole, place), trend_of(before.point, point),
-        min(before.shortest_period, point.period), (*before.heads, found.place.head),
+        min(before.shortest_period, point.period), np.vstack([before.heads, found.place.head]),
         (raw.jacobian - before.found.jacobian) / length if found is raw else None,
     )  # fmt: skip
     return after, _batch(run, before, after, last)

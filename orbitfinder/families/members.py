@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from orbitfinder.errors import InputError
-from orbitfinder.families.point import FamilySettings, shift_at, unknowns_of, winding
+from orbitfinder.families.point import FamilySettings, shift_at, unknowns_of
 from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import curve_of, full_samples
 from orbitfinder.integrate.cvodes import build_flow
@@ -74,7 +74,7 @@ def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
     return Orbit(
         name="event", system=model.system, state=event.state, period=event.period, energy=energy(model, event.state),
         action=found.march.integral / curve.equations.symmetry.fraction, closure=0.0,
-        symmetry=recognise(times, states, model), winding=winding(curve),
+        symmetry=recognise(times, states, model), winding=curve.turns,
         floquet_multipliers=floquet.multipliers, pair_defect=floquet.pair_defect, stability=floquet.stability,
         unfolding=(), nodes=event.state[None], times=np.zeros(0), samples=np.zeros((0, event.state.size)),
         tolerance=CLOSURE, shift=shift_at(curve, found.place),

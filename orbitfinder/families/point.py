@@ -14,7 +14,6 @@ from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import shifting, turned
-from orbitfinder.mechanics.hybrid import SHARE
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
 from orbitfinder.orbits.closure import alone, carried
@@ -82,7 +81,7 @@ def make_point(
     grown = max(float(np.abs(about.floquet.multipliers).max(initial=1.0)), carried(parts, np.ones(p.size))[1])
     allowed = CLOSURE * grown
     free, shift = freed(curve, place), shift_at(curve, place)
-    turns = turned(p.model, np.array(winding(curve)), shift)
+    turns = turned(p.model, np.array(curve.turns), shift)
     closure = 0.0 if check is None else check(place.nodes[0], place.period, turns, allowed, free, units)
     if not closure <= allowed:
         raise ConvergenceError(f"the orbit closes only to {closure:.2g} where errors grow {grown:.3g} times")
@@ -90,8 +89,8 @@ def make_point(
     where.setdefault("indices", about.indices)
     return FamilyPoint(
         name="",
-        system=system_at(p.model.system, {k: v for k, v in free.items() if not k.startswith(SHARE)}),
-        winding=winding(curve),
+        system=system_at(p.model.system, free),
+        winding=curve.turns,
         shift=shift,
         nodes=place.nodes[:1],
         times=np.zeros(0),
@@ -144,11 +143,6 @@ def piecewise_defect(
     gaps = np.concatenate([((ends[:-1] - place.nodes[1:]) / units).ravel(), boundary / across])
     growth = max(np.linalg.norm(matrix * units / units[:, None], 2) for matrix in found.march.transitions)
     return float(np.abs(gaps).max()), max(1.0, float(growth))
-
-
-def winding(curve: Curve) -> tuple[int, ...]:
-    """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
-    return tuple(int(k) for k in curve.turns)
 
 
 def shift_at(curve: Curve, place: Unknowns) -> dict[str, float]:

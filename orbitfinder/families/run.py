@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class Sample:
     turns: np.ndarray
     slopes: dict[str, float]
 
-    @property
+    @cached_property
     def head(self) -> np.ndarray:
         """The tangent over the head."""
         return self.found.place.head_of(self.whole)
@@ -103,8 +104,8 @@ class Interval:
 
     def guess(self, distance: float) -> Unknowns:
         """The cubic through both ends with both tangents."""
-        if distance == self.length:
-            return self.last.found.place
+        if distance in (0.0, self.length):
+            return (self.last if distance else self.first).found.place
         bent = self.curvature + (distance - self.length) * self.twist
         return advanced(self.first.found.place, self.first.whole, distance, bent)
 
@@ -176,7 +177,7 @@ class Step:
     curvature: np.ndarray
     trend: np.ndarray
     shortest_period: float
-    heads: tuple[np.ndarray, ...]
+    heads: np.ndarray
     drift: np.ndarray | None = None
 
     @property
@@ -204,7 +205,7 @@ def step_at(run: Run, points: Sequence[FamilyPoint]) -> Step:
         curvature = bend(curve, found.place, whole, unknowns_of(curve, points[-2]))
         trend = trend_of(points[-2], last)
     sample = make_sample(curve, 0.0, found, whole, last.indices)
-    heads = tuple(unknowns_of(curve, point).head for point in points)
+    heads = np.array([unknowns_of(curve, point).head for point in points])
     return Step(last, sample, curvature, trend, min(point.period for point in points), heads)
 
 

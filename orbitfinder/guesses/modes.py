@@ -22,12 +22,12 @@ from scipy.optimize import minimize, root
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError, plural
-from orbitfinder.integrate.equations import accelerations, at_rest, linearised, under_constraints
+from orbitfinder.integrate.equations import at_rest, linearised, under_constraints
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
-from orbitfinder.mechanics.model import Model, counted, wrapped
+from orbitfinder.mechanics.model import Model, counted, vector_field, wrapped
 from orbitfinder.mechanics.scales import given_lengths, masses_of, snapped
 
 DESCENTS = 16
@@ -268,14 +268,17 @@ def first_order_modes(
         raise InputError(f"equilibrium: shape {place.shape} for {counted(model)}; give one number each")
     if model.forced:
         raise InputError("guess.mode: a forced system does not rest; give a state, its forcing has the period")
-    rates = accelerations(model)
-    slope = rates.jacobian()
+    field = vector_field(model)  # not `accelerations`, which a search has compiled without derivatives
+    slope = field.jacobian()
+
+    def rates(x: np.ndarray) -> np.ndarray:
+        return np.asarray(field(0.0, x, [], []).full().ravel())
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        return np.asarray(slope(0.0, x, 0)[1].full())
+        return np.asarray(slope(0.0, x, [], [], 0)[1].full())
 
-    found = root(lambda x: rates(0.0, x).full().ravel(), place, jac=slopes, tol=1e-14).x
-    matrix, left = slopes(found), rates(0.0, found).full().ravel()
+    found = root(rates, place, jac=slopes, tol=1e-14).x
+    matrix, left = slopes(found), rates(found)
     size = np.abs(matrix) @ np.maximum(np.abs(found), np.abs(found - place))
     if not np.all(np.abs(left) <= AT_REST * np.maximum(size, size.max())):
         raise InputError(f"guess.equilibrium: none is found from {place.tolist()}; give a state nearer to it")

@@ -22,6 +22,7 @@ from orbitfinder.integrate.rk8 import agree, refined, step_of, variational_field
 
 EFFORT = 3.0
 """Seconds of interpreted marching in a family of moderate length, for `compiled`."""
+_NOTHING = np.zeros(0)
 QUANTUM = 4
 """Numbers of steps are rounded up to a multiple of this, so that few different marches are made."""
 
@@ -117,21 +118,19 @@ class March(Refining):
 
     def ends(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (N x d) at the ends of the segments from their nodes (N x d). Raises `IntegrationError`."""
-        start = np.column_stack([self._clock(nodes, mesh, tail), nodes])
+        start = self._begun(nodes, self._clock(nodes, mesh, tail))
         return _finite(self._lanes.marched(self._step, start, _parameters(mesh, tail), False), nodes)[:, 1:]
 
     def states(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """States (M + 1 x d) at the mesh."""
-        start = np.column_stack([self._clock(nodes, mesh, tail), nodes])
+        start = self._begun(nodes, self._clock(nodes, mesh, tail))
         path = self._lanes.marched(self._step, start, _parameters(mesh, tail), True)
         return np.vstack([nodes[:1], _finite(path, nodes)[:, 1:]])
 
     def varied(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray, states: bool = False) -> Varied:
         """Ends and their derivatives; with `states` those at the mesh too. Raises `IntegrationError`."""
         (count, size), own = nodes.shape, self.columns
-        start = np.zeros((count, self._varied_step.size1_in(0)))
-        start[:, 0], start[:, 1 : 1 + size] = self._clock(nodes, mesh, tail), nodes
-        start[:, 1 + size : 1 + size * (1 + own)] = np.eye(size, own).ravel("F")
+        start = self._begun(nodes, self._clock(nodes, mesh, tail), self._unit)
         path = _finite(self._lanes.marched(self._varied_step, start, _parameters(mesh, tail), states), nodes)
         last = path[(mesh.size - 1) // count - 1 :: (mesh.size - 1) // count] if states else path
         ends = last[:, 1 : 1 + size]
@@ -140,7 +139,7 @@ class March(Refining):
         columns = np.empty((count, size, 1 + own - size))
         columns[:, :, 0] = self._by_period(nodes, ends, transitions, mesh, tail)
         columns[:, :, 1:] = matrices[:, :, size:]
-        along = np.vstack([nodes[:1], path[:, 1 : 1 + size]]) if states else nodes
+        along = np.concatenate([nodes[:1], path[:, 1 : 1 + size]]) if states else nodes
         return Varied(ends, transitions, columns, along, float(last[:, 1 + size * (1 + own) :].sum()))
 
     def _by_period(
@@ -186,7 +185,7 @@ class March(Refining):
         self, states: np.ndarray, mesh: np.ndarray, tail: np.ndarray, units: np.ndarray, asked: np.ndarray
     ) -> np.ndarray:
         """Estimated error of each step `asked` for, relative to the size of the motion, measured in `units` (d)."""
-        start = np.column_stack([tail[0] * mesh[asked] * self.forced, states[asked]])
+        start = self._begun(states[asked], tail[0] * mesh[asked] * self.forced)
         errors = np.abs(self._lanes.evaluated(self._error, STAGES, start, _parameters(mesh, tail)[asked]))
         extent = np.abs(states).max(axis=0) / units
         return np.asarray((errors / (units * np.maximum(extent, extent.max() * 1e-2))).max(axis=1))
@@ -199,12 +198,24 @@ class March(Refining):
         A slow motion may carry fast variations, which its own error says nothing of.
         """
         size = self.size
-        start = np.zeros((len(asked), self._varied_step.size1_in(0)))
-        start[:, 0], start[:, 1 : 1 + size] = tail[0] * mesh[asked] * self.forced, states[asked]
-        start[:, 1 + size : 1 + size + size * size] = np.eye(size).ravel()
+        start = self._begun(states[asked], tail[0] * mesh[asked] * self.forced, self._unit)
         errors = self._lanes.evaluated(self._varied_error, STAGES, start, _parameters(mesh, tail)[asked])
         scale = (units[:, None] / units[None, :]).ravel()  # columns first: entry (i, j) stands at j size + i
         return np.asarray((np.abs(errors[:, size : size + size * size]) * scale).max(axis=1))
+
+    @cached_property
+    def _unit(self) -> np.ndarray:
+        """vec Y and S where a segment begins."""
+        unit = np.zeros(self._varied_step.size1_in(0) - 1 - self.size)
+        unit[: self.size * self.columns] = np.eye(self.size, self.columns).ravel("F")
+        return unit
+
+    def _begun(self, states: np.ndarray, times: np.ndarray, varied: np.ndarray = _NOTHING) -> np.ndarray:
+        """(t, x, vec Y, S) (k x ...) where steps begin, of states (k x d) at times (k)."""
+        size = self.size
+        start = np.empty((len(states), 1 + size + varied.size))
+        start[:, 0], start[:, 1 : 1 + size], start[:, 1 + size :] = times, states, varied
+        return start
 
     def _clock(self, nodes: np.ndarray, mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
         """The times (N) at which the segments begin, 0 where they do not matter."""
@@ -324,7 +335,7 @@ def _parameters(mesh: np.ndarray, tail: np.ndarray) -> np.ndarray:
 
 def _finite(numbers: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """The numbers of all segments. Raises `IntegrationError` naming the first that is not finite."""
-    if np.all(np.isfinite(numbers)):
+    if np.isfinite(numbers).all():
         return numbers
     each = len(numbers) // len(nodes)
     segment = int(np.argmin(np.all(np.isfinite(numbers), axis=1))) // each

@@ -54,6 +54,8 @@ class Lanes:
         """
         count, steps = len(starts), len(parameters) // len(starts)
         lanes = 1 if self._alone else _lanes(step, count, steps * STAGES)
+        if lanes == 1:
+            return self._along(step, steps, count, path, 0)(starts, parameters)[0]
         edges = np.arange(lanes + 1) * count // lanes
         runs = [self._along(step, steps, int(edges[k + 1] - edges[k]), path, k) for k in range(lanes)]
 

@@ -77,35 +77,48 @@ def eliminated(system: Linearised) -> Solver:
     count, size, _ = system.transitions.shape
     product, columns = np.eye(size), np.zeros((size, system.tail.shape[1]))
     places, slopes, by_tail = system.inner or (np.zeros(0, int), np.zeros((0, size)), np.zeros((0, columns.shape[1])))
-    inner = np.zeros((len(places), size + columns.shape[1]))
+    inner, at = np.zeros((len(places), size + columns.shape[1])), {int(k): j for j, k in enumerate(places)}
     for k, (transition, own) in enumerate(zip(system.transitions, system.columns, strict=True)):
-        for j in np.flatnonzero(places == k):
-            inner[j] = np.concatenate([slopes[j] @ product, slopes[j] @ columns + by_tail[j]])
+        if k in at:
+            inner[at[k]] = np.concatenate([slopes[at[k]] @ product, slopes[at[k]] @ columns + by_tail[at[k]]])
         product, columns = transition @ product, transition @ columns + own
     if not np.abs(product).max() <= LARGEST_PRODUCT:
         whole = system.matrix()
         return lambda rows: -np.linalg.lstsq(whole, rows, rcond=CUTOFF)[0]
     matrix = np.hstack([system.first + system.last @ product, system.last @ columns + system.tail])
     matrix = np.vstack([matrix, inner]) if len(inner) else matrix
+    solved = _solver(matrix) if len(inner) else _least(matrix)
 
     def solve(rows: np.ndarray) -> np.ndarray:
         defects, closing = rows[: (count - 1) * size].reshape(-1, size), rows[(count - 1) * size :]
         carried, closing = np.zeros(size), closing.copy()
         for k, transition in enumerate(system.transitions):
-            for j in np.flatnonzero(places == k):
-                closing[len(system.tail) + j] += slopes[j] @ carried
+            if k in at:
+                closing[len(system.tail) + at[k]] += slopes[at[k]] @ carried
             carried = transition @ carried
             if k < count - 1:
                 carried += defects[k]
         # not pinv: outside `one_thread` OpenBLAS gives it threads, on a busy machine 100 ms where lstsq takes 0.2
         closing[: len(system.tail)] += system.last @ carried
-        change = -np.linalg.lstsq(matrix, closing, rcond=CUTOFF)[0]
+        change = -solved(closing)
         nodes, tail = [change[:size]], change[size:]
         for transition, own, defect in zip(system.transitions, system.columns, defects, strict=False):
             nodes.append(transition @ nodes[-1] + own @ tail + defect)
         return np.concatenate([*nodes, tail])
 
     return solve
+
+
+def _least(matrix: np.ndarray) -> Solver:
+    return lambda rows: np.asarray(np.linalg.lstsq(matrix, rows, rcond=CUTOFF)[0])
+
+
+def _solver(matrix: np.ndarray) -> Solver:
+    """A square matrix factorised once, any other solved by least squares."""
+    try:
+        return Factors(matrix).solve
+    except np.linalg.LinAlgError:
+        return _least(matrix)
 
 
 class Factors:

@@ -7,7 +7,7 @@ kernel, the tangent of the family (Muñoz-Almaraz et al., Physica D 181 (2003) 1
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -58,9 +58,9 @@ class Curve(Loop):
         return self.equations.symmetry.centre(self.constant)
 
     @cached_property
-    def turns(self) -> np.ndarray:
-        """Whole turns (n) in a period."""
-        return self.equations.symmetry.turns(self.constant)
+    def turns(self) -> tuple[int, ...]:
+        """Whole turns of each coordinate in one period (n); zero for orbits that swing back."""
+        return tuple(int(k) for k in self.equations.symmetry.turns(self.constant))
 
     @property
     def _unit(self) -> float:
@@ -97,26 +97,25 @@ def make_curve(
     return Curve(equations, constant, conditions, weights=weights)
 
 
-def _row_units(curve: Curve, w: Unknowns, aim: Condition) -> np.ndarray:
-    """What each row is measured in, the aim's last, when every unknown is measured as the family's metric does."""
-    return curve.row_units(w, 1.0 / np.sqrt(curve.weights), aim)
+def _row_units(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> np.ndarray:
+    """What each row is measured in, an aim's last, when every unknown is measured as the family's metric does."""
+    return curve.row_units(w, 1.0 / np.sqrt(curve.weights), slopes)
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
     """The rows of the curve and the aim, without what may be round-off."""
-    return beyond(np.append(curve.rows(w, ends), curve.values(w, (aim,))), lost)
+    return beyond(curve.rows(w, ends, aim), lost)
 
 
 def _approached(
-    curve: Curve, guess: Unknowns, aim: Condition, slope: np.ndarray, measures: tuple[np.ndarray, np.ndarray]
+    curve: Curve, guess: Unknowns, aim: Condition, matrix: np.ndarray, measures: tuple[np.ndarray, np.ndarray]
 ) -> Unknowns:
-    """The guess improved by Broyden's method on marches of the state alone, in long steps, from the Jacobian `slope`.
+    """The guess improved by Broyden's method on marches of the state alone, in long steps, from a Jacobian of all rows.
 
     Stops where a step no longer helps. `measures` are what each row is measured in, and what it loses to round-off.
     """
     coarser = 2 if guess.steps % 2 == 0 and guess.steps >= FEWEST_STEPS else 1
-    w, best = replace(guess, mesh=guess.mesh[::coarser]), np.inf
-    matrix = np.vstack([slope, guess.spread(curve.slopes(guess, (aim,))[0])])
+    w, best = guess.on(guess.mesh[::coarser]), np.inf
     cut, size = guess.nodes.size, curve.equations.size
     matrix[cut : cut + len(curve.normals), :size] = curve.normals
     kept, (units, lost) = guess, measures
@@ -136,7 +135,7 @@ def _approached(
         if largest < APPROACHED:
             break
         w = w.moved(method.step(rows))
-    return replace(kept, mesh=guess.mesh)
+    return kept.on(guess.mesh)
 
 
 def correct(
@@ -156,9 +155,10 @@ def correct(
     known. Raises `ConvergenceError` or `IntegrationError`.
     """
     family, curve = curve, curve.through(reference or guess)
-    w, previous, units, lost = guess, np.inf, _row_units(curve, guess, aim), curve.lost(guess, aim)
+    slopes = curve.slopes(guess, (*curve.conditions, aim))
+    w, previous, units, lost = guess, np.inf, _row_units(curve, guess, slopes), curve.lost(guess, (aim,), slopes)
     if slope is not None:
-        w = _approached(curve, guess, aim, slope, (units, lost))
+        w = _approached(curve, guess, aim, np.vstack([slope, guess.spread(slopes[-1])]), (units, lost))
     for iteration in range(MOST_NEWTON):
         path = curve.equations.varied(w, states=True)
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
@@ -166,7 +166,7 @@ def correct(
         ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > 0.1 * previous)
         if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
-        if not np.all(np.isfinite(jacobian)):
+        if not np.isfinite(jacobian).all():
             raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")
         whole = np.vstack([jacobian, w.spread(curve.slopes(w, (aim,))[0])])
         try:
@@ -179,7 +179,7 @@ def correct(
         if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:
-            moved = replace(moved, mesh=fit(family, Solution(w, path, jacobian, largest)))
+            moved = moved.on(fit(family, Solution(w, path, jacobian, largest)))
             fit = None
         w, previous = moved, largest
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
@@ -196,7 +196,7 @@ def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     w, size = found.place, curve.equations.size
     head = 1.0 / np.sqrt(curve.weights)
     columns = w.joined(head[:size], head[size], 1.0 / w.period, head[size + 1 :])
-    rows = _row_units(curve.through(w), w, Condition(0.0, head))[:-1]
+    rows = _row_units(curve.through(w), w)
     return found.jacobian * columns / rows[:, None], columns
 
 

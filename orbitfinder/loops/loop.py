@@ -29,8 +29,9 @@ from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.integrate.march import March, Marches, Varied
 from orbitfinder.loops.condensed import Inner, Linearised
 from orbitfinder.loops.symmetry import Symmetry, moved, symplectic
-from orbitfinder.mechanics.hybrid import SHARE, Transition, share
+from orbitfinder.mechanics.hybrid import Transition, share
 from orbitfinder.mechanics.model import Model, vector_field
+from orbitfinder.records.orbit import SHARE
 
 NONE_SUCH = np.zeros(0)
 GRAZED = 1e-30
@@ -86,6 +87,10 @@ class Unknowns:
         nodes = [ca.MX.sym("node", self.nodes.shape[1]) for _ in self.nodes]
         tail = zip(("period", "unfolding", "free"), (1, self.unfolding.size, self.free.size), strict=True)
         return nodes, [ca.MX.sym(name, size) for name, size in tail]
+
+    def on(self, mesh: np.ndarray) -> Unknowns:
+        """The same on another mesh."""
+        return Unknowns(self.nodes, self.period, self.unfolding, self.free, mesh)
 
     def moved(self, step: np.ndarray) -> Unknowns:
         """w + step."""
@@ -147,7 +152,7 @@ class Equations:
             shares = [one for one in self.model.parameter_names if one.startswith(SHARE) and one not in self.free]
             object.__setattr__(self, "free", (*self.free, *shares))
             arcs = [self._marched(arc.model, k) for k, (arc, _) in enumerate(self.model.hybrid.arcs)]
-            object.__setattr__(self, "march", Marches(arcs))
+            object.__setattr__(self, "march", arcs[0] if len(arcs) == 1 else Marches(arcs))
         else:
             object.__setattr__(self, "march", given or self._marched(self.model))
 
@@ -402,15 +407,16 @@ class Loop:
         """The same loop with its phases fixed by hyperplanes through w."""
         return replace(self, normals=self.equations.phases(w), reference=w.nodes[0])
 
-    def rows(self, w: Unknowns, ends: np.ndarray) -> np.ndarray:
-        """The residual, segments ending at `ends` (N x d)."""
+    def rows(self, w: Unknowns, ends: np.ndarray, *aims: Condition) -> np.ndarray:
+        """The residual, segments ending at `ends` (N x d); those of aims last."""
         first, last = self.equations.boundary
         links, guards = self.equations.links, NONE_SUCH
         if links:
             ends, guards = links.passed(w, ends)
         closing = first @ w.nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant)
         rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self.normals @ (w.nodes[0] - self.reference)]
-        return np.concatenate([*rows, self.values(w, self.conditions), guards])
+        named, count = self.values(w, (*self.conditions, *aims)), len(self.conditions)
+        return np.concatenate([*rows, named[:count], guards, named[count:]])
 
     def stated(self, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, ends: Sequence[ca.MX]) -> ca.MX:
         """The same rows as an expression of CasADi."""
@@ -452,56 +458,56 @@ class Loop:
             inner,
         )
 
-    def row_units(self, w: Unknowns, head: np.ndarray, *aims: Condition) -> np.ndarray:
-        """What each row is measured in, those of aims last, where (x(0), T, free) is measured in `head`."""
+    def row_units(self, w: Unknowns, head: np.ndarray, slopes: np.ndarray | None = None) -> np.ndarray:
+        """What each row is measured in, those of aims last, where (x(0), T, free) is measured in `head`.
+
+        `slopes` are those of the conditions and aims, by default of the conditions alone.
+        """
         unit, (first, last) = head[: self.equations.size], self.equations.boundary
         boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
         units = [np.tile(unit, len(w.nodes) - 1), boundary, np.linalg.norm(self.normals * unit, axis=1)]
-        named, count = np.linalg.norm(self.slopes(w, (*self.conditions, *aims)) * head, axis=1), len(self.conditions)
+        slopes = self.slopes(w, self.conditions) if slopes is None else slopes
+        named, count = np.linalg.norm(slopes * head, axis=1), len(self.conditions)
         units += [named[:count], self.equations.links.units(w, unit), named[count:]]
         return np.asarray(np.maximum(np.concatenate(units), 1e-300))
 
-    def lost(self, w: Unknowns, *aims: Condition) -> np.ndarray:
+    def lost(self, w: Unknowns, aims: Sequence[Condition] = (), slopes: np.ndarray | None = None) -> np.ndarray:
         """What of each row near w may be round-off, those of aims last: where an energy is large beside its changes.
 
-        Told for conditions by the sizes of their terms; 0 of all other rows.
+        Told for conditions by the sizes of their terms; 0 of all other rows. `slopes` as in `row_units`.
         """
         chosen, count = (*self.conditions, *aims), len(self.conditions)
         values = np.abs(np.array([one.value for one in chosen]))
-        named = ROUND_OFF * (np.abs(self.slopes(w, chosen)) @ np.abs(w.head) + 2 * values)
+        slopes = self.slopes(w, chosen) if slopes is None else slopes
+        named = ROUND_OFF * (np.abs(slopes) @ np.abs(w.head) + 2 * values)
         before = (len(w.nodes) - 1) * w.nodes.shape[1] + len(self.equations.boundary[0]) + len(self.normals)
         guards = np.zeros(self.equations.links.count if self.equations.links else 0)
         return np.concatenate([np.zeros(before), named[:count], guards, named[count:]])
 
     def values(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """The residuals of conditions."""
-        head, found = w.head, np.empty(len(conditions))
-        named = self._named(w, conditions)
-        for k, one in enumerate(conditions):
-            found[k] = -one.value
+        found = []
+        for one in conditions:
+            row = -one.value
             if one.normal is not None:
-                found[k] += one.normal @ head
+                row += float(one.normal @ w.head)
             if one.quantity is not None:
-                found[k] += one.weight * named[0][one.quantity]
-        return found
+                row += one.weight * float(self.equations.quantities_at(w)[0][one.quantity])
+            found.append(row)
+        return np.array(found, float)
 
     def slopes(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
         """Their derivatives by the head (x(0), T, free)."""
         size = self.equations.size
         found = np.zeros((len(conditions), size + 1 + w.free.size))
-        named = self._named(w, conditions)
-        for k, one in enumerate(conditions):
+        for row, one in zip(found, conditions, strict=True):
             if one.normal is not None:
-                found[k] += one.normal
+                row += one.normal
             if one.quantity is not None:
-                found[k, :size] += one.weight * named[1][one.quantity]
-                found[k, size + 1 :] += one.weight * named[2][one.quantity]
+                _, by_state, by_free = self.equations.quantities_at(w)
+                row[:size] += one.weight * by_state[one.quantity]
+                row[size + 1 :] += one.weight * by_free[one.quantity]
         return found
-
-    def _named(self, w: Unknowns, conditions: Sequence[Condition]) -> tuple[np.ndarray, ...]:
-        if all(one.quantity is None for one in conditions):
-            return ()
-        return self.equations.quantities_at(w)
 
 
 def beyond(rows: np.ndarray, lost: np.ndarray) -> np.ndarray:

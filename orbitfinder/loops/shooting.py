@@ -97,11 +97,14 @@ def transcribe(problem: Problem, nodes: np.ndarray, flow: Flow | None = None) ->
     parts, tail = scaled if not flow.units else _times(scaled, units)
     known = _variables(problem, flow, parts, tail, given)
     equalities = _rows(loop, problem, known, tail, far)
-    pinned = bool(problem.pin) and not problem.constraints
-    lost = np.append(loop.lost(guess), np.zeros(equalities.numel()))[: equalities.numel()]
-    sizes = _sizes(equalities, (w, given), start, guess, flow, pinned)
-    if problem.pin:
-        sizes = np.maximum(sizes, lost / RESOLVED)
+    lost, own = np.zeros(equalities.numel()), loop.lost(guess)  # the user's constraints come after the loop's rows
+    lost[: own.size] = own
+    if flow.units:
+        sizes = _sizes(equalities, (w, given), start, guess, flow)
+    else:
+        sizes = np.ones(lost.size)
+        sizes[own.size - len(loop.conditions) : own.size] = _pin_sizes(loop, guess)
+    sizes = np.maximum(sizes, lost / RESOLVED)
     rows = ca.Function("rows", [w, given], [equalities if np.all(sizes == 1.0) else equalities / ca.DM(sizes)])
     limits, low, high = _inequalities(problem, known)
     aims = ca.Function("aims", [w, given], [*_objective(problem, known), limits])
@@ -142,22 +145,20 @@ def _times(parts: tuple[list[ca.MX], list[ca.MX]], units: np.ndarray) -> tuple[l
     return found[: len(nodes)], found[len(nodes) :]
 
 
-def _sizes(
-    rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow, pinned: bool
-) -> np.ndarray:
-    """What a unit of the unknowns changes in each row at the start, which rows are measured in.
-
-    1 where units are 1, unless a pin changes by more than 256 times as much (energies of a large mass).
-    """
-    if not flow.units and not pinned:
-        return np.ones(rows.numel())
+def _sizes(rows: ca.MX, inputs: tuple[ca.MX, ca.MX], start: np.ndarray, guess: Unknowns, flow: Flow) -> np.ndarray:
+    """What a unit of the unknowns changes in each row at the start, which rows are measured in."""
     w, ends = inputs
-    sizes = ca.DM(np.tile(np.asarray(flow.units or np.ones(guess.nodes.shape[1])), len(guess.nodes)))
+    sizes = ca.DM(np.tile(np.asarray(flow.units), len(guess.nodes)))
     both = ca.horzcat(ca.jacobian(rows, w), ca.jacobian(rows, ends) @ ca.diag(sizes))
     slopes = ca.Function("slopes", [w, ends], [both])
     size = np.abs(slopes(start, np.roll(guess.nodes, -1, axis=0).T).full()).max(axis=1)
-    known = np.where(np.isfinite(size) & (size > 0), size, 1.0)
-    return known if flow.units else scales.snapped(size, scales.WIDE)
+    return np.where(np.isfinite(size) & (size > 0), size, 1.0)
+
+
+def _pin_sizes(loop: Loop, guess: Unknowns) -> np.ndarray:
+    """The same of the loop's conditions where units are 1: 1, unless one changes by over 256 (of a large mass)."""
+    steepest = np.abs(loop.slopes(guess, loop.conditions)).max(axis=1)
+    return scales.snapped(steepest, scales.WIDE)
 
 
 def _variables(problem: Problem, flow: Flow, parts: list[ca.MX], tail: list[ca.MX], ends: ca.MX) -> Variables:

@@ -664,8 +664,11 @@ def knowing(model: Model, name: str) -> Model:
 def recognise(times: np.ndarray, states: np.ndarray, model: Model, *, own: bool = True) -> str:
     """The name of the symmetry that states (k+1 x 2n) at equal times over T have.
 
-    Looked for are rest and x -> -x, else a centre, and then, with `own`, what the model declares.
+    Looked for are rest and x -> -x, else a centre, and then, with `own`, what the model declares. Of hybrid orbits none
+    is asked.
     """
+    if model.hybrid is not None:
+        return NONE.name
     angles = model.angular
     if model.rates is not None:
         return _first_order(states, involutions(model) if own else _usual_alone(model), angles)

@@ -15,7 +15,7 @@ from typing import Any
 
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain, chain_dae
-from orbitfinder.mechanics.hybrid import SHARE, at_numbers, with_cycle
+from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
 from orbitfinder.mechanics.machines import MACHINES
@@ -150,7 +150,7 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
-    system = system_at(model.system, {k: v for k, v in values.items() if not k.startswith(SHARE)})
+    system = system_at(model.system, values)
     if model.system.get("kind") in REBUILDABLE:
         return build_model(system)
     return replace(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))

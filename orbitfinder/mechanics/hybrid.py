@@ -22,10 +22,7 @@ from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.first_order import Named, in_symbols
 from orbitfinder.mechanics.model import Model
-
-SHARE = "share_"
-"""What the name of the parameter begins with that says how much of the period an arc takes"""
-
+from orbitfinder.records.orbit import SHARE
 
 Expression = Callable[[Named, Named], Any]
 """(x, p) -> an expression of the state and the parameters, which have names: x.theta, p.slope"""

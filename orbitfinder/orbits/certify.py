@@ -86,9 +86,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     describes.
     """
     allowed = tolerances or Tolerances()
-    model = model or build_model(orbit.system)
-    if model.hybrid is not None and not model.hybrid.cycle:
-        model = with_cycle(model, orbit.system.get("cycle", ()))
+    model = _model_of(orbit, model)
     whole = _turns(orbit, model)
     turns = turned(model, whole, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
@@ -139,6 +137,14 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
         *_expected_checks(orbit, model),
     ]  # fmt: skip
     return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+
+
+def _model_of(orbit: Orbit, model: Model | None) -> Model:
+    """The orbit's Model, of a hybrid one without a cycle that with the record's."""
+    model = model or build_model(orbit.system)
+    if model.hybrid is not None and not model.hybrid.cycle:
+        return with_cycle(model, orbit.system.get("cycle", ()))
+    return model
 
 
 def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances) -> Certificate:
@@ -222,14 +228,18 @@ def _hybrid_record_checks(
 ) -> list[Check]:
     """What the record of a hybrid orbit claims against what was recomputed."""
     off = abs(orbit.closure - evidence.closure) / float(evidence.extents.max())
+    held = min(orbit.tolerance, allowed.closure)
+    if isinstance(orbit, FamilyPoint):  # its closure is relative, and by an integration over durations that are told
+        off, held = abs(orbit.closure - evidence.closes.gap), orbit.tolerance
+    room = allowed.record + 10 * evidence.closes.gap
     found = energy(model, orbit.state)
     bulk = max(abs(evidence.action), 1e-300)
     checks = [
         _at_most("energy", abs(orbit.energy - found) / max(abs(found), 1e-300), allowed.record, RECORDED)
         if np.isfinite(found) or np.isfinite(orbit.energy)
         else None,
-        _at_most("action", abs(orbit.action - evidence.action) / bulk, allowed.record, RECORDED),
-        _at_most("recorded_closure", off, min(orbit.tolerance, allowed.closure) * scale, RECORDED),
+        _at_most("action", abs(orbit.action - evidence.action) / bulk, room, RECORDED),
+        _at_most("recorded_closure", off, held * scale, RECORDED),
         _at_most("floquet_multipliers", _multiplier_distance(orbit, evidence.floquet), allowed.multipliers, "relative"),
         _same("stability", orbit.stability, evidence.floquet.stability),
         _same("symmetry", orbit.symmetry, NONE.name),

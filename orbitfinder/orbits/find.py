@@ -439,10 +439,9 @@ def cover_of(shooting: Shooting, w: np.ndarray, most: int = 30, tolerance: float
     times, states = dense(shooting.flow, shooting.at(w).nodes, period)
     n = problem.model.degrees_of_freedom
     units = extents_of(problem.model, states, period)
-    for cover in range(most, 1, -1):
-        if np.any(problem.turns % cover) or problem.forcing_cycles % cover:
-            continue
-        reached = between(times, states, n, period / cover)
-        if gap(states[0], reached, shift_of(problem, states[0], states[-1])[1] / cover, units) < tolerance:
+    covers = [k for k in range(most, 1, -1) if not (np.any(problem.turns % k) or problem.forcing_cycles % k)]
+    shift = shift_of(problem, states[0], states[-1])[1]
+    for cover, reached in zip(covers, between(times, states, n, period / np.array(covers, float)), strict=True):
+        if gap(states[0], reached, shift / cover, units) < tolerance:
             return cover
     return 1

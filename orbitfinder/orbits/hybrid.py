@@ -335,6 +335,8 @@ class HybridCheck(ClosureCheck):
             rate = self._automaton.rate(one, x)
             miss = float(self._automaton.value(one.guard, x)[0])
             found = max(found, abs(miss / (rate * period)) if rate else np.inf)
+            if rate:  # at the guard, so that errors grow no more than those of the machine do
+                x = x - self._automaton.field(mode.name)(0.0, x) * (miss / rate)
             x = self._automaton.value(one.reset, x)
         return max(found, gap(np.asarray(state, float), x, turns, units))
 

@@ -41,6 +41,8 @@ from orbitfinder.orbits.hybrid import carried, first_unknowns, hybrid_orbit
 from orbitfinder.orbits.measure import RESOLVED, SAMPLES, action, marched, whole_period
 from orbitfinder.records.orbit import Orbit
 
+PART = 0.5
+"""Share of a smooth period's steps that a hybrid one starts with: between its events a motion is a part of a swing"""
 STANDSTILL = 1e-6
 """Largest rate at the start times the period, below which the motion is none."""
 
@@ -68,7 +70,7 @@ class Refiner:
         self.flow = None if hybrid else build_flow(problem.model, problem.free, unfolded, units=units)
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         self.equations.march.build()
-        fraction = problem.boundary.fraction
+        fraction = problem.boundary.fraction * (PART if hybrid else 1.0)
         whole = max(4, int(np.ceil(chosen.steps_per_period * fraction)))
         arcs = self.equations.links.count
         self.segments = problem.segments or (1 if hybrid else self._segments(whole))

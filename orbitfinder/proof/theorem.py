@@ -110,7 +110,7 @@ def prove(
     chosen, say = options or Options(), progress or (lambda line: None)
     began = time.perf_counter()
     with precision(chosen.bits):
-        model = _smooth(model or provable_model(orbit))
+        model = model or provable_model(orbit)
         codes = programs(model)
         symmetry = chosen_symmetry(orbit, model, codes, chosen.symmetry)
         try:
@@ -118,12 +118,6 @@ def prove(
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
             return Proof(False, str(error), symmetry.name, chosen, time.perf_counter() - began)
         return Proof(**{**found, "wall_time": time.perf_counter() - began})
-
-
-def _smooth(model: Model) -> Model:
-    if model.hybrid is not None:
-        raise InputError("system: orbits with events cannot be proved yet; the theorem is about smooth flows")
-    return model
 
 
 def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | None) -> Symmetry:
@@ -328,7 +322,7 @@ def refine(
     """An orbit refined at its recorded energy, read as the decimal that it is written as."""
     began, say = time.perf_counter(), progress or (lambda line: None)
     with precision(settings.bits):
-        model = _smooth(model or provable_model(orbit))
+        model = model or provable_model(orbit)
         codes = programs(model)
         chosen = chosen_symmetry(orbit, model, codes, symmetry)
         start = approach(model, orbit, chosen, None)

@@ -27,6 +27,8 @@ from orbitfinder.records.reading import (
 
 FORMAT, VERSION = "orbitfinder/orbit", 1
 AGAIN = "run the problem again"
+SHARE = "share_"
+"""What the name of the parameter begins with that says how much of the period an arc of a hybrid orbit takes"""
 SHIFT = "shift_"
 """In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
@@ -166,19 +168,23 @@ def _number(value: float | None) -> float:
 
 
 def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping[str, Any]:
-    """The description of a system with some physical parameters changed: `length3` is the third entry of `length`."""
-    if not values:
+    """The description of a system with some physical parameters changed: `length3` is the third entry of `length`.
+
+    Shares of arcs, which solvers free too, are no part of it.
+    """
+    physical = {name: float(value) for name, value in values.items() if not name.startswith(SHARE)}
+    if not physical:
         return system
     if "function" in system:
-        return {**system, "arguments": {**system.get("arguments", {}), **{k: float(v) for k, v in values.items()}}}
+        return {**system, "arguments": {**system.get("arguments", {}), **physical}}
     found = dict(system)
-    for name, value in values.items():
+    for name, value in physical.items():
         entry = name.rstrip("0123456789")
         if entry == name and name in found:
-            found[name] = float(value)
+            found[name] = value
         elif entry in found:
             column = list(found[entry])
-            column[int(name[len(entry) :]) - 1] = float(value)
+            column[int(name[len(entry) :]) - 1] = value
             found[entry] = column
     return found
 

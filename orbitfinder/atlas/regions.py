@@ -1,0 +1,197 @@
+"""Where searches of first-order systems start: on a level set of what is conserved, or on what attracts motions.
+
+Neither has a kinetic energy that velocities could be drawn from. A level set I = E is met by rays from equilibria, and
+within the fixed set of a reversal by such rays; an attractor is what is left of motions from random states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import brentq
+
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.guesses.modes import first_order_modes
+from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_field
+from orbitfinder.integrate.equations import accelerations
+from orbitfinder.loops.symmetry import Involution
+from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.scales import given_lengths, snapped
+
+DRAWN = 48
+"""States from which equilibria, and later attractors, are looked for"""
+REACHES = 2.0 ** np.arange(-20, 21)
+"""Distances along a ray, in lengths"""
+RAYS = 60
+"""Rays that are cast before a start is given up"""
+SPANS = 6.0
+"""Motions settle for half of so many of the longest periods"""
+SETTLED = 8
+"""Motions on attractors that are kept"""
+SAMPLES = 400
+GROWN = 4.0
+"""What gets this much larger in the second half runs away"""
+STILL = 1e-6
+"""What moves less than this, relative to where it is, is at rest"""
+LOOSE = ReferenceSettings(relative_tolerance=1e-8, absolute_tolerance=1e-10)
+
+
+class Region(Protocol):
+    """Where states (d) are drawn from."""
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """What states are measured in (d)."""
+        ...
+
+    def drawn(self, random: np.random.Generator) -> np.ndarray:
+        """A state. Raises `ConvergenceError`."""
+        ...
+
+    def fixed(self, one: Involution, random: np.random.Generator) -> np.ndarray:
+        """A state in the fixed set of an involution that runs time backwards. Raises `ConvergenceError`."""
+        ...
+
+
+def region_of(model: Model, level: float, longest: float) -> Region:
+    """The level set of an integral, or the attractors of a system without one. Raises `InputError`."""
+    return Level.of(model, level) if model.invariants else Attractor.of(model, longest)
+
+
+@dataclass(frozen=True)
+class Level:
+    """I(x) = `level`, met by rays from `places` (k x d), from places `inside` (I < level) where there are any."""
+
+    model: Model
+    level: float
+    places: np.ndarray
+    lengths: np.ndarray
+    inside: bool
+
+    @classmethod
+    def of(cls, model: Model, level: float) -> Level:
+        """The level set of a model's integral; `InputError` where no ray meets it."""
+        places = equilibria(model)
+        inner = np.array([energy(model, place) < level for place in places])
+        places = places[inner] if np.any(inner) else places
+        one = cls(model, level, places, np.ones(places.shape[1]), bool(np.any(inner)))
+        met = []
+        for place in places:
+            for unit in np.eye(place.size):
+                found = [one.crossing(place, sign * unit) for sign in (1.0, -1.0)]
+                sizes = [np.abs(x - place).max() for x in found if x is not None]
+                met.append(min(sizes, default=np.nan))
+        if np.all(np.isnan(met)):
+            raise InputError(f"energy: no state of energy {level:.9g} is found about equilibria; give another energy")
+        sizes = np.nanmin(np.reshape(np.append(met, np.full(place.size, 1e300)), (-1, place.size)), axis=0)
+        return replace(one, lengths=measured(model, np.where(sizes < 1e300, sizes, 1.0)))
+
+    def drawn(self, random: np.random.Generator) -> np.ndarray:
+        """Where a ray in a random direction, from near one of the places, first meets the level."""
+        return self._cast(random, np.ones(self.lengths.size))
+
+    def fixed(self, one: Involution, random: np.random.Generator) -> np.ndarray:
+        """The same within the fixed set."""
+        return self._cast(random, np.broadcast_to(one.signs, self.lengths.size))
+
+    def _cast(self, random: np.random.Generator, signs: np.ndarray) -> np.ndarray:
+        angles = self.model.angular
+        for _ in range(RAYS):
+            shifted = random.normal(size=signs.size) * random.uniform() ** 3 * (random.uniform() < 0.5)
+            place = self.places[random.integers(len(self.places))] + self.lengths * shifted
+            place = np.where(signs < 0, np.pi * angles * random.integers(0, 2, signs.size), place)
+            if self.inside and not energy(self.model, place) < self.level:
+                continue
+            met = self.crossing(place, self.lengths * np.where(signs < 0, 0.0, random.normal(size=signs.size)))
+            if met is not None:
+                return met
+        raise ConvergenceError("no ray meets the energy")
+
+    def crossing(self, place: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
+        """The first state along a ray at which the integral has its level, None where there is none."""
+
+        def excess(length: float) -> float:
+            return energy(self.model, place + length * direction) - self.level
+
+        last, before = 0.0, excess(0.0)
+        for length in REACHES:
+            here = excess(length)
+            if not np.isfinite(here):
+                return None
+            if np.isfinite(before) and (here > 0) != (before > 0):
+                return np.asarray(place + brentq(excess, last, length, xtol=1e-15 * length, rtol=1e-15) * direction)
+            last, before = float(length), here
+        return None
+
+
+@dataclass(frozen=True)
+class Attractor:
+    """`states` (k x d) on what attracts motions, and near them."""
+
+    angles: np.ndarray
+    states: np.ndarray
+    lengths: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model, longest: float) -> Attractor:
+        """What is left of motions from random states after some of the longest periods (s). Raises `InputError`."""
+        field, times = vector_field(accelerations(model)), np.linspace(0.0, SPANS * longest, 2 * SAMPLES)
+        kept: list[np.ndarray] = []
+        for start in random_states(model):
+            try:
+                before, path = np.split(integrate(field, start, times, LOOSE), 2)
+            except IntegrationError:
+                continue
+            moved = np.ptp(path, axis=0)
+            bounded = np.abs(path).max() < GROWN * np.abs(before).max()
+            if bounded and np.any(moved > STILL * np.maximum(np.abs(path).max(axis=0), STILL)):
+                kept.append(path)
+            if len(kept) == SETTLED:
+                break
+        if not kept:
+            raise InputError(
+                "search: no motion from a random state stays bounded and goes on; give scales= to the system, or find "
+                "its orbits from a guess"
+            )
+        sizes = np.max([np.ptp(path, axis=0) for path in kept], axis=0) / 4
+        return cls(model.angular, np.vstack(kept), measured(model, sizes))
+
+    def drawn(self, random: np.random.Generator) -> np.ndarray:
+        """A state on an attractor, half of them moved away from it."""
+        away = 0.2 * (random.uniform() < 0.5) * self.lengths * random.normal(size=self.lengths.size)
+        return np.asarray(self.states[random.integers(len(self.states))] + away)
+
+    def fixed(self, one: Involution, random: np.random.Generator) -> np.ndarray:
+        """Such a state, put into the fixed set."""
+        x, signs = self.drawn(random), np.broadcast_to(one.signs, self.lengths.size)
+        return np.asarray(np.where(signs < 0, np.pi * self.angles * random.integers(0, 2, signs.size), x))
+
+
+def measured(model: Model, sizes: np.ndarray) -> np.ndarray:
+    """Lengths (d): those given, 1 of angles, else powers of 2 near the sizes, 1 within a factor of 16 of it."""
+    known, given = np.where(sizes > 0, sizes, 1.0), given_lengths(model)
+    found = np.where(model.angular | (snapped(known) == 1.0), 1.0, snapped(known, 2.0))
+    return np.where(np.isnan(given), found, given)
+
+
+def random_states(model: Model) -> list[np.ndarray]:
+    """Seeded states (d) about 0, near and far, in the lengths given."""
+    random, given = np.random.default_rng(0), np.nan_to_num(given_lengths(model), nan=1.0)
+    far = (1.0, 4.0, 16.0, 0.25)
+    return [given * far[k % len(far)] * random.normal(size=given.size) for k in range(DRAWN)]
+
+
+def equilibria(model: Model) -> np.ndarray:
+    """Equilibria (k x d) that Newton's method finds from random states, else the states themselves."""
+    drawn, found = random_states(model), list[np.ndarray]()
+    for start in (np.zeros(drawn[0].size), *drawn):
+        try:
+            with np.errstate(all="ignore"):
+                place = first_order_modes(model, start)[0]
+        except (InputError, ValueError, np.linalg.LinAlgError):
+            continue
+        if np.isfinite(energy(model, place)) and not any(np.abs(place - one).max() < STILL for one in found):
+            found.append(place)
+    return np.array(found or [one for one in drawn if np.isfinite(energy(model, one))])
