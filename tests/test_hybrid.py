@@ -277,6 +277,16 @@ def test_planted_skipped_guard():
         of.find_orbit(of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=of.pin(energy=1800.0)))
 
 
+def test_planted_allowed_that_hardly_decides(walker):
+    """Whether the strike counts hangs on round-off."""
+    model = simplest_walker(0.009)
+    (mode,), (strike,), _ = model.hybrid.given
+    end = cycle_from(model, walker.state)[-1].states[-1]
+    narrow = replace(strike, allowed=lambda x, p: float(end[0]) + 1e-9 - x.theta)
+    failing(walker, hybrid([mode], [narrow], ["strike"], system=model.system), "decided")
+    assert any(one.name == "decided" and one.value > 0.1 for one in walker.certificate.checks)
+
+
 def test_planted_grazing():
     """A guard that the motion only just reaches is no transversal event."""
     symbols = of.Symbols(q := ca.SX.sym("q"), v := ca.SX.sym("v"))

@@ -61,6 +61,8 @@ class Arc:
     """what must hold in the mode, and its least value, relative to its range, along the arc"""
     impulse: float | None = None
     lost: float | None = None
+    decided: float = np.inf
+    """least |allowed| at a crossing, counted or ignored, relative to its range along the arc"""
 
     @property
     def duration(self) -> float:
@@ -76,6 +78,7 @@ class Automaton:
         self.model, self.hybrid, self.settings, self.longest = model, model.hybrid, settings, longest
         self._fields: dict[str, VectorField] = {}
         self._buffered: dict[int, Buffered] = {}
+        self._asked: list[tuple[Transition, float]] = []
         self._slopes: dict[int, ca.Function] = {}
 
     def field(self, mode: str) -> VectorField:
@@ -148,6 +151,7 @@ class Automaton:
             field, 0.0, x, until - t, rtol=settings.relative_tolerance, atol=settings.absolute_tolerance,
             max_step=max(self.longest, 1e-300),
         )  # fmt: skip
+        self._asked = []
         guards = [self._watch(one.guard, one.direction, field, x, by in ("", one.name)) for one in leaving]
         holds = {name: self._watch(one, -1, field, x) for name, one in self.hybrid.mode(mode).holds.items()}
         times: list[np.ndarray] = [np.zeros(1)]
@@ -218,7 +222,11 @@ class Automaton:
 
     def _counts(self, one: Transition, x: np.ndarray) -> bool:
         """Whether a crossing is an event."""
-        return one.allowed is None or float(self.value(one.allowed, x)[0]) > 0
+        if one.allowed is None:
+            return True
+        value = float(self.value(one.allowed, x)[0])
+        self._asked.append((one, abs(value)))
+        return value > 0
 
     def _located(self, height: Height, before: float, after: float, dense: Callable[[float], np.ndarray]) -> float:
         return _root(lambda moment: height(dense(moment)), before, after)
@@ -257,8 +265,13 @@ class Automaton:
         impulse, lost = (None if f is None else float(self.value(f, end)[0]) for f in (one.impulse, one.lost))
         return Arc(
             mode, start + times, states, one.name, self.value(one.reset, end), slope * times[-1] / max(span, 1e-300),
-            margins, impulse, lost,
+            margins, impulse, lost, self._decided(states),
         )  # fmt: skip
+
+    def _decided(self, states: np.ndarray) -> float:
+        """How far from their change of mind the answers were on which crossings count."""
+        sizes = {one.name: max(abs(float(self.value(one.allowed, x)[0])) for x in states) for one, _ in self._asked}
+        return min((value / max(sizes[one.name], 1e-300) for one, value in self._asked), default=np.inf)
 
 
 Seen = tuple[float, float, float]

@@ -170,6 +170,9 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
         _cycle_check(evidence.arcs, orbit, reached, evidence.extents, allowed.cover),
         _at_least("not_equilibrium", _extent(evidence.states, model), allowed.motion, "extent of the motion"),
         _at_least("transversal", evidence.transversal, allowed.transversal, "least rate of a guard, relative"),
+        _at_least("decided", evidence.decided, allowed.transversal, "least |allowed| at a crossing, relative")
+        if np.isfinite(evidence.decided)
+        else None,
         *(_at_least(f"holds: {name}", least, -allowed.holds, "least value along the motion") for name, least in
           held(evidence.arcs)),
         _at_most("trivial_multipliers", evidence.trivial, allowed.trivial, "flow and gradients are kept"),

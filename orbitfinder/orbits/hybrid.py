@@ -104,7 +104,8 @@ class HybridEvidence:
     """What the simulated automaton says of a state: its arcs, the gap, the multipliers, what must hold.
 
     `pieces` are state-transition matrices in extents, events included; `trivial` how far the flow and the invariants'
-    gradients are from being kept; `transversal` the least rate at which a guard is crossed, relative.
+    gradients are from being kept; `transversal` the least rate at which a guard is crossed, relative;
+    `decided` the least |allowed| at a crossing.
     """
 
     arcs: tuple[Arc, ...]
@@ -118,6 +119,7 @@ class HybridEvidence:
     extents: np.ndarray
     trivial: float
     transversal: float
+    decided: float
     floquet: Floquet
     monodromy: np.ndarray
 
@@ -166,6 +168,7 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
         extents=units,
         trivial=max(kept) / size,
         transversal=min(abs(arc.slope) for arc in arcs),
+        decided=min(arc.decided for arc in arcs),
         floquet=multipliers(whole, slopes, rate[None]),
         monodromy=whole * units[:, None] / units,
     )
