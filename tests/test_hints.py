@@ -59,10 +59,11 @@ def test_a_rotation_that_no_coordinate_shows_is_hinted_at_and_can_be_declared():
     guess = of.Guess([0.5, 0.0, 1.2, 0.0, 0.0, 0.0], 2.2)
     plain = spring_in_space()
     with pytest.warns(Hint, match=r"2 multipliers are at \+1 beyond .*\(energy\).* of\.Invariant"):
-        rejected = of.find_orbit(of.Problem(plain, guess))
-    assert not rejected.certificate.passed
+        undeclared = of.find_orbit(of.Problem(plain, guess))
+    assert undeclared.stability == "marginal"
     declared = spring_in_space(invariants=(*plain.invariants, about_the_vertical()))
-    assert of.find_orbit(of.Problem(declared, guess)).certificate.passed
+    orbit = of.find_orbit(of.Problem(declared, guess))
+    assert orbit.certificate.passed and orbit.stability == "elliptic" and orbit.floquet_multipliers.size == 2
 
 
 def test_degrees_in_the_place_of_radians_are_hinted_at():

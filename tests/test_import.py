@@ -87,6 +87,7 @@ def values():
     family = of.load_family(ROOT / "results" / "families" / "triple-mode-2" / "family.json")
     linkage = of.linkage([0.5, 1.2, 1.0], ground=[0.2, 1.0])
     refiner = of.Refiner(of.Problem(of.chain(1), of.Guess([1.0, 0.0], 1.8), of.pin(theta1=1.0)))
+    walker = of.systems.simplest_walker().hybrid
     atlas = of.Atlas(next((ROOT / "results" / "atlas").glob("*.sqlite")))
     found = [
         model, problem, problem.guess, problem.pin[0], orbit, orbit.certificate, orbit.certificate.checks[0], family,
@@ -94,7 +95,7 @@ def values():
         linkage.constraint.baumgarte, of.systems.planar_oscillator().invariants[0], of.Symbols(q, v), atlas,
         of.Constraint(lambda v: v.period), of.Filter(), refiner, refiner.refine(), of.SolveSettings(),
         of.flows.build_flow(model), of.flows.IntegratorSettings(), of.linkages.DaeSettings(),
-        of.simulate(model, [0.1] * 6, 0.1), of.orbit_clip(orbit),
+        of.simulate(model, [0.1] * 6, 0.1), of.orbit_clip(orbit), walker.modes[0], walker.transitions[0],
         Variables(model, problem.boundary, (), (), ca.MX.sym("T"), {}, ca.MX.sym("p"), list),
         load_problem_file(ROOT / "problems" / "report" / "triple-1.toml"),
     ]  # fmt: skip

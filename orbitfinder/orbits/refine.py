@@ -109,6 +109,9 @@ class Refiner:
             )
         if self._rates(w, np.asarray(scales or 1.0)) < STANDSTILL:
             raise ConvergenceError("warm refinement ended at an equilibrium; start farther from it, or pin the energy")
+        told = {one.name: one.value for one in pins}  # a pinned parameter is that, not one to round-off
+        known = [told.get(name, one) for name, one in zip(self.equations.free, w.free, strict=True)]
+        w = replace(w, free=np.array(known, float))
         turns = self.problem.boundary.turns(loop.constant)
         return Refined(
             w.nodes[0], w.period, w.nodes, w.unfolding, w.free, turns, residual, w.steps, newton.marches,
