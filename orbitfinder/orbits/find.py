@@ -164,7 +164,7 @@ def degrees_taken_for_radians(problem: Problem) -> str:
 
 
 def unexplained_multipliers(problem: Problem, orbit: Orbit) -> str:
-    """A sentence where an orbit has multipliers at +1 that neither an invariant nor a bifurcation asked for explains."""
+    """A sentence where an orbit has multipliers at +1 that no invariant explains, and no bifurcation asked for."""
     if orbit.certificate is None or problem.constraints or problem.relative or not problem.model.conservative:
         return ""
     extra = int(np.sum(np.abs(orbit.floquet_multipliers - 1) < NEAR_ONE))
