@@ -20,6 +20,9 @@ var orbitfinder = (function () {
     this.centre = packed.centre;
     this.moving = packed.moving;
     this.drawn = packed.drawn;
+    this.jumps = new Set(packed.jumps || []);
+    this.ground = packed.ground || null;
+    this.broken = false;
     this.now = new Float32Array(2 * packed.points);
     this.fixed = [];
     this.carts = [];
@@ -51,11 +54,15 @@ var orbitfinder = (function () {
     return Math.max(high - low, 1e-9);
   };
 
-  // All positions at a time in s: Catmull-Rom between samples, periodic.
+  // All positions at a time in s: Catmull-Rom between samples, periodic; a hybrid motion waits where it jumps.
   Motion.prototype.at = function (time) {
     var n = this.count, place = (((time / this.period) % 1) + 1) % 1 * n;
     var i = Math.floor(place) % n, u = place - Math.floor(place);
     var a = (i + n - 1) % n, c = (i + 1) % n, d = (i + 2) % n;
+    this.broken = this.jumps.has(i);
+    if (this.jumps.has(a)) a = i;
+    if (this.broken) c = d = i;
+    else if (this.jumps.has(c)) d = c;
     var u2 = u * u, u3 = u2 * u;
     var wa = 0.5 * (-u + 2 * u2 - u3), wb = 0.5 * (2 - 5 * u2 + 3 * u3);
     var wc = 0.5 * (u + 4 * u2 - 3 * u3), wd = 0.5 * (u3 - u2);
@@ -92,7 +99,7 @@ var orbitfinder = (function () {
     var steps = Math.max(240, 2 * m.count);
     for (var k = 0; k <= steps; k++) {
       var now = m.at(k * m.period / steps), x = this.across(now, m.tip), y = this.down(now, m.tip);
-      if (k) this.path.lineTo(x, y); else this.path.moveTo(x, y);
+      if (k && !m.broken) this.path.lineTo(x, y); else this.path.moveTo(x, y);
     }
   };
 
@@ -111,6 +118,7 @@ var orbitfinder = (function () {
     if (!m || !this.width) return;
     var small = Math.min(this.width, this.height), many = m.points > 20, line = Math.max(1.5, small / (many ? 130 : 75));
     pen.lineCap = pen.lineJoin = "round";
+    if (m.ground) this.floor(time, line);
     if (this.trace && this.path) {
       pen.strokeStyle = c.trace;
       pen.lineWidth = Math.max(1, line * 0.35);
@@ -137,6 +145,20 @@ var orbitfinder = (function () {
     }
   };
 
+  // What the machine stands on or hits, [down, right] in m.
+  Scene.prototype.floor = function (time, line) {
+    var pen = this.pen, m = this.motion, all = m.ground, place = ((time / m.period) % 1 + 1) % 1;
+    var one = all[Math.floor(place * all.length) % all.length];
+    pen.strokeStyle = colours().muted;
+    pen.lineWidth = line * 0.5;
+    pen.beginPath();
+    for (var k = 0; k < one[0].length; k++) {
+      pen.lineTo(this.width / 2 + (one[1][k] - m.centre[1]) * this.scale,
+        this.height / 2 + (one[0][k] - m.centre[0]) * this.scale);
+    }
+    pen.stroke();
+  };
+
   // The last quarter period of the tip's path, fading away from it.
   Scene.prototype.tail = function (time, line) {
     var pen = this.pen, m = this.motion, parts = 4, steps = Math.max(12, Math.round(m.count / 12)), span = m.period / 4;
@@ -147,7 +169,8 @@ var orbitfinder = (function () {
       pen.beginPath();
       for (var k = 0; k <= steps; k++) {
         var now = m.at(time - span * (1 - (part + k / steps) / parts));
-        pen.lineTo(this.across(now, m.tip), this.down(now, m.tip));
+        if (m.broken) pen.moveTo(this.across(now, m.tip), this.down(now, m.tip));
+        else pen.lineTo(this.across(now, m.tip), this.down(now, m.tip));
       }
       pen.stroke();
     }

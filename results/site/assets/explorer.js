@@ -11,7 +11,7 @@
   player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; });
 
   var NAMES = { energy: "energy, J", frequency: "frequency, 1/s", period: "period, s", action: "action, J s",
-    largest: "largest multiplier", value: safe(it.parameter) };
+    amplitude: "amplitude of " + safe(it.moved || ""), largest: "largest multiplier", value: safe(it.parameter) };
   var SYMBOLS = { fold: "triangle-down", branch_point: "circle-open", period_doubling: "square", torus: "cross", resonance: "circle",
     collision: "x", stability_change: "diamond" };
 

@@ -11,7 +11,9 @@
 
   function moving() {
     var count = it.histories.count, states = new Float32Array(orbitfinder.bytes(it.histories.data));
-    var n = it.names.length / 2, times = [];
+    var n = it.coordinates, size = it.names.length, times = [];
+    // A label with its unit, where one is known.
+    function labelled(text, unit) { return unit ? text + ", " + unit : text; }
     for (var k = 0; k < count; k++) times.push(it.period * k / (count - 1));
     // A component for plotting: Catmull-Rom through the samples, which are periodic up to whole turns.
     var fine = Math.max(1, Math.round(960 / (count - 1))), moments = [];
@@ -45,22 +47,24 @@
       var middle = (own[0] + own[1]) / 2;
       return own[1] - own[0] > 1e-6 * most ? {} : { range: [middle - most / 2, middle + most / 2] };
     }
-    var rates = it.shown.map(function (i) { return i + n; });
+    var rates = it.shown.map(function (i) { return it.partners[i]; });
     it.shown.forEach(function (i) {
       var box = part("portraits").querySelector('[data-component="' + i + '"]'), units = it.units[i];
       var across = Object.assign({ nticks: 4, zeroline: false }, range(i, it.shown));
-      var up = Object.assign({ nticks: 5, zeroline: false }, range(i + n, rates));
+      var up = Object.assign({ nticks: 5, zeroline: false }, range(it.partners[i], rates));
       plots.plot(box, function () {
-        return { traces: [{ x: row(i), y: row(i + n), mode: "lines", hoverinfo: "x+y",
+        return { traces: [{ x: row(i), y: row(it.partners[i]), mode: "lines", hoverinfo: "x+y",
           line: { color: orbitfinder.colours().series[0], width: 1.6 } }],
-        layout: plots.layout(plots.axis(it.labels[i] + ", " + units, across),
-          plots.axis("rate, " + units + "/s", up), { margin: { l: 52, r: 10, t: 8, b: 40 } }) };
+        layout: plots.layout(plots.axis(labelled(it.labels[i], units), across),
+          plots.axis(n < size ? "rate, " + units + "/s" : labelled(it.labels[it.partners[i]], it.units[it.partners[i]]), up), { margin: { l: 52, r: 10, t: 8, b: 40 } }) };
       });
       marks.push({ mark: new plots.Mark(box, "dot"), component: i });
     });
 
     var kinds = Array.from(new Set(it.shown.map(function (i) { return it.units[i]; }))).join(" or ");
-    var lines = [["coordinates", 0, kinds], ["velocities", n, kinds.replace(/rad|m/g, "$&/s")]].map(function (one) {
+    part("velocities").hidden = n === size;
+    var both = [["coordinates", 0, kinds], ["velocities", n, kinds.replace(/rad|m/g, "$&/s")]];
+    var lines = (n < size ? both : both.slice(0, 1)).map(function (one) {
       var box = part(one[0]);
       plots.plot(box, function () {
         var c = orbitfinder.colours(), dashes = ["solid", "dash", "dot"];
@@ -68,7 +72,7 @@
           return { x: moments, y: row(i + one[1]), mode: "lines", name: it.labels[i],
             line: { color: c.series[k % c.series.length], width: 1.7, dash: dashes[Math.floor(k / c.series.length) % 3] } };
         }),
-        layout: plots.layout(plots.axis("time, s", { range: [0, it.period] }), plots.axis(one[0] + ", " + one[2]),
+        layout: plots.layout(plots.axis("time, s", { range: [0, it.period] }), plots.axis(labelled(one[0], one[2])),
           { showlegend: true, hovermode: "x", legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
             margin: { l: 60, r: 14, t: 40, b: 44 } }) };
       });
@@ -77,7 +81,7 @@
     });
     player.followers.push(function (time) {
       var within = time - it.period * Math.floor(time / it.period);
-      marks.forEach(function (one) { one.mark.move(value(one.component, time), value(one.component + n, time)); });
+      marks.forEach(function (one) { one.mark.move(value(one.component, time), value(it.partners[one.component], time)); });
       lines.forEach(function (line) { line.move(within); });
     });
 
@@ -85,7 +89,7 @@
       var out = ["t," + it.names.join(",")];
       for (var k = 0; k < count; k++) {
         var cells = [times[k]];
-        for (var c = 0; c < 2 * n; c++) cells.push(+states[c * count + k].toPrecision(8));
+        for (var c = 0; c < size; c++) cells.push(+states[c * count + k].toPrecision(8));
         out.push(cells.join(","));
       }
       orbitfinder.save(it.name + ".csv", "text/csv", out.join("\n") + "\n");
