@@ -94,7 +94,7 @@ def _facts(entry: Entry) -> list[tuple[str, str]]:
         ("Period", f"{float(document['period'])!r} s"),
         ("Frequency", f"{number(1.0 / document['period'], 8)} 1/s"),
         ("Energy", "none is conserved" if document["energy"] is None else f"{number(document['energy'], 12)} J"),
-        ("Action", f"{number(document['action'], 10)} J s"),
+        ("Action", number(document["action"], 10) + (" J s" if document["energy"] is not None else "")),
         ("Closure", number(document["closure"], 2)),
         ("Largest multiplier", number(entry.largest, 6)),
     ]
