@@ -256,6 +256,8 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
         return None
     step, past = other.head - one.head, heads[: 1 - FEWEST_STEPS]
     normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
+    if not square > 0.0:
+        return None
     shares = (past - one.head) @ normal / square
     if not np.any((shares >= 0.0) & (shares <= 1.0)):
         return None
