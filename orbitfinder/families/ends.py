@@ -69,7 +69,7 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
     grown, more = found.place.period / after.shortest_period, None
     if grown > run.settings.longest_period:
         more = ""
-    elif not curve.equations.free and _settled(run.origin, before.point, after.point):
+    elif not curve.equations.physical and _settled(run.origin, before.point, after.point):
         more = f", multiplier {after.point.scale:.2g}, beyond what can be told"
     saddle = more is not None and near_saddle(curve, found, state)
     return _homoclinic(curve, found, state, grown, str(more)) if saddle else None
@@ -283,7 +283,7 @@ def mirrored(interval: Interval, at: float) -> bool:
     differ to first order, and at one close to a branch point that the family passes to third. Raises
     `ConvergenceError` at the edge of the step.
     """
-    name = next(iter(interval.curve.equations.free), "")
+    name = next(iter(interval.curve.equations.physical), "")
 
     def read(distance: float) -> np.ndarray:
         found = interval.sample(distance).found
@@ -322,6 +322,6 @@ def merged(interval: Interval, at: float) -> End | None:
     if not what or not mirrored(interval, at):
         return None
     told = {"energy": (parameter_value(curve, found.place, "energy"), " J")}
-    told = {one: (parameter_value(curve, found.place, one), "") for one in curve.equations.free} or told
+    told = {one: (parameter_value(curve, found.place, one), "") for one in curve.equations.physical} or told
     where = ", ".join(f"{one} {value:.9g}{unit}" for one, (value, unit) in told.items())
     return End("merged", f"joins a family {what} at {where}, period {found.place.period:.9g} s")

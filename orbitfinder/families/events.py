@@ -60,7 +60,7 @@ def folds(interval: Interval) -> Iterator[Test]:
     p, held = interval.curve.equations, {one.quantity for one in interval.curve.conditions}
     kept = [one for k, one in enumerate(p.model.invariants) if k in held]
     swept = momenta_of(p.symmetry, p.model) if any(one.generator is None for one in kept) else ("energy",)
-    for name in p.free or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
+    for name in p.physical or (*(one for one in swept if one not in {each.name for each in kept}), "period"):
         if interval.first.slopes[name] * interval.last.slopes[name] < 0:
             yield Test("fold", name, _slope(name))
 

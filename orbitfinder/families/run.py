@@ -129,7 +129,7 @@ def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[st
     for one, by_state, by_free in zip(p.model.invariants, slope, free, strict=False):
         if one.generator is not None:
             slopes[one.name] = float(by_state @ head[:size] + by_free @ head[size + 1 :])
-    slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.free)}
+    slopes |= {name: float(head[size + 1 + k]) for k, name in enumerate(p.physical)}
     return slopes | {name: float(head[k]) for k, name in enumerate(p.model.state_names)}
 
 

@@ -272,7 +272,7 @@ class CurveEntry:
 
 def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:
     """The parameter of a name, the first freed one or else the energy, at the value that it has at a place."""
-    name = name or next(iter(curve.equations.free), "energy")
+    name = name or next(iter(curve.equations.physical), "energy")
     return pinned(curve.equations, name, parameter_value(curve, place, name))
 
 
