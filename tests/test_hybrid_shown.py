@@ -305,6 +305,7 @@ def test_points_of_a_first_order_system_are_checked():
     assert of.positions(drawn, np.array([[0.3, 0.1]]))[0, :, 0] == pytest.approx([0.0, 0.3])
 
 
+@pytest.mark.slow
 def test_a_cascade_goes_on_from_a_cycle_of_two(found):
     """Periods 2 to 4: closures do not grow with the arcs, and points are certified, drawn and rebuilt by themselves."""
     orbit, _ = found("simplest-walker-period-2")
