@@ -77,10 +77,15 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
 
 def _shrinking(curve: Curve, before: Solution, found: Solution) -> bool:
     """Whether an orbit is smaller than the one before, hardly slower or faster, and small beside where it is."""
-    n, periods = curve.equations.model.degrees_of_freedom, (before.place.period, found.place.period)
-    sizes = [float(np.ptp(one.march.states[:, :n], axis=0).max()) for one in (before, found)]
-    far = float(np.abs(found.march.states[0, :n]).max())
-    return sizes[1] < min(SMALLER * sizes[0], LEAST * far) and abs(periods[1] / periods[0] - 1.0) < STEADY
+    (first, _), (size, far) = _extent_and_place(curve, before), _extent_and_place(curve, found)
+    steady = abs(found.place.period / before.place.period - 1.0) < STEADY
+    return steady and size < min(SMALLER * first, LEAST * far)
+
+
+def _extent_and_place(curve: Curve, found: Solution) -> tuple[float, float]:
+    """The largest extent of a coordinate, and how far from the origin the motion is."""
+    q = found.march.states[:, : curve.equations.model.degrees_of_freedom]
+    return float(np.ptp(q, axis=0).max()), float(np.abs(q[0]).max())
 
 
 def _at_equilibrium(curve: Curve, found: Solution) -> End:
@@ -99,9 +104,8 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     dead = dead_point(curve.equations.model.system, found.march.states, freed(curve, found.place))
     if dead:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
-    n = curve.equations.model.degrees_of_freedom
-    small = np.ptp(found.march.states[:, :n], axis=0).max() < 10 * LEAST * np.abs(found.march.states[0, :n]).max()
-    if small and linear(curve, found, NEARLY):
+    size, far = _extent_and_place(curve, found)
+    if size < 10 * LEAST * far and linear(curve, found, NEARLY):
         return _at_equilibrium(curve, found)
     return _singular(curve, found, failure) or End("step underflow", failure)
 
