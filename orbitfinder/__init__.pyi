@@ -19,6 +19,8 @@ from .families.point import FamilySettings as FamilySettings
 from .loops.conditions import Constraint as Constraint
 from .loops.conditions import Variables as Variables
 from .loops.conditions import pin as pin
+from .loops.control import Control as Control
+from .loops.control import Task as Task
 from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem

@@ -20,7 +20,16 @@ FLOORS = (
     ("reproduce",), ("", "systems", "linkages", "flows"), ("cli",), ("__main__",),
 )  # fmt: skip
 LIBRARIES = {
-    "casadi": ("mechanics", "integrate", "loops", "proof", "exports", "orbits.find", "orbits.objectives"),
+    "casadi": (
+        "mechanics",
+        "integrate",
+        "loops",
+        "proof",
+        "exports",
+        "orbits.control",
+        "orbits.find",
+        "orbits.objectives",
+    ),
     "click": ("cli",),
     "rich": ("cli",),
     "pydantic": ("records", "problemfile"),
