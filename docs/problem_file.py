@@ -10,6 +10,7 @@ from pydantic_core import PydanticUndefined
 
 from orbitfinder.problemfile.schema import (
     SYSTEMS,
+    ControlTable,
     ExpectedNumber,
     ExpectedTable,
     FindTable,
@@ -17,6 +18,7 @@ from orbitfinder.problemfile.schema import (
     ProblemTable,
     SearchTable,
     SimulateTable,
+    TaskTable,
 )
 
 TITLE = """# The problem file
@@ -104,7 +106,8 @@ def schema_markdown() -> str:
     for kind, table in SYSTEMS.items():
         parts.append(_section(f'`[system]` with `kind = "{kind}"`', table, note=f"Kinds: {kinds}."))
     sections: list[tuple[str, type[BaseModel]]] = [
-        ("`[guess]`", GuessTable), ("`[find]`", FindTable), ("`[search]`", SearchTable),
+        ("`[guess]`", GuessTable), ("`[find]`", FindTable), ("`[control]`", ControlTable),
+        ("Each `[[control.task]]`", TaskTable), ("`[search]`", SearchTable),
         ("`[simulate]`", SimulateTable), ("`[expected]`", ExpectedTable),
         ("Each entry of `[expected]`", ExpectedNumber),
     ]  # fmt: skip
@@ -113,7 +116,7 @@ def schema_markdown() -> str:
 
 
 def _tables() -> set[str]:
-    return {"system", "guess", "find", "search", "simulate", "expected"}
+    return {"system", "guess", "find", "control", "search", "simulate", "expected"}
 
 
 def _section(title: str, table: type[BaseModel], skip: set[str] | None = None, note: str = "") -> str:

@@ -38,6 +38,8 @@ FREE_RANGE = (0.05, 10.0)
 """Period and freed parameters may change by these factors where no bounds say otherwise"""
 AGREEMENT = 1e-13
 """Steps of half the length must lead to the same states, relative to the motion"""
+COLLOCATED = 1e-11
+"""The same of collocation, whose rows IPOPT leaves at about this"""
 MOST_STEPS = 32
 RESOLVED = 16
 """Steps in a period of the highest harmonic of a control, to begin with"""
@@ -250,11 +252,10 @@ def _built(arrangement: Arrangement, arc: int, method: str) -> ca.Function:
 
 @dataclass(frozen=True)
 class Solution:
-    """A solved program: the loop's unknowns, coefficients of all controls (m x whole), cost, what IPOPT says."""
+    """A solved program: the loop's unknowns, coefficients of all controls (m x whole), IPOPT's iterations."""
 
     unknowns: Unknowns
     coefficients: np.ndarray
-    cost: float
     iterations: int
     points: np.ndarray
     normals: np.ndarray
@@ -307,7 +308,7 @@ class Program:
         for k in range(parts.basis.intervals):
             nodes.append(x)
             h = float(parts.duration(k, period, ca.DM(free)))
-            given = self._given(k, coefficients.T, free)
+            given = self.given(k, coefficients.T, free)
             x = _built(parts, parts.arc(k), "shooting")(x, h, unfolding, given, [])[0].full()[:, -1]
             if parts.basis.arcs and (k + 1) % parts.basis.each == 0:
                 x = self.equations.links.after(parts.arc(k), x, free)
@@ -315,7 +316,7 @@ class Program:
                 return np.tile(start, (parts.basis.intervals, 1))
         return np.array(nodes)
 
-    def _given(self, segment: int, coefficients: Any, free: Any) -> Any:
+    def given(self, segment: int, coefficients: Any, free: Any) -> Any:
         """(phase, length in phase, local coefficients, free) of a segment; coefficients (whole x m)."""
         basis = self.parts.basis
         begins = basis.begins(segment) if not basis.arcs else 0.0
@@ -326,12 +327,40 @@ class Program:
             return np.concatenate([[begins, length], *(coefficients[picked, i] for i in columns), free])
         return ca.vertcat(begins, length, *(coefficients[i][picked] for i in columns), free)
 
-    def solved(
-        self, start: tuple[Unknowns, np.ndarray], tolerance: float, points: np.ndarray | None = None
-    ) -> Solution:
+    @property
+    def points(self) -> int:
+        """Numbers in z for a segment."""
+        return self.parts.size * POINTS * self.parts.steps if self.control.method == "collocation" else 0
+
+    def solved(self, start: tuple[Unknowns, np.ndarray], tolerance: float) -> Solution:
         """The optimum that IPOPT finds from a start. Raises `ConvergenceError`."""
         guess, coefficients = start
-        return _solve(self, guess, coefficients, tolerance, points)
+        stated = _stated(self, guess)
+        begin = np.concatenate([self.vector(guess, coefficients), _first_points(guess, self.parts, self.points > 0)])
+        found, stats = _ipopt({"x": stated.v, "f": stated.cost, "g": stated.rows}, begin, tolerance,
+                              lbx=stated.lower, ubx=stated.upper, lbg=stated.low, ubg=stated.high)  # fmt: skip
+        if not stats["success"]:
+            raise _failed(stats, self)
+        answer = found["x"].full().ravel()
+        return self._solution(guess, answer, stated.normals, int(stats["iter_count"]))
+
+    def closed(self, solution: Solution) -> Solution:
+        """A solution to the last digits of its equations, by Newton's least steps, far below IPOPT's tolerance."""
+        w = solution.unknowns
+        stated = _stated(self, w)
+        at = _closed(stated, self.vector(w, solution.coefficients))
+        return self._solution(w, at, solution.normals, solution.iterations)
+
+    def vector(self, w: Unknowns, coefficients: np.ndarray) -> np.ndarray:
+        """v without collocation points."""
+        each = (np.linalg.lstsq(one, row, rcond=None)[0] for one, row in zip(self.shapes, coefficients, strict=True))
+        return np.concatenate([w.vector, *each])
+
+    def _solution(self, like: Unknowns, v: np.ndarray, normals: np.ndarray, iterations: int) -> Solution:
+        cut = like.vector.size
+        sizes = cut + np.cumsum([0, *(one.shape[1] for one in self.shapes)])
+        values = [one @ v[sizes[k] : sizes[k + 1]] for k, one in enumerate(self.shapes)]
+        return Solution(like.at(v[:cut]), np.array(values), iterations, v[sizes[-1] :], normals)
 
     def loop(self, guess: Unknowns) -> Loop:
         """The loop: closed, at the pins, its phase fixed where nothing else fixes it."""
@@ -345,31 +374,50 @@ class Program:
             normals = normals[1:]
         return Loop(loop.equations, loop.constant, loop.conditions, normals, guess.nodes[0])
 
-    def refined(self, solution: Solution) -> float:
-        """How far states at the ends of the segments move when steps are half as long, relative to the motion."""
+    def error(self, solution: Solution) -> float:
+        """How far the ends of the segments are from those by shooting in steps half as long, relative to the motion."""
         finer = replace(self.parts, steps=2 * self.parts.steps)
         w, worst = solution.unknowns, 0.0
         size = np.maximum(np.abs(w.nodes).max(axis=0), 1e-3 * np.abs(w.nodes).max())
+        points = np.split(solution.points, len(w.nodes))
         for k, node in enumerate(w.nodes):
             h = float(self.parts.duration(k, w.period, ca.DM(w.free)))
-            given = self._given(k, solution.coefficients.T, w.free)
-            ends = [_built(one, one.arc(k), "shooting")(node, h, w.unfolding, given, [])[0].full()[:, -1]
-                    for one in (self.parts, finer)]  # fmt: skip
-            worst = max(worst, float((np.abs(ends[1] - ends[0]) / np.maximum(size, 1e-300)).max()))
+            given = self.given(k, solution.coefficients.T, w.free)
+            arc = self.parts.arc(k)
+            own = _built(self.parts, arc, self.control.method)(node, h, w.unfolding, given, points[k])[0].full()[:, -1]
+            fine = _built(finer, arc, "shooting")(node, h, w.unfolding, given, [])[0].full()[:, -1]
+            worst = max(worst, float((np.abs(fine - own) / np.maximum(size, 1e-300)).max()))
         return worst
 
 
 def optimum(problem: Problem, control: Control, tolerance: float) -> tuple[Program, Solution]:
-    """The controlled motion of a problem, steps halved until its states no longer depend on them."""
+    """The controlled motion of a problem, with as many steps as its states no longer depend on, closed to round-off.
+
+    The last digits of a collocated motion are those of shooting under its control. Raises `ConvergenceError`.
+    """
     steps = -(-RESOLVED * control.harmonics // control.intervals) if control.shape == "fourier" else 1
+    order, enough = (8, AGREEMENT) if control.method == "shooting" else (2 * POINTS, COLLOCATED)
     program = Program(problem, control, steps)
     start = program.guessed()
     while True:
         solution = program.solved(start, tolerance)
-        if program.refined(solution) <= AGREEMENT or steps >= MOST_STEPS:
-            return program, solution
-        steps *= 2
+        if (error := program.error(solution)) <= enough or steps >= MOST_STEPS:
+            break
+        steps = _finer(steps, error, enough, order)
         program, start = Program(problem, control, steps), (solution.unknowns, solution.coefficients)
+    if control.method == "shooting":
+        return program, program.closed(solution)
+    shot = Program(problem, replace(control, method="shooting"), steps)
+    solution = replace(solution, points=np.zeros(0))
+    while (error := shot.error(solution)) > AGREEMENT and shot.parts.steps < MOST_STEPS:
+        shot = Program(problem, shot.control, _finer(shot.parts.steps, error, AGREEMENT, 8))
+    program, found = Program(problem, control, shot.parts.steps), shot.closed(solution)
+    return program, found
+
+
+def _finer(steps: int, error: float, enough: float, order: int) -> int:
+    """Steps that bring an error down to what is enough."""
+    return min(MOST_STEPS, max(steps + 1, int(np.ceil(steps * (3 * error / enough) ** (1 / order)))))
 
 
 def _bounds(program: Program, guess: Unknowns) -> tuple[np.ndarray, np.ndarray]:
@@ -398,66 +446,51 @@ def _coefficient_bounds(program: Program) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(low), np.concatenate(high)
 
 
-def _solve(
-    program: Program, guess: Unknowns, coefficients: np.ndarray, tolerance: float, points: np.ndarray | None
-) -> Solution:
+@dataclass(frozen=True)
+class Statement:
+    """The program in symbols: v, cost, rows with their ranges, ranges of v; the phase's normals."""
+
+    v: ca.MX
+    cost: ca.MX
+    rows: ca.MX
+    low: np.ndarray
+    high: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    normals: np.ndarray
+
+
+def _stated(program: Program, guess: Unknowns) -> Statement:
     parts, control = program.parts, program.control
     nodes, tail = guess.symbols()
     period, s, free = tail
     own = [ca.MX.sym(f"c{k}", one.shape[1]) for k, one in enumerate(program.shapes)]
     full = [ca.sparsify(ca.DM(one)) @ c for one, c in zip(program.shapes, own, strict=True)]
-    collocation = control.method == "collocation"
-    count, size = parts.basis.intervals, parts.size
-    z = [ca.MX.sym("z", size * POINTS * parts.steps if collocation else 0) for _ in nodes]
-    given = [program._given(k, full, free) for k in range(count)]
+    count, points = parts.basis.intervals, program.points
+    z = [ca.MX.sym("z", points) for _ in nodes]
+    given = [program.given(k, full, free) for k in range(count)]
     durations = [parts.duration(k, period, free) for k in range(count)]
     paths, integrals, rows = _integrated(parts, control.method, nodes, durations, s, given, z)
-    ends = [path[:, -1] for path in paths]
     loop = program.loop(guess)
-    known = [loop.stated(nodes, period, free, ends)]
-    low, high = [np.zeros(known[0].numel())], [np.zeros(known[0].numel())]
-    for (_, one), value in zip(parts.moments, _at_moments(parts, nodes, s, given, period), strict=True):
-        known.append(value)
-        low.append(np.array([one.low]))
-        high.append(np.array([one.high]))
-    for one, value in zip(parts.means, ca.vertsplit(integrals[1:]) if parts.means else [], strict=True):
-        known.append(value / period / parts.symmetry.fraction)
-        low.append(np.array([one.low]))
-        high.append(np.array([one.high]))
-    if parts.always:
-        known.append(_everywhere(parts, nodes, paths, s, given, period))
-        places = known[-1].numel() // len(parts.always)
-        low.append(np.tile([one.low for one in parts.always], places))
-        high.append(np.tile([one.high for one in parts.always], places))
-    known.append(rows)
-    low.append(np.zeros(rows.numel()))
-    high.append(np.zeros(rows.numel()))
-    cost = integrals[0] / parts.symmetry.fraction
-    if control.average:
-        cost = cost / period
-    cost += parts.final()(nodes[0], free, period)
-    v = ca.vertcat(*nodes, *tail, *own, *z)
-    begin = np.concatenate([guess.vector, *(np.linalg.lstsq(one, row, rcond=None)[0]
-                                            for one, row in zip(program.shapes, coefficients, strict=True)),
-                            _first_points(guess, parts, collocation) if points is None else points])  # fmt: skip
+    closing = loop.stated(nodes, period, free, [path[:, -1] for path in paths])
+    ranges = [(closing, 0.0, 0.0), (rows, 0.0, 0.0)]
+    for k, one in parts.moments:
+        ranges.append((parts.watched(parts.arc(k), (one,))(0.0, nodes[k], s, given[k], period), one.low, one.high))
+    for k, one in enumerate(parts.means):
+        ranges.append((integrals[1 + k] / period / parts.symmetry.fraction, one.low, one.high))
+    for k, one in enumerate(parts.always):
+        ranges.append((_everywhere(parts, k, nodes, paths, s, given, period), one.low, one.high))
+    cost = integrals[0] / parts.symmetry.fraction / (period if control.average else 1.0)
     first, last = _bounds(program, guess)
     c_low, c_high = _coefficient_bounds(program)
-    infinite = np.full(sum(one.numel() for one in z), np.inf)
-    found, stats = _ipopt(
-        {"x": v, "f": cost, "g": ca.vertcat(*known)}, begin, tolerance,
-        lbx=np.concatenate([first, c_low, -infinite]), ubx=np.concatenate([last, c_high, infinite]),
-        lbg=np.concatenate(low), ubg=np.concatenate(high),
+    infinite = np.full(points * count, np.inf)
+    return Statement(
+        ca.vertcat(*nodes, *tail, *own, *z), cost + parts.final()(nodes[0], free, period),
+        ca.vertcat(*(row for row, _, _ in ranges)),
+        np.concatenate([np.full(row.numel(), low) for row, low, _ in ranges]),
+        np.concatenate([np.full(row.numel(), high) for row, _, high in ranges]),
+        np.concatenate([first, c_low, -infinite]), np.concatenate([last, c_high, infinite]), loop.normals,
     )  # fmt: skip
-    if not stats["success"]:
-        raise _failed(stats, program)
-    answer = _closed(v, ca.vertcat(*known), np.concatenate(low) == np.concatenate(high), np.concatenate(low),
-                     found["x"].full().ravel())  # fmt: skip
-    cut = guess.vector.size
-    sizes = np.cumsum([0, *(one.shape[1] for one in program.shapes)])
-    parts_of = [answer[cut + sizes[k] : cut + sizes[k + 1]] for k in range(len(own))]
-    values = np.array([one @ c for one, c in zip(program.shapes, parts_of, strict=True)])
-    return Solution(guess.at(answer[:cut]), values.reshape(len(own), parts.basis.whole), float(found["f"]),
-                    int(stats["iter_count"]), answer[cut + sizes[-1] :], loop.normals)  # fmt: skip
 
 
 def _integrated(
@@ -482,22 +515,21 @@ def _integrated(
     return paths, integrals, ca.vertcat(*rows)
 
 
-def _at_moments(parts: Arrangement, nodes: list[ca.MX], s: ca.MX, given: list[ca.MX], period: ca.MX) -> list[ca.MX]:
-    return [
-        parts.watched(parts.arc(k), (one,))(0.0, nodes[k], s, given[k], period) for k, one in parts.moments
-    ]  # fmt: skip
-
-
 def _everywhere(
-    parts: Arrangement, nodes: list[ca.MX], paths: list[ca.MX], s: ca.MX, given: list[ca.MX], period: ca.MX
-) -> ca.MX:
-    """The expressions of `always` at the nodes and after each step."""
+    parts: Arrangement, number: int, nodes: list[ca.MX], paths: list[ca.MX], s: ca.MX, given: list[ca.MX], period: ca.MX
+) -> ca.MX:  # fmt: skip
+    """An expression of `always` at the nodes and after each step."""
     found = []
     for k, (node, path) in enumerate(zip(nodes, paths, strict=True)):
-        function = parts.watched(parts.arc(k), parts.always)
+        function = _watched(parts, parts.arc(k), number)
         for j, x in enumerate([node, *ca.horzsplit(path)]):
             found.append(function(j / parts.steps, x, s, given[k], period))
     return ca.vertcat(*found)
+
+
+@lru_cache(maxsize=32)
+def _watched(parts: Arrangement, arc: int, number: int) -> ca.Function:
+    return parts.watched(arc, parts.always[number : number + 1])
 
 
 def _first_points(guess: Unknowns, parts: Arrangement, collocation: bool) -> np.ndarray:
@@ -528,11 +560,11 @@ def _ipopt(program: dict[str, ca.MX], start: np.ndarray, tolerance: float, **ran
     return found, stats
 
 
-def _closed(v: ca.MX, rows: ca.MX, equal: np.ndarray, aims: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The nearest v at which the equations hold to round-off: Newton's least steps, far below IPOPT's tolerance."""
+def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:
+    equal = stated.low == stated.high
     chosen = [int(k) for k in np.flatnonzero(equal)]
-    equations = rows[chosen] - ca.DM(aims[equal])
-    function = ca.Function("equations", [v], [equations, ca.jacobian(equations, v)])
+    equations = stated.rows[chosen] - ca.DM(stated.low[equal])
+    function = ca.Function("equations", [stated.v], [equations, ca.jacobian(equations, stated.v)])
     for _ in range(CORRECTIONS):
         left, slope = function(at)
         matrix = slope.sparse().tocsr()

@@ -728,7 +728,7 @@ class _Fit:
         by_x, slope = (one.full() for one in rows)
         u = self.motion.control(segment, np.array([1.0]))[0]
         rate = self.motion.hessian[self._arc(segment)](x, u, self.motion.free)[0].full()
-        return np.asarray(by_x @ (np.eye(x.size) - rate @ slope / float(slope @ rate)))
+        return np.asarray(by_x @ (np.eye(x.size) - rate @ slope / (slope @ rate).item()))
 
     def _solve(self, costate: np.ndarray) -> None:
         """The rows of all conditions, in units of cost."""
