@@ -181,15 +181,26 @@ class Basis:
         return self.fraction * interval / self.intervals
 
 
-def evaluated(basis: Basis, coefficients: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """Controls (k x m) of coefficients (m x whole) at phases (k) from 0 to below 1 of a smooth motion's period."""
-    count = round(basis.intervals / basis.fraction)
-    found = np.empty((len(phases), len(coefficients)))
-    for row, phase in zip(found, np.asarray(phases) % 1.0, strict=True):
-        interval = min(int(phase * count + SAME), count - 1)
-        weights = np.array([float(one) for one in basis.values(phase * count - interval, phase)])
-        row[:] = coefficients[:, basis.picked(interval)] @ weights
-    return found
+def basis_of(entry: Mapping[str, Any]) -> Basis:
+    """The basis over a whole period of a record's control."""
+    arcs = int(entry.get("arcs", 0))
+    count = int(entry["intervals"]) * max(arcs, 1)
+    return Basis(str(entry["shape"]), count, int(entry["harmonics"]), arcs)
+
+
+def history(entry: Mapping[str, Any], period: float, looks: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """Times (k) and values (k x m) of a record's controls over its period, instants where intervals meet twice."""
+    basis, rows = basis_of(entry), np.array(entry["coefficients"], float)
+    shares = list(entry.get("shares", {}).values())
+    parts = np.repeat([*shares, 1.0 - sum(shares)], basis.each) / basis.each if basis.arcs else np.full(
+        basis.intervals, 1.0 / basis.intervals)  # fmt: skip
+    inside, times, values, began = np.linspace(0.0, 1.0, looks + 1), [], [], 0.0
+    for k, part in enumerate(parts):
+        weights = np.array([[float(w) for w in basis.values(share, began + share * part)] for share in inside])
+        times.append(period * (began + inside * part))
+        values.append(weights @ rows[:, basis.picked(k)].T)
+        began += part
+    return np.concatenate(times), np.vstack(values)
 
 
 def named(model: Model, x: Any, p: Any, period: Any = None) -> dict[str, Any]:

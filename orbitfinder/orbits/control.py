@@ -48,6 +48,8 @@ VARIED = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 SMALL = 1e-9
 """A control is small when it accelerates less than this share of what the motion does"""
 IPOPT_TOLERANCE = 1e-10
+NEAR = 1e-9
+"""A guard is at 0 to this, relative to its range along an arc"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +154,8 @@ def _entry(problem: Problem, program: Program, solution: Solution, values: Mappi
             held[name] = -1 if value - low <= room else 1
     return {
         "names": list(program.parts.model.controls),
-        "shape": control.shape, "intervals": control.intervals, "harmonics": control.harmonics,
+        "arcs": program.parts.basis.arcs, "shape": control.shape, "intervals": control.intervals,
+        "harmonics": control.harmonics,
         "coefficients": [[float(x) for x in row] for row in solution.coefficients],
         "limits": {name: list(pair) for name, pair in program.parts.model.limits.items()},
         "cost_of": control.cost, "average": control.average, "final": control.final,
@@ -403,9 +406,11 @@ def _events(motion: _Motion, pieces: list[np.ndarray]) -> Any:
         allowed = np.ones(guard.size)
         if one.allowed is not None:
             allowed = np.array([float(one.allowed(x, p)) for part in pieces[arc_began : k + 1] for x in part[:, :d]])
-        crossed = (guard[:-1] * one.direction < 0) & (guard[1:] * one.direction >= 0) & (allowed[1:] > 0)
+        away = -guard[:-1] * one.direction > NEAR * float(np.ptp(guard))  # at its beginning an arc is at its guard
+        crossed = away & (guard[1:] * one.direction >= 0) & (allowed[1:] > 0)
         early = float(np.sum(crossed[: -len(piece) // 2]))
-        yield one.name, abs(guard[-1] / (rate * motion.period)) if rate else np.inf, early
+        miss = abs(guard[-1] / (rate * motion.period)) if rate * one.direction > 0 and allowed[-1] > 0 else np.inf
+        yield one.name, miss, early
         arc_began = k + 1
 
 

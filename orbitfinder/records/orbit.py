@@ -147,6 +147,13 @@ def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
     return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
 
 
+def refuse_controlled(orbit: Any, what: str) -> None:
+    """`InputError` where something is asked of a controlled orbit that only motions without control have."""
+    if getattr(orbit, "control", None) is not None:
+        raise InputError(f"{what}: {orbit.name} is a controlled orbit; give one without control, or state the problem "
+                         "again with other pins and limits (of.Control)")  # fmt: skip
+
+
 def unconserved(orbit: Orbit) -> bool:
     """True for the orbit of a first-order system, which has as many turns as components, without an energy."""
     return bool(np.isnan(orbit.energy)) and len(orbit.winding) == orbit.state.size
