@@ -47,6 +47,7 @@ from .mechanics.model import energy as energy
 from .mechanics.model import positions as positions
 from .orbits.certify import certify as certify
 from .orbits.find import find_orbit as find_orbit
+from .orbits.optima import follow_optima as follow_optima
 from .orbits.refine import Refiner as Refiner
 from .orbits.simulate import simulate as simulate
 from .orbits.sweep import sweep as sweep

@@ -316,3 +316,20 @@ def test_a_task_that_nothing_can_do_says_so() -> None:
     problem = replace(pick(4.0, 10), model=with_controls(of.systems.driven_oscillator(4.0), ["force"], {"force": 0.5}))
     with pytest.raises(ConvergenceError, match="no motion does what is asked"):
         of.find_orbit(problem)
+
+
+def test_a_family_of_optima_ends_at_the_conservative_orbit_that_costs_nothing() -> None:
+    """Pick and place as the spring stiffens to where it does it alone, k = (2 pi / T)^2; then without one, slower."""
+    resonant = np.pi**2
+    family = of.follow_optima(pick(4.0, 20), "stiffness", [4.0, 7.0, resonant])
+    costs = [float(one.control["cost"]) for one in family]  # type: ignore[index]
+    assert len(family) == 3 and costs[0] > costs[1] > 1.0 and costs[2] < 1e-18
+    assert all(one.certificate is not None and one.certificate.passed for one in family), family[2].certificate
+    spring = of.find_orbit(of.Problem(of.systems.duffing(float(resonant), 0.0), of.Guess([-1.0, 0.0], 2.0),
+                                      of.pin(x=-1.0)))  # fmt: skip
+    np.testing.assert_allclose(family[2].state, spring.state, atol=1e-10)
+    assert spring.period == pytest.approx(family[2].period, rel=1e-10)
+    slower = of.follow_optima(pick(0.0, 10), "period", [2.0, 2.5])
+    assert [one.control["cost"] for one in slower] == pytest.approx([768 / 8, 768 / 2.5**3], rel=1e-10)  # type: ignore[index]
+    with pytest.raises(InputError, match="is no pin and no physical parameter"):
+        of.follow_optima(pick(4.0, 10), "stifness", [4.0])

@@ -327,6 +327,11 @@ class Program:
             return np.concatenate([[begins, length], *(coefficients[picked, i] for i in columns), free])
         return ca.vertcat(begins, length, *(coefficients[i][picked] for i in columns), free)
 
+    def carried(self, near: Solution) -> tuple[Unknowns, np.ndarray]:
+        """A solution of a problem of the same form as the start of this one's: at its pins and its parameters."""
+        w, period = near.unknowns, next((one.value for one in self.problem.pin if one.name == "period"), None)
+        return replace(w, period=w.period if period is None else period), near.coefficients
+
     @property
     def points(self) -> int:
         """Numbers in z for a segment."""
@@ -390,15 +395,19 @@ class Program:
         return worst
 
 
-def optimum(problem: Problem, control: Control, tolerance: float) -> tuple[Program, Solution]:
+def optimum(
+    problem: Problem, control: Control, tolerance: float, near: tuple[Program, Solution] | None = None
+) -> tuple[Program, Solution]:
     """The controlled motion of a problem, with as many steps as its states no longer depend on, closed to round-off.
 
+    It starts at the guess, or at a solution `near` of a problem of the same form.
     The last digits of a collocated motion are those of shooting under its control. Raises `ConvergenceError`.
     """
     steps = -(-RESOLVED * control.harmonics // control.intervals) if control.shape == "fourier" else 1
     order, enough = (8, AGREEMENT) if control.method == "shooting" else (2 * POINTS, COLLOCATED)
-    program = Program(problem, control, steps)
-    start = program.guessed()
+    program = Program(problem, control, steps if near is None else near[0].parts.steps)
+    start = program.guessed() if near is None else program.carried(near[1])
+    steps = program.parts.steps
     while True:
         solution = program.solved(start, tolerance)
         if (error := program.error(solution)) <= enough or steps >= MOST_STEPS:

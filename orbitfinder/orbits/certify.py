@@ -206,7 +206,7 @@ def _controlled_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allow
     pair = f"H varies by {found.drift:.2g}; 0 at the optimum over all controls, of any form"
     checks = [
         _at_most("closure", found.closes.gap, bound, f"DOP853, the recorded control; errors grow {scale:.3g} times"),
-        _at_most("distance", found.closes.distance, allowed.distance, "of the true orbit, in extents of the motion"),
+        _at_most("distance", found.closes.distance, allowed.distance, "of the true orbit and control, in extents"),
         _at_most("second_closure", found.second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
         _at_least("not_equilibrium", _extent(found.states, model), allowed.motion, "extent of the motion"),
         _covered(found, turns, allowed.cover),

@@ -354,7 +354,7 @@ def gather_controlled(
         apart[: len(turns)] += by * _direction(model, name)
     fitted = _Fit(motion, pieces, units)
     scaled = [one * units / units[:, None] for one in fitted.transitions]
-    closed = closes((end - state - apart) / units, scaled, sizes, None)
+    closed = closes((end - state - apart) / units, scaled, sizes, _reach(motion, pieces, scaled, units))
     monodromy = np.eye(d)
     for one in scaled:
         monodromy = one @ monodromy
@@ -412,6 +412,21 @@ def _events(motion: _Motion, pieces: list[np.ndarray]) -> Any:
         miss = abs(guard[-1] / (rate * motion.period)) if rate * one.direction > 0 and allowed[-1] > 0 else np.inf
         yield one.name, miss, early
         arc_began = k + 1
+
+
+def _reach(motion: _Motion, pieces: list[np.ndarray], transitions: list[np.ndarray], units: np.ndarray) -> np.ndarray:
+    """What small changes of the controls do to the end of the motion (d x k), each the share of its natural size.
+
+    That is what accelerates as much as the motion does: the true optimum is near in its control as well as its state.
+    """
+    columns, carried = [], np.eye(units.size)
+    for k in reversed(range(len(pieces))):
+        carried = carried @ transitions[k]
+        x, u = pieces[k][0, : units.size], motion.control(k, np.array([0.0]))[0]
+        by_u = motion.hessian[motion.parts.arc(k)](x, u, motion.free)[2].full() / units[:, None]
+        strength = np.abs(by_u).max(axis=0)
+        columns.append(carried @ by_u[:, strength > 0] / strength[strength > 0] / len(pieces))
+    return np.hstack(columns)
 
 
 def _held(motion: _Motion, pieces: list[np.ndarray]) -> Any:
