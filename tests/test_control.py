@@ -237,6 +237,36 @@ def test_a_limit_that_is_met_has_the_sign_of_a_limit() -> None:
     assert "stationarity" in of.certify(replace(free, control=planted)).failures
 
 
+def test_what_holds_always_is_kept_and_looked_at_between() -> None:
+    """A speed limit that is met for a while, with multipliers of its sign; power between too few points is refused."""
+    control = of.Control("force**2", "linear", 20, tasks=(*PICK, of.Task("xdot", lowest=-2.6, highest=2.6)))
+    slow = of.find_orbit(replace(pick(4.0, 20), control=control))
+    assert slow.certificate is not None and slow.certificate.passed and slow.control is not None
+    met = [value for name, value in slow.control["multipliers"].items() if name.startswith("limit xdot")]
+    assert len(met) >= 4 and slow.control["cost"] > cost_of(pick(4.0, 20)) + 5
+    assert np.abs(slow.samples[:, 1]).max() == pytest.approx(2.6, rel=1e-3)
+    power = replace(control, tasks=(*PICK, of.Task("force * xdot", highest=6.0)))
+    rough = of.find_orbit(replace(pick(4.0, 20), control=power))
+    assert rough.certificate is not None and rough.certificate.failures == ("task: force * xdot always",)
+
+
+def test_a_spring_and_a_period_are_chosen_with_the_motion() -> None:
+    free = replace(pick(4.0, 20), free=("stiffness",))
+    free = replace(free, control=replace(free.control, final="0.5 * stiffness**2"))  # type: ignore[type-var]
+    orbit = of.find_orbit(free)
+    assert orbit.certificate is not None and orbit.certificate.passed and orbit.control is not None
+    best = orbit.system["arguments"]["stiffness"]
+    near = [cost_of(pick(best + by, 20)) + 0.5 * (best + by) ** 2 for by in (-0.01, 0.01)]
+    assert min(near) > orbit.control["cost"] and np.diff(near)[0] == pytest.approx(0.0, abs=1e-4)
+    timed = of.Problem(free.model, of.Guess([-1.0, 0.0], 2.0), of.pin(x=-1.0, xdot=0.0), bounds={"period": (1.0, 1.9)},
+                       control=of.Control("force**2 + 0.5", "linear", 20, tasks=PICK))  # fmt: skip
+    held = of.find_orbit(timed)
+    assert held.certificate is not None and held.certificate.passed and held.control is not None
+    assert held.period == pytest.approx(1.9, rel=1e-7) and held.control["multipliers"]["held period"] > 0
+    loose = dict(held.control) | {"bounds": {"period": [1.0, 3.0]}}
+    assert "stationarity" in of.certify(replace(held, control=loose)).failures
+
+
 def test_a_symmetric_motion_is_found_over_half_its_period() -> None:
     whole, half = (of.find_orbit(replace(maintained(), symmetry=one)) for one in ("none", "reflection"))
     assert half.control is not None and whole.control is not None and half.symmetry == "reflection"

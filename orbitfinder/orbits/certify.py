@@ -219,9 +219,8 @@ def _controlled_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allow
         _at_most("cost", abs(recorded - found.cost) / found.cost_size, room, RECORDED),
         _at_most("stationarity", found.stationarity, allowed.stationarity,
                  f"the costate, gradients and multipliers' signs; worst: {found.worst}"),
-        _at_most("phase_multiplier", found.phase, allowed.stationarity, "what fixing the phase costs")
-        if orbit.control["shape"] == "fourier"
-        else None,
+        _at_most("phase_multiplier", found.phase, allowed.stationarity if orbit.control["shape"] == "fourier" else
+                 allowed.between, "what fixing the phase costs, relative") if orbit.control["normals"] else None,
         Check("continuous_optimum", found.pointwise, 0.0, True, f"largest |H_u| in instants, relative, and {pair}"),
         Check("optimum", 0.0, 0.0, True, "local: that nothing else costs less is not shown"),
         *_controlled_record_checks(orbit, found, model, allowed, scale),

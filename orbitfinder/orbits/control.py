@@ -144,14 +144,7 @@ def recorded(
 
 def _entry(problem: Problem, program: Program, solution: Solution, values: Mapping[str, float]) -> dict[str, Any]:
     """The `control` entry of orbit.json: what was asked and the control that was found."""
-    control, w = program.control, solution.unknowns
-    ends = {**problem.bounds}
-    held = {}
-    for name, value in {**{one: values[one] for one in problem.free}, "period": w.period}.items():
-        low, high = ends.get(name, (-np.inf, np.inf))
-        room = ACTIVE * (high - low) if np.isfinite(high - low) else 0.0
-        if value - low <= room or high - value <= room:
-            held[name] = -1 if value - low <= room else 1
+    control = program.control
     return {
         "names": list(program.parts.model.controls),
         "arcs": program.parts.basis.arcs, "shape": control.shape, "intervals": control.intervals,
@@ -161,7 +154,7 @@ def _entry(problem: Problem, program: Program, solution: Solution, values: Mappi
         "cost_of": control.cost, "average": control.average, "final": control.final,
         "tasks": [{name: value for name, value in vars(one).items() if value is not None} for one in control.tasks],
         "points": program.parts.steps, "method": control.method,
-        "free": list(problem.free), "held": held,
+        "free": list(problem.free), "bounds": {name: list(pair) for name, pair in problem.bounds.items()},
         "pins": [one.name for one in problem.pin],
         "normals": [[float(x) for x in row] for row in solution.normals],
         "shares": {name: value for name, value in values.items() if name.startswith(SHARE)},
@@ -180,7 +173,20 @@ def control_of(entry: Mapping[str, Any]) -> Control:
         raise InputError(f"control: malformed entry ({error}); run the problem again") from error
 
 
-def plan_of(model: Model, entry: Mapping[str, Any], symmetry: str, relative: tuple[str, ...]) -> tuple[Model, Plan]:
+def _held_at(values: Mapping[str, float], bounds: Mapping[str, Any]) -> dict[str, int]:
+    """Which of the freed numbers stand at the low (-1) or high (1) end of their range."""
+    found = {}
+    for name, value in values.items():
+        low, high = map(float, bounds.get(name, (-np.inf, np.inf)))
+        room = ACTIVE * (high - low) if np.isfinite(high - low) else 0.0
+        if value - low <= room or high - value <= room:
+            found[name] = -1 if value - low <= room else 1
+    return found
+
+
+def plan_of(
+    model: Model, entry: Mapping[str, Any], symmetry: str, relative: tuple[str, ...], period: float
+) -> tuple[Model, Plan]:
     """The model at what its record says, and what was asked of it. Raises `InputError`."""
     control = control_of(entry)
     try:
@@ -192,7 +198,8 @@ def plan_of(model: Model, entry: Mapping[str, Any], symmetry: str, relative: tup
         parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
         state = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
         normals = np.array(entry["normals"], float).reshape(-1, len(model.state_names))
-        held = {str(name): int(side) for name, side in entry["held"].items()}
+        free = {name: float(model.parameter_values[model.parameter_index(name)]) for name in entry["free"]}
+        held = _held_at(free | {"period": period}, entry["bounds"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"control: malformed entry ({error}); run the problem again") from error
     if values.shape != (len(names), parts.basis.whole) or not np.all(np.isfinite(values)):
@@ -337,7 +344,7 @@ def gather_controlled(
     relative: tuple[str, ...] = (),
 ) -> ControlledEvidence:  # fmt: skip
     """The evidence of a recorded control. Raises `InputError`, `IntegrationError`."""
-    model, plan = plan_of(model, entry, symmetry, relative)
+    model, plan = plan_of(model, entry, symmetry, relative, period)
     motion = _Motion(plan, period)
     d = plan.parts.size
     shares = np.linspace(0.0, 1.0, SAMPLES * plan.parts.steps + 1)
