@@ -139,7 +139,7 @@ def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
     """
     n, turning = len(angles), np.asarray(angles, bool)
     if n == loop.shape[1]:
-        return alone(np.ptp(loop, axis=0))
+        return alone(np.ptp(loop, axis=0), turning)
     sizes = np.concatenate([np.ptp(loop[:, :n], axis=0), np.abs(loop[:, n:]).max(axis=0)])
     lengths = float(np.abs(loop[:, :n])[:, ~turning].max(initial=0.0))
     bent, stretched = (float(sizes[:n][group].max(initial=0.0)) for group in (turning, ~turning))

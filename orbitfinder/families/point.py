@@ -185,14 +185,14 @@ def length(model: Model, states: np.ndarray) -> np.ndarray:
     """What coordinates (n) are measured in (see `mechanics.scales.lengths`); of a first-order state each by itself."""
     if model.rates is None:
         return lengths(model, states)
-    return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0)))
+    return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0), model.angular))
 
 
 def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
-    n = curve.shares.size
+    n, angular = curve.shares.size, curve.equations.model.angular
     if n == states.shape[1]:
-        return np.asarray(np.maximum(alone(np.ptp(states, axis=0)), LEAST * np.abs(states).max(axis=0)))
+        return np.asarray(np.maximum(alone(np.ptp(states, axis=0), angular), LEAST * np.abs(states).max(axis=0)))
     parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
     sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
     return np.concatenate([size * curve.shares for size in sizes])
