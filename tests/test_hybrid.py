@@ -651,3 +651,19 @@ def test_a_saved_point_of_several_arcs_is_an_orbit(tmp_path):
     assert of.certify(point).passed and point.system["arguments"]["stiffness"] == point.free["stiffness"]
     moved = {**point.system, "arguments": {**point.system["arguments"], "stiffness": point.free["stiffness"] + 1e-3}}
     failing(replace(point, system=moved), vertical_hopper(stiffness=point.free["stiffness"] + 1e-3), "recorded_period")
+
+
+def test_a_family_is_followed_in_the_parameter_of_its_settings(walker):
+    """Told by settings alone; told twice in two ways is refused."""
+    settings = of.FamilySettings(parameter="slope", directions="forward", points=2, events=False)
+    assert of.follow_family(walker, settings=settings).parameter == "slope"
+    with pytest.raises(InputError, match="parameter: 'theta' beside settings with 'slope'; give it in one place"):
+        of.follow_family(walker, "theta", settings=settings)
+
+
+def test_a_simulation_that_would_never_end_is_given_up(walker):
+    """After 64 events that promise more than are gone through; of 1e300 s at once."""
+    with pytest.raises(IntegrationError, match=r"more than 10000 events in 1e\+09 s, 64 of them in the first 248"):
+        of.simulate(simplest_walker(0.009), walker.state, 1e9)
+    with pytest.raises(InputError, match=r"duration: must be positive and below 1e\+100 s, got 1e\+300"):
+        of.simulate(of.chain(1), [0.1, 0.0], 1e300)
