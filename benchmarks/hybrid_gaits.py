@@ -91,7 +91,7 @@ def jacobian(c: Vector, q: Vector) -> Vector:
 
 
 def swing(masses: Sequence[tuple[float, Sequence[float]]], gravity: float, held: Any = None) -> Callable[[Vector], Any]:
-    """The field of masses at coefficients c of the angles, with angles in the row `held` kept in line."""
+    """The field of masses at coefficients c of the angles, with angles in the rows `held` kept in line."""
     count = len(masses[0][1])
 
     def field(x: Vector) -> Vector:
@@ -104,9 +104,9 @@ def swing(masses: Sequence[tuple[float, Sequence[float]]], gravity: float, held:
             centripetal = np.array([c @ (np.sin(q) * v**2), -c @ (np.cos(q) * v**2)])
             force += m * j.T @ (np.array([0, -gravity]) - centripetal)
         if held is not None:
-            row = np.array([held])
-            mass = np.block([[mass, row.T], [row, np.zeros((1, 1))]])
-            force = np.append(force, 0.0)
+            row = np.atleast_2d(held)
+            mass = np.block([[mass, row.T], [row, np.zeros((len(row),) * 2)]])
+            force = np.append(force, np.zeros(len(row)))
         return np.concatenate([v, np.linalg.solve(mass, force)[:count]])
 
     return field
@@ -124,7 +124,7 @@ def struck(masses: Sequence[tuple[float, Sequence[float]]], tip: Sequence[float]
             mass += m * j.T @ j
         rows = np.hstack([np.eye(2), jacobian(np.array(tip), q)])
         if held is not None:
-            rows = np.vstack([rows, np.concatenate([[0, 0], held])])
+            rows = np.vstack([rows, np.hstack([np.zeros((len(np.atleast_2d(held)), 2)), np.atleast_2d(held)])])
         k = len(rows)
         whole = np.block([[mass, rows.T], [rows, np.zeros((k, k))]])
         return np.linalg.solve(whole, np.concatenate([mass @ v, np.zeros(k)]))[2 : count + 2]
@@ -176,6 +176,41 @@ def kneed(slope: float = 0.0504) -> tuple[list[Piece], Callable[[Vector], Any]]:
         Piece(swing(masses, 9.81, line), height, -1, reset),
     ]
     return pieces, lambda z: [z[0], -z[0] - 2 * slope, -z[0] - 2 * slope, z[1], z[2], z[2]]
+
+
+def five_links(slope: float = 0.0504) -> tuple[list[Piece], Callable[[Vector], Any]]:
+    """The kneed walker with a torso as a fourth angle, which a row of constraints keeps between the thighs."""
+    a1, b1, a2, b2 = 0.375, 0.125, 0.175, 0.325
+    masses = [
+        (0.05, (a1, 0, 0, 0)), (0.5, (a1 + b1 + a2, 0, 0, 0)), (0.5, (1, 0, 0, 0)), (0.5, (1, -b2, 0, 0)),
+        (0.05, (1, -(a2 + b2), -b1, 0)), (0.2, (1, 0, 0, 0.25)),
+    ]  # fmt: skip
+    middle, line = (-0.5, -0.5, 0.0, 1.0), (0.0, 1.0, -1.0, 0.0)
+    tip = (1.0, -0.5, -0.5, 0.0)
+    after = struck(masses, tip, (middle, line))
+
+    def straighten(x: Vector) -> Vector:
+        q, v = x[:4], x[4:]
+        mass = sum(m * jacobian(np.array(c), q).T @ jacobian(np.array(c), q) for m, c in masses)
+        rows = np.array([middle, line])
+        whole = np.block([[mass, rows.T], [rows, np.zeros((2, 2))]])
+        rates = np.linalg.solve(whole, np.append(mass @ v, np.zeros(2)))[:4]
+        return np.concatenate([[q[0], q[1], q[1], (q[0] + q[1]) / 2], rates])
+
+    def reset(x: Vector) -> list[float]:
+        rates = after(x)
+        return [x[1], x[0], x[0], (x[0] + x[1]) / 2, rates[1], rates[0], rates[0], (rates[0] + rates[1]) / 2]
+
+    def height(x: Vector) -> float:
+        c = np.array(tip)
+        return float(np.array([-c @ np.sin(x[:4]), c @ np.cos(x[:4])]) @ [np.sin(slope), np.cos(slope)])
+
+    pieces = [
+        Piece(swing(masses, 9.81, middle), lambda x: x[1] - x[2], -1, straighten),
+        Piece(swing(masses, 9.81, (middle, line)), height, -1, reset),
+    ]
+    swung = -2 * slope
+    return pieces, lambda z: [z[0], swung - z[0], swung - z[0], -slope, z[1], z[2], z[2], (z[1] + z[2]) / 2]
 
 
 # -- the others --------------------------------------------------------------------------------------------------------
@@ -315,6 +350,7 @@ def again(name: str) -> tuple[Vector, float]:
         "compass-gait": lambda: (compass(3 * degrees, 10.0), [0.2187, -1.092, -0.377]),
         "compass-gait-without-hip": lambda: (compass(0.03, 0.0), [0.08, -0.03, 2.3]),
         "kneed-walker": lambda: (kneed(), [0.1882, -1.11, -0.057]),
+        "five-link-walker": lambda: (five_links(), [0.2237, -1.093, -0.281]),
         "slip-runner-stable": lambda: (runner(0.384, 20000.0, 1784.8), [0.94]),
         "slip-runner-unstable": lambda: (runner(0.35, 20000.0, 1800.48), [0.9405]),
         "slip-walker": lambda: (walker(0.3665, 14000.0, 816.0), [-0.156, 0.514, 0.433]),
@@ -323,13 +359,14 @@ def again(name: str) -> tuple[Vector, float]:
         "wall-pendulum": lambda: (hitting(0.2, -28.0), [0.0925]),
     }
     (pieces, lift), guess = found[name]()
-    return fixed_point(pieces, lift, guess)
+    state, period = fixed_point(pieces, lift, guess)
+    return state[[0, 1, 2, 4, 5, 6]] if name == "five-link-walker" else state, period
 
 
 NAMES = (
     "rimless-wheel", "simplest-walker-long", "simplest-walker-short", "simplest-walker-period-2",
-    "simplest-walker-period-4", "compass-gait", "compass-gait-without-hip", "kneed-walker", "slip-runner-stable",
-    "slip-runner-unstable", "slip-walker", "bouncing-ball", "impact-oscillator-near-grazing", "wall-pendulum",
+    "simplest-walker-period-4", "compass-gait", "compass-gait-without-hip", "kneed-walker", "five-link-walker",
+    "slip-runner-stable", "slip-runner-unstable", "slip-walker", "bouncing-ball", "impact-oscillator-near-grazing", "wall-pendulum",
 )  # fmt: skip
 
 

@@ -20,7 +20,9 @@ from orbitfinder.mechanics.hybrid import Mode, Transition, changed, hybrid, impa
 from orbitfinder.mechanics.machines import (
     bouncing_ball,
     compass_gait,
+    five_link_walker,
     impact_oscillator,
+    kneed_walker,
     rimless_wheel,
     rocking_block,
     simplest_walker,
@@ -667,3 +669,14 @@ def test_a_simulation_that_would_never_end_is_given_up(walker):
         of.simulate(simplest_walker(0.009), walker.state, 1e9)
     with pytest.raises(InputError, match=r"duration: must be positive and below 1e\+100 s, got 1e\+300"):
         of.simulate(of.chain(1), [0.1, 0.0], 1e300)
+
+
+def test_five_links_without_a_torso_are_four():
+    """The same gait, multipliers and all, as the kneed walker's; a torso below nothing is refused."""
+    four, five = kneed_walker(), five_link_walker(torso_mass=0.0)
+    guess = of.Guess([0.19, -0.29, -0.29, -1.1, -0.05, -0.05], 0.56)
+    one, other = (of.find_orbit(of.Problem(model, guess)) for model in (four, five))
+    assert other.certificate.passed and other.state == pytest.approx(one.state, abs=1e-12)
+    assert other.floquet_multipliers == pytest.approx(one.floquet_multipliers, abs=1e-9)
+    with pytest.raises(InputError, match="torso_mass: must not be negative, got -1"):
+        five_link_walker(torso_mass=-1)

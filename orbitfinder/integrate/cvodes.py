@@ -295,8 +295,8 @@ def integration_error(
     found = re.search(r"[Aa]t t = ([-+0-9.eE]+)", text)
     time = start + (float(found.group(1)) if found else 0.0) * duration
     causes = {
-        r"NaN detected|RHSFUNC": "the equations of motion are not finite there (0 / 0, the root of a negative number, or a "
-        "motion that has run off to infinity); write them so that they are smooth along the motion",
+        r"NaN detected|RHSFUNC": "the equations of motion are not finite there (0 / 0, the root of a negative number, "
+        "or a motion that has run off to infinity); write them so that they are smooth along the motion",
         r"mxstep|TOO_MUCH_WORK": f"too many internal steps in {duration:.4g} s; that is too long for one segment, or "
         "the motion too fast: take more segments or a shorter period",
         r"not finite|nan|NaN": "the equations of motion are not finite there",
