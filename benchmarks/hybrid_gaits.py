@@ -366,7 +366,8 @@ def again(name: str) -> tuple[Vector, float]:
 NAMES = (
     "rimless-wheel", "simplest-walker-long", "simplest-walker-short", "simplest-walker-period-2",
     "simplest-walker-period-4", "compass-gait", "compass-gait-without-hip", "kneed-walker", "five-link-walker",
-    "slip-runner-stable", "slip-runner-unstable", "slip-walker", "bouncing-ball", "impact-oscillator-near-grazing", "wall-pendulum",
+    "slip-runner-stable", "slip-runner-unstable", "slip-walker", "bouncing-ball",
+    "impact-oscillator-near-grazing", "wall-pendulum",
 )  # fmt: skip
 
 

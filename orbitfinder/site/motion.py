@@ -265,9 +265,7 @@ def _landscape(motion: Motion) -> dict[str, Any]:
     if motion.course is None:
         return {}
     count = len(motion.points)
-    step = motion.period / count
-    jumps = sorted({min(int(np.ceil(at / step - 1e-6)), count) - 1 for at, _ in motion.course.events})
-    lines = motion.course.grounds(np.arange(count) * step)
+    jumps, lines = _jumps(motion, count), motion.course.grounds(np.arange(count) * (motion.period / count))
     if lines is None:
         return {"jumps": jumps}
     if motion.course.walks or np.ptp(lines, axis=0).max() == 0:
@@ -275,10 +273,17 @@ def _landscape(motion: Motion) -> dict[str, Any]:
     return {"jumps": jumps, "ground": [[[float(f"{x:.6g}") for x in row] for row in line] for line in lines.tolist()]}
 
 
+def _jumps(motion: Motion, count: int) -> list[int]:
+    """The numbers of the samples, so many a period, after which the motion jumps."""
+    events = () if motion.course is None else motion.course.events
+    return sorted({min(int(np.ceil(at * count / motion.period - 1e-6)), count) - 1 for at, _ in events})
+
+
 def histories(motion: Motion) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
-    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960.
+    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960; `jumps`
+    as in `packed`.
     """
     n, size = len(motion.angles), motion.states.shape[1]
     extent = np.ptp(motion.states, axis=0)
@@ -295,4 +300,5 @@ def histories(motion: Motion) -> dict[str, Any]:
         if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * extent):
             break
     data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
-    return {"count": count + 1, "data": data}
+    jumps = _jumps(motion, count)
+    return {"count": count + 1, "data": data} | ({"jumps": jumps} if jumps else {})
