@@ -104,7 +104,7 @@ def moving_portrait(
     kept = np.unique([*np.linspace(0, len(places) - 1, 240).round().astype(int), *beside])
     whole = np.split(kept, np.searchsorted(kept, cuts))
     drawn = [(places[one], "") for one in whole if one.size]
-    drawn += [(places[[k - 1, k % len(places)]], ' stroke-dasharray="3 3" stroke-opacity=".6"') for k in cuts]
+    drawn += [(places[[k - 1, k % len(places)]], ' stroke-opacity=".6" stroke-dasharray="3 3"') for k in cuts]
     words = f'<text x="{SIZE / 2}" y="{SIZE - 3}" text-anchor="middle" font-size="10" fill="currentColor">'
     lines = "".join(
         f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"{dashed}/>'

@@ -66,8 +66,10 @@ class Motion:
     def at(self, count: int, endpoint: bool = False) -> np.ndarray:
         """States at `count` equal times over the period."""
         if self.course is not None:
-            moments = np.linspace(0.0, self.period, count, endpoint=endpoint)
-            return self.course.states(np.minimum(moments, np.nextafter(self.period, 0.0)))
+            states = self.course.states(np.linspace(0.0, self.period, count, endpoint=endpoint))
+            if endpoint:
+                states[-1] = self.course.pieces[-1].states[-1]  # before the event
+            return states
         return resampled(self.times, self.states, self.period, count, len(self.angles), endpoint)
 
 
@@ -282,8 +284,8 @@ def _jumps(motion: Motion, count: int) -> list[int]:
 def histories(motion: Motion) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
-    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960; `jumps`
-    as in `packed`.
+    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960. Of a
+    hybrid motion `jumps` are the samples after which it jumps; after the last, where nothing turns, to the first.
     """
     n, size = len(motion.angles), motion.states.shape[1]
     extent = np.ptp(motion.states, axis=0)
@@ -300,5 +302,7 @@ def histories(motion: Motion) -> dict[str, Any]:
         if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * extent):
             break
     data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
-    jumps = _jumps(motion, count)
-    return {"count": count + 1, "data": data} | ({"jumps": jumps} if jumps else {})
+    if motion.course is None:
+        return {"count": count + 1, "data": data}
+    jumps = [*_jumps(motion, count)[:-1], *([] if motion.course.turned.any() else [count])]
+    return {"count": count + 1, "data": data, "jumps": jumps}

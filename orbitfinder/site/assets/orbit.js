@@ -19,10 +19,10 @@
     var fine = Math.max(1, Math.round(960 / (count - 1))), moments = [];
     // A hybrid motion jumps after some samples: lines are broken there.
     var jumps = new Set(it.histories.jumps || []);
-    if (jumps.size) fine = 1;
+    if (it.histories.jumps) fine = 1;
     for (var m = 0; m <= (count - 1) * fine; m++) {
       moments.push(it.period * m / ((count - 1) * fine));
-      if (jumps.has(m)) moments.push(null);
+      if (m < count - 1 && jumps.has(m)) moments.push(null);
     }
     function row(component) {
       var s = states.subarray(component * count, (component + 1) * count), last = count - 1, turned = s[last] - s[0], out = [];
@@ -40,7 +40,7 @@
     // What leads from before each jump to after it.
     function resets(component) {
       var s = states.subarray(component * count, (component + 1) * count), out = [];
-      jumps.forEach(function (i) { out.push(s[i], s[i + 1], null); });
+      jumps.forEach(function (i) { out.push(s[i], s[(i + 1) % count], null); });
       return out;
     }
     function value(component, time) {
