@@ -284,6 +284,44 @@ def test_planted_skipped_guard():
         of.find_orbit(of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=of.pin(energy=1800.0)))
 
 
+def test_planted_skipped_guard_in_a_record():
+    """The runner's orbit told as one arc from apex to apex: the simulation names what comes before."""
+    model = slip_runner(attack=0.35)
+    pinned = of.pin(energy=80 * 9.81 * 1.02 + 1000.0)
+    orbit = of.find_orbit(of.Problem(model, of.Guess([0.0, 1.02, 5.0, 0.0], 0.8), pin=pinned))
+    failing(orbit, with_cycle(model, ["apex"]), "events")
+    assert "goes through touchdown where" in of.certify(orbit, with_cycle(model, ["apex"])).checks[0].note
+
+
+def test_what_an_impact_cannot_be_made_of():
+    """A gap that no coordinate changes, one of velocities, a restitution that is no number, a name that is taken."""
+    for gap in (lambda x, p: 1.0, lambda x, p: x.theta1dot):
+        with pytest.raises(InputError, match="contact: gaps are functions of the coordinates, and of no velocity"):
+            impact(of.chain(2), gap)
+    with pytest.raises(InputError, match="restitution: must be finite, got nan"):
+        impact(of.chain(2), lambda x, p: x.theta1, float("nan"))
+    shared = of.ode(lambda t, x, p: [x.v, -p.share_1], ("y", "v"), {"share_1": 1.0})
+    with pytest.raises(InputError, match="a parameter 'share_1' is the share of an arc"):
+        of.hybrid({"air": shared}, [Transition("b", "air", "air", guard=lambda x, p: x.y)], ["b"])
+
+
+def test_a_guess_that_starts_beyond_its_guard_is_told():
+    with pytest.raises(ConvergenceError, match=r"no event \(in mode air the guard of bounce is crossed from the start"):
+        of.find_orbit(of.Problem(falling(0.5), of.Guess([-0.1, -1.0], 0.2)))
+
+
+def test_a_thermostat_in_closed_form():
+    """Two modes of one temperature: T = 2 log(12 / 8) / k."""
+    heat = {"low": 18.0, "high": 22.0}
+    off, on = (of.ode(lambda t, x, p, to=to: [(to - x.T) * 0.1], ("T",), heat) for to in (10.0, 30.0))
+    model = of.hybrid({"off": off, "on": on}, [
+        Transition("cold", "off", "on", guard=lambda x, p: x.T - p.low),
+        Transition("warm", "on", "off", guard=lambda x, p: x.T - p.high, direction=1),
+    ], ["cold", "warm"])  # fmt: skip
+    orbit = of.find_orbit(of.Problem(model, of.Guess([22.0], 10.0)))
+    assert orbit.certificate.passed and orbit.period == pytest.approx(20 * np.log(1.5), rel=1e-14)
+
+
 def test_planted_allowed_that_hardly_decides(walker):
     """Whether the strike counts hangs on round-off."""
     model = simplest_walker(0.009)
@@ -374,7 +412,10 @@ def test_an_oscillator_that_hits_once_in_two_periods_is_another_orbit():
         ({"allowed": lambda x, p: x.y}, "ignored must say in words"),
         ({"guard": lambda x, p: ca.vertcat(x.y, x.ydot)}, "guard gives 2 numbers"),
         ({"reset": lambda x, p: x.y}, "reset gives 1 numbers for 2 states"),
-        ({"guard": lambda x, p: x.z}, "unknown name 'z'"),
+        ({"guard": lambda x, p: x.z}, "transition bounce: guard: unknown name 'z'; known are y, ydot"),
+        ({"guard": lambda x, p: 1.0}, "transition bounce: guard does not change with the state"),
+        ({"impulse": lambda x, p: "hard"}, "transition bounce: impulse: cannot be made of CasADi symbols"),
+        ({"holds": {"gap": lambda x, p: x.z}}, "mode air: holds 'gap': unknown name 'z'"),
         ({"conserved": ["momentum"]}, "mode air does not conserve 'momentum'"),
     ],
 )
@@ -382,9 +423,10 @@ def test_what_does_not_fit_is_said(change, message):
     symbols = of.Symbols(q := ca.SX.sym("q"), v := ca.SX.sym("v"))
     model = of.lagrange(v**2 / 2, q, symbols, names=["y"])
     cycle, conserved = change.pop("cycle", ["bounce"]), change.pop("conserved", [])
+    mode = Mode("air", model, change.pop("holds", None))
     given = {"name": "bounce", "source": "air", "target": "air", "guard": lambda x, p: x.y} | change
     with pytest.raises(InputError, match=message):
-        hybrid([Mode("air", model)], [Transition(**given)], cycle, conserved=conserved)
+        hybrid([mode], [Transition(**given)], cycle, conserved=conserved)
 
 
 def test_modes_share_states_and_parameters():

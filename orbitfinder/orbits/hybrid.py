@@ -56,12 +56,24 @@ def cycle_from(
     found = list(automaton.arcs(state, hybrid.arcs[0][0].name, longest, len(hybrid.cycle), hybrid.cycle[-1]))
     events = tuple(arc.ended_by for arc in found)
     if events != hybrid.cycle:
-        named = ", ".join(one or "no event" for one in events)
+        named = ", ".join(one or "no event" for one in events) + _crossed(automaton, found[-1])
         raise ConvergenceError(
             f"the motion from the guess goes through {named} where the cycle asks for {', '.join(hybrid.cycle)}; start "
             "nearer, or ask for the cycle that it goes through"
         )
     return found
+
+
+def _crossed(automaton: Automaton, arc: Arc) -> str:
+    """Which guards are beyond 0 already where an arc begins that no event ends, in words."""
+    if arc.ended_by is not None:
+        return ""
+    leaving = automaton.hybrid.leaving(arc.mode)
+    heights = {one.name: one.direction * float(automaton.value(one.guard, arc.states[0])[0]) for one in leaving}
+    beyond = [name for name, height in heights.items() if not height <= 0]
+    return f" (in mode {arc.mode} the guard of {', '.join(beyond)} is crossed from the start, or no number)" * bool(
+        beyond
+    )
 
 
 def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int) -> Unknowns:
