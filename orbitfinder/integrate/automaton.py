@@ -217,9 +217,9 @@ class Automaton:
             return self._ended(mode, leaving[which], t, spent, path, guards[which].range, margins)
         raise IntegrationError(f"no event ends mode {mode} within {MOST_STEPS} steps", time=solver.t, state=solver.y)
 
-    def _told(self, dense: Callable[[float], np.ndarray]) -> Callable[[float], np.ndarray]:
+    def _told(self, dense: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
         """Dense output (d, or d x k) in the model's own units."""
-        return lambda times: (dense(times).T * self.units).T
+        return lambda times: np.asarray((dense(times).T * self.units).T)
 
     def _watch(
         self, function: ca.Function, direction: int, field: VectorField, x: np.ndarray, own: bool = False
