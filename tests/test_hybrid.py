@@ -487,7 +487,7 @@ def test_what_knows_no_events_refuses(walker, tmp_path):
         of.prove(walker)
     with pytest.raises(InputError, match="a flow knows no events; use simulate"):
         of.flows.build_flow(model)
-    with pytest.raises(InputError, match="hybrid systems are not searched yet"):
+    with pytest.raises(InputError, match="energy: this system conserves none"):
         of.search(model, [0.1], (3.0, 4.0), tmp_path / "a.sqlite")
     with pytest.raises(InputError, match="c files know no events"):
         of.export_orbit(walker, "c", tmp_path)
