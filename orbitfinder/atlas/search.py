@@ -93,9 +93,10 @@ def register(atlas: Atlas, request: Request, context: Context, alone: bool = Fal
     A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it. One that is
     `alone` continues from no orbits of other energies: what other shards know of those is unknown here.
     """
-    target = request.target
-    where = {"cycle": context.model.hybrid.cycle, "cycles": target.cycles, "section": dict(target.section)}
-    how = {"method": METHOD, "strategies": context.strategies} | ({} if context.section is None else where)
+    how = {"method": METHOD, "strategies": context.strategies}
+    if context.section is not None:
+        target = request.target
+        how |= {"cycle": context.model.hybrid.cycle, "cycles": target.cycles, "section": dict(target.section)}
     method = json.dumps(how, sort_keys=True)
     key = [request.target.energy, *request.target.periods, request.seed, method]
     with explained(atlas.path), transaction(atlas.connection):
