@@ -26,7 +26,7 @@ from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.orbits.refine import Refiner
 from orbitfinder.records.orbit import Orbit
 
-TURNS = ("recurrence", "random", "recurrence", "settled")
+TURNS = ("recurrence", "random", "recurrence", "random", "settled")
 """Strategies in the order of their turns"""
 WALKED = {"random": 0, "recurrence": 10, "settled": 60}
 """Cycles that a start of each strategy goes through before those of its orbit"""
@@ -36,11 +36,13 @@ CHOICES = 4
 """A start is drawn from so many of the nearest returns after as many cycles"""
 DRAWN = 40
 """States that are drawn for one on the section, and on which the section is measured"""
+DRAWS = 12
+"""Motions that a start begins until one of them comes back to the section as often as it takes: most may fall"""
 MOST_EVENTS = 8
 """For each transition of the cycle: a motion with more events in a cycle is given up"""
 CORRECTIONS, MET = 12, 1e-12
 """Newton steps onto the section, and what is left of its equations then, relative"""
-LOOSE = ReferenceSettings(relative_tolerance=1e-8, absolute_tolerance=1e-10)
+LOOSE = ReferenceSettings(relative_tolerance=1e-6, absolute_tolerance=1e-8)
 COVER = 1e-6
 """Returns nearer than this, in lengths, are one"""
 
@@ -56,12 +58,14 @@ class Pass:
 
 @dataclass(frozen=True)
 class Return:
-    """A motion from one pass to a later one: the state, the time (s), all events, and how near it comes back."""
+    """A motion from one pass, the `begin`-th, to a later one: the state, the time (s), all events, how near it comes
+    back."""
 
     state: np.ndarray
     period: float
     course: tuple[str, ...]
     cycles: int
+    begin: int
     gap: float
 
 
@@ -172,28 +176,39 @@ class Section:
 
     def returns(self, strategy: str, random: np.random.Generator) -> Return:
         """A return near which an orbit is looked for. Raises `ConvergenceError`."""
-        walked = list(self.passes(self.drawn(random), WALKED[strategy] + self.cycles))
-        first = {"settled": max(0, len(walked) - LAST - self.cycles)}.get(strategy, 0)
-        found = [self._between(walked[begin : begin + count + 1])
-                 for begin in range(first, 1 if strategy == "random" else len(walked))
-                 for count in range(1, min(self.cycles, len(walked) - 1 - begin) + 1)]  # fmt: skip
-        low, high = self.periods
-        found = sorted((one for one in found if low <= one.period <= high), key=lambda one: one.gap)
-        if not found:
-            raise ConvergenceError("no return in the range of periods")
-        if strategy == "settled":
-            return found[0]
-        known = sorted({one.cycles for one in found})
-        many = known[random.integers(len(known))]
-        best = [one for one in found if one.cycles == many][:CHOICES]
-        return best[random.integers(len(best))]
+        count, others = int(random.integers(self.cycles)) + 1, list[Return]()
+        for _ in range(DRAWS):
+            walked = list(self.passes(self.drawn(random), WALKED[strategy] + self.cycles))
+            found = self._nearest(walked, max(0, len(walked) - LAST - self.cycles) if strategy == "settled" else 0)
+            if strategy == "random":
+                found = [one for one in found if one.begin == 0]
+            if found and strategy == "settled":
+                return found[0]
+            if best := [one for one in found if one.cycles == count][:CHOICES]:
+                return best[random.integers(len(best))]
+            others += found[:1]
+        if others:
+            return others[random.integers(len(others))]
+        raise ConvergenceError("no return in the range of periods")
 
-    def _between(self, walked: list[Pass]) -> Return:
+    def _nearest(self, walked: list[Pass], first: int) -> list[Return]:
+        """Returns in the range of periods, the nearest first, but for those that are as near after fewer cycles."""
+        found, (low, high) = list[Return](), self.periods
+        for begin in range(first, len(walked) - 1):
+            each = [self._between(walked[begin : begin + count + 1], begin)
+                    for count in range(1, min(self.cycles, len(walked) - 1 - begin) + 1)]  # fmt: skip
+            for one in each:
+                shorter = [other.gap for other in each[: one.cycles - 1] if one.cycles % other.cycles == 0]
+                if low <= one.period <= high and one.gap < min(shorter, default=np.inf):
+                    found.append(one)
+        return sorted(found, key=lambda one: one.gap)
+
+    def _between(self, walked: list[Pass], begin: int) -> Return:
         first, last = walked[0], walked[-1]
         course = tuple(name for one in walked[1:] for name in one.events)
         gap = np.abs(wrapped(last.state - first.state, self.model.angular) / self.lengths)
-        asked = ~np.isnan(self.low)
-        return Return(first.state, last.time - first.time, course, len(walked) - 1, float(gap[asked].max()))
+        near = float(gap[~np.isnan(self.low)].max())
+        return Return(first.state, last.time - first.time, course, len(walked) - 1, begin, near)
 
     def orbit(self, state: np.ndarray, period: float, course: tuple[str, ...]) -> Orbit:
         """The orbit near a guess, over its minimal cycle, without certificate. Raises `ConvergenceError`."""
