@@ -2,7 +2,7 @@
 
 The scan is plain NumPy: a grid over the section, the return map of all its points at once, Newton's method from every
 point, each orbit once. The impact oscillator between two impacts is linear and has a closed form; the compass gait is
-stepped by Runge and Kutta's method, and its gaits are then closed again by `peers/walkers.py` (SciPy, 1e-13).
+stepped by Runge and Kutta's method, and its gaits are then closed again by `hybrid_gaits.py` (SciPy, 1e-13).
 
     python benchmarks/hybrid_search.py      writes results/benchmarks/hybrid_search.md, in about six minutes
 """
@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from hybrid_gaits import compass
 from machine import load, processor, versions
-from peers.walkers import compass
 
 import orbitfinder as of
 from orbitfinder.atlas.store import Atlas

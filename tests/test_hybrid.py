@@ -30,7 +30,7 @@ from orbitfinder.orbits.hybrid import HybridCheck, cycle_from, first_unknowns, g
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from peers.walkers import compass, doubling
+from hybrid_gaits import compass, doubling
 
 REFERENCE = {
     one["id"]: one["values"]
@@ -601,7 +601,7 @@ def test_the_walkers_gaits_as_the_slope_vanishes(guess, period, limit):
 
 
 def test_a_second_program_finds_the_same_compass_gait():
-    """Equations, impact (from angular momentum), events and multipliers of `benchmarks/peers/walkers.py` alone."""
+    """Equations, impact (from angular momentum), events and multipliers of `benchmarks/hybrid_gaits.py` alone."""
     slope, guess = float(np.deg2rad(3.0)), of.Guess([0.22, -0.32, -1.09, -0.38], 0.73)
     orbit = of.find_orbit(of.Problem(compass_gait(slope=slope), guess))
     walker = compass(slope)
