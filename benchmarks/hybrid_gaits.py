@@ -22,6 +22,8 @@ Vector = np.ndarray
 TIGHT = 1e-13
 LONGEST = 60.0
 """s, of an arc"""
+MOST = 6
+"""Crossings of a guard in an arc, of which the last counts"""
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,15 @@ class Piece:
             return self.guard(x) if self.counts(x) else -float(self.direction)
 
         cross.direction = done.direction = float(self.direction)  # type: ignore[attr-defined]
-        done.terminal = True  # type: ignore[attr-defined]
-        path = solve_ivp(
-            lambda _, x: self.field(x), (0.0, LONGEST), x, method="DOP853", rtol=tolerance, atol=tolerance,
-            events=(cross, done),
-        )  # fmt: skip
-        for moment, state in zip(path.t_events[0], path.y_events[0], strict=True):
-            if self.counts(state):
-                return np.asarray(self.reset(state), float), float(moment)
+        for known in range(MOST):  # `done` ends too early where a crossing begins to count beyond the guard
+            cross.terminal, done.terminal = known and known + 1, True  # type: ignore[attr-defined]
+            path = solve_ivp(
+                lambda _, x: self.field(x), (0.0, LONGEST), x, method="DOP853", rtol=tolerance, atol=tolerance,
+                events=(cross, done) if not known else cross,
+            )  # fmt: skip
+            for moment, state in zip(path.t_events[0], path.y_events[0], strict=True):
+                if self.counts(state):
+                    return np.asarray(self.reset(state), float), float(moment)
         raise ValueError("no event ends the arc")
 
 
