@@ -34,7 +34,7 @@ from orbitfinder.orbits.hybrid import HybridCheck, cycle_from, first_unknowns, g
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
-from peers.walkers import compass, doubling
+from hybrid_gaits import compass, doubling
 
 REFERENCE = {
     one["id"]: one["values"]
@@ -555,7 +555,7 @@ def test_what_knows_no_events_refuses(walker, tmp_path):
         of.prove(walker)
     with pytest.raises(InputError, match="a flow knows no events; use simulate"):
         of.flows.build_flow(model)
-    with pytest.raises(InputError, match="hybrid systems are not searched yet"):
+    with pytest.raises(InputError, match="energy: this system conserves none"):
         of.search(model, [0.1], (3.0, 4.0), tmp_path / "a.sqlite")
     with pytest.raises(InputError, match="c files know no events"):
         of.export_orbit(walker, "c", tmp_path)
@@ -669,7 +669,7 @@ def test_the_walkers_gaits_as_the_slope_vanishes(guess, period, limit):
 
 
 def test_a_second_program_finds_the_same_compass_gait():
-    """Equations, impact (from angular momentum), events and multipliers of `benchmarks/peers/walkers.py` alone."""
+    """Equations, impact (from angular momentum), events and multipliers of `benchmarks/hybrid_gaits.py` alone."""
     slope, guess = float(np.deg2rad(3.0)), of.Guess([0.22, -0.32, -1.09, -0.38], 0.73)
     orbit = of.find_orbit(of.Problem(compass_gait(slope=slope), guess))
     walker = compass(slope)

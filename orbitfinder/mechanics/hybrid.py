@@ -242,6 +242,22 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
     return replace(made, parameter_values=numbers, hybrid=at_numbers(built, numbers), **controls)  # type: ignore[arg-type]
 
 
+def as_recorded(model: Model, system: Mapping[str, Any]) -> Model:
+    """The same system, a hybrid one with the cycle that the description of an orbit names."""
+    return with_cycle(model, system["cycle"]) if model.hybrid is not None and "cycle" in system else model
+
+
+def section_of(model: Model, one: Transition) -> ca.Function:
+    """(x-, p) -> x+ after a transition; what must be as it is there, its guard and what is conserved at x+; and the
+    derivatives of both by x-."""
+    symbol = ca.SX.sym if all(each.is_a("SXFunction") for each in (one.guard, one.reset)) else ca.MX.sym
+    x, p, n = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names)), model.degrees_of_freedom
+    after = one.reset(x, p)
+    held = ca.vertcat(one.guard(x, p), *(each.value(after[:n], after[n:], p) for each in model.invariants))
+    slopes = [ca.densify(ca.jacobian(each, x)) for each in (after, held)]
+    return ca.Function("section", [x, p], [after, held, *slopes])
+
+
 def repeated(model: Model, times: int) -> Model:
     """The same system, the cycle of a hybrid one gone through so many times."""
     return model if model.hybrid is None else with_cycle(model, model.hybrid.cycle * times)

@@ -91,11 +91,14 @@ def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int
 
 
 def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
-    """The unknowns of a guess whose arcs last as long, in shares of its period, as those of unknowns nearby."""
+    """The unknowns of a guess whose arcs last as long, in shares of its period, as those of unknowns nearby, or as it
+    says; its states are the nodes, where it has as many."""
     free, steps, x = like.free.copy(), like.steps, np.asarray(guess.state, float)
     for name, value in guess.free.items():
         free[equations.free.index(name)] = value
     w, nodes = replace(like, period=float(guess.period), free=free), list[np.ndarray]()
+    if guess.states is not None and np.shape(guess.states) == like.nodes.shape:
+        return replace(w, nodes=np.asarray(guess.states, float))
     ends = equations.links.ends(len(like.nodes))
     for k in range(len(like.nodes)):
         nodes.append(x)

@@ -323,6 +323,11 @@ class SearchTable(Table):
     energy: Energies | None = Field(
         None, description="energy of the orbits wanted in J, one number or a list; find.pin.energy when left out"
     )
+    section: dict[str, list[float]] = Field(
+        {}, description="hybrid systems: ranges of the state right after the event that ends the cycle, by component, "
+        "such as `{ v = [-1.5, 0.0], phase = [0.0, 6.2832] }`; others follow from the event"
+    )  # fmt: skip
+    cycles: int = Field(3, ge=1, le=64, description="hybrid systems: how many cycles an orbit goes through at most")
 
     @model_validator(mode="after")
     def _ordered(self) -> SearchTable:
@@ -331,6 +336,12 @@ class SearchTable(Table):
                 "period", "period: must be [smallest, largest] with smallest below largest, got {v}",
                 {"v": str(self.period)},
             )  # fmt: skip
+        for name, ends in self.section.items():
+            if len(ends) != 2 or not ends[0] < ends[1]:
+                raise PydanticCustomError(
+                    "section", "section.{n}: must be [smallest, largest] with smallest below largest, got {v}",
+                    {"n": name, "v": str(ends)[:60]},
+                )  # fmt: skip
         return self
 
 
