@@ -27,8 +27,7 @@ class Law:
         pairs = [table["limits"].get(name, (-np.inf, np.inf)) for name in table["actuators"]]
         self.low, self.high = np.array(pairs, float).T
         self.rows = np.hstack(parts)
-        self.count = len(self.rows) - 1
-        self.slopes = slopes(self.rows)
+        self.count, self.spline = len(self.rows) - 1, spline(self.rows)
 
     def start(self, x):
         """The place (s) of the orbit that is nearest to a state."""
@@ -39,7 +38,7 @@ class Law:
     def follow(self, x, tau, times=3):
         """The place nearest to x in the neighbourhood of tau: Newton's method on (x - x*) . dx*/dtau = 0."""
         for _ in range(times):
-            place, slope, bend = self._piece(tau, self.size, 2)
+            place, slope, bend = self.piece(tau, self.size, 2)
             gap, slope, bend = self._gap(x, place) / self.units, slope / self.units, bend / self.units
             steep = (slope * slope).sum(axis=1)
             turning = np.maximum(steep - (bend * gap).sum(axis=1), steep / 2)
@@ -47,16 +46,20 @@ class Law:
             tau = tau + np.clip(move, -REACH * self.period, REACH * self.period)
         return tau % self.period
 
+    def at(self, tau):
+        """The row (x*, u*, K) of the table at places tau (k)."""
+        return self.piece(tau, self.rows.shape[1], 0)[0]
+
     def deviation(self, x, tau):
         """x - x*(tau), angles within half a turn."""
-        return self._gap(np.atleast_2d(x), self._piece(np.atleast_1d(tau), self.size, 0)[0])
+        return self._gap(np.atleast_2d(x), self.piece(np.atleast_1d(tau), self.size, 0)[0])
 
     def __call__(self, x, tau):
         """The controls at a state, and its place near to where it is expected (with a clock: the time itself)."""
         one = np.ndim(x) == 1
         x, tau = np.atleast_2d(x), np.atleast_1d(np.asarray(tau, float))
         tau = tau % self.period if self.clock else self.follow(x, tau)
-        values = self._piece(tau, self.rows.shape[1], 0)[0]
+        values = self.piece(tau, self.rows.shape[1], 0)[0]
         gains = values[:, self.size + self.controls :].reshape(-1, self.controls, self.size)
         gap = self._gap(x, values[:, : self.size])
         u = values[:, self.size : self.size + self.controls] - np.einsum("kij,kj->ki", gains, gap)
@@ -67,25 +70,35 @@ class Law:
         gap = x - place
         return gap - self.angles * TURN * np.round(gap / TURN)
 
-    def _piece(self, tau, width, order):
-        """The first columns of the spline at places tau (k) and its first derivatives up to an order."""
+    def piece(self, tau, width, order):
+        """The first columns of the spline at places tau (k), and its derivatives up to an order."""
         step = self.period / self.count
         where = (tau % self.period) / step
         k = np.minimum(where.astype(int), self.count - 1)
-        s = (where - k)[:, None]
-        y0, y1 = self.rows[k, :width], self.rows[k + 1, :width]
-        m0, m1 = self.slopes[k, :width], self.slopes[k + 1, :width]
-        square, cube = 3 * (y1 - y0) - 2 * m0 - m1, 2 * (y0 - y1) + m0 + m1
-        found = [y0 + s * (m0 + s * (square + s * cube))]
-        if order:
-            found += [(m0 + s * (2 * square + 3 * s * cube)) / step, (2 * square + 6 * s * cube) / step**2]
-        return found
+        near = self.spline[k[:, None] + np.arange(6), :width]
+        return [np.einsum("kj,kjw->kw", weights(where - k, n), near) / step**n for n in range(order + 1)]
 
 
-def slopes(rows):
-    """Slopes, per row, of the periodic cubic spline through rows, the last of which is the first a period later."""
-    inner = rows[:-1]
-    ahead, behind = np.vstack([inner[1:], rows[-1:]]), np.vstack([inner[-1:] - (rows[-1] - rows[0]), inner[:-1]])
-    wave = 4 + 2 * np.cos(TURN * np.fft.rfftfreq(len(inner)))  # the eigenvalues of the circulant matrix (1, 4, 1)
-    found = np.fft.irfft(np.fft.rfft(3 * (ahead - behind), axis=0) / wave[:, None], len(inner), axis=0)
-    return np.vstack([found, found[:1]])
+BASIS = np.array([
+    [1, 26, 66, 26, 1, 0], [-5, -50, 0, 50, 5, 0], [10, 20, -60, 20, 10, 0],
+    [-10, 20, 0, -20, 10, 0], [5, -20, 30, -20, 5, 0], [-1, 5, -10, 10, -5, 1],
+]) / 120  # fmt: skip
+"""The six splines of degree 5 that are not 0 between two of their equally spaced knots, row k their terms in s^k"""
+
+
+def weights(s, order):
+    """What each of the six splines counts (k x 6) at a share s (k) of the step, or an n-th derivative of that by s."""
+    k = np.arange(order, 6)
+    falling = np.prod([k - i for i in range(order)], axis=0)
+    return (s[:, None] ** (k - order) * falling) @ BASIS[order:]
+
+
+def spline(rows):
+    """Coefficients (N + 5 x w) of the periodic spline through rows (N + 1 x w), the last the first a period later."""
+    count, moved = len(rows) - 1, rows[-1] - rows[0]
+    back = (rows - np.outer(np.arange(count + 1) / count, moved))[:-1]
+    angle = TURN * np.fft.rfftfreq(count)
+    wave = (66 + 52 * np.cos(angle) + 2 * np.cos(2 * angle)) / 120  # eigenvalues of the circulant (1, 26, 66, 26, 1)
+    found = np.fft.irfft(np.fft.rfft(back, axis=0) / wave[:, None], count, axis=0)
+    places = np.arange(-2, count + 3)
+    return found[places % count] + np.outer(places / count, moved)

@@ -70,10 +70,10 @@ class Regulator:
     @property
     def monodromy(self) -> np.ndarray:
         """The closed loop's state-transition matrix (m x m) over the period."""
-        whole = np.eye(self.transitions.shape[1])
+        found = np.eye(self.transitions.shape[1])
         for one in self.transitions:
-            whole = one @ whole
-        return whole
+            found = one @ found
+        return found
 
 
 def periodic(pieces: Sequence[Scattering]) -> Regulator:
@@ -81,16 +81,21 @@ def periodic(pieces: Sequence[Scattering]) -> Regulator:
 
     Raises `ConvergenceError` where there is none: what does not decay is out of the controls' reach or costs nothing.
     """
-    period = pieces[0]
-    for one in pieces[1:]:
-        period = period.then(one)
-    last = _doubled(period)
+    last = _doubled(whole(pieces))
     solutions, transitions = [last], list[np.ndarray]()
     for one in reversed(pieces):
         solution, closed = one.before(solutions[-1])
         solutions.append(solution)
         transitions.append(closed)
     return Regulator(np.array(solutions[::-1]), np.array(transitions[::-1]))
+
+
+def whole(pieces: Sequence[Scattering]) -> Scattering:
+    """All pieces as one."""
+    found = pieces[0]
+    for one in pieces[1:]:
+        found = found.then(one)
+    return found
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what is not finite is raised
