@@ -16,13 +16,13 @@ import numpy as np
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import InputError
+from orbitfinder.exports.controller import law_of
 from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import step_of
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.constrained import tangent_space
 from orbitfinder.mechanics.model import Model, constraint_of, vector_field
-from orbitfinder.orbits.feedback import law_of
 from orbitfinder.records.controller import Basin, Controller, Returned
 
 SIZES = (0.01, 0.03, 0.1, 0.3)
@@ -80,7 +80,7 @@ def basin(
     far, floor = np.zeros(len(pushed)), 0.0
     for k, (_, own, controls, distance) in enumerate(_simulated(controller, model, plan)):
         effort = controls - own
-        peak, power = np.maximum(peak, np.abs(effort)), power + effort**2
+        peak, power = np.maximum(peak, np.abs(effort)), power + np.where(np.isinf(distance)[:, None], 0.0, effort) ** 2
         floor = max(floor, float(distance[-1]))
         far = np.maximum(far, distance) if k >= last else far
     back = far <= NEAR * pushed + 3 * floor
@@ -126,9 +126,7 @@ def _check(sizes: Sequence[float], disturbances: int, periods: int, noise: float
         raise InputError(f"noise: must be 0 or more, in extents of the orbit, got {noise}")
 
 
-def disturbed(
-    controller: Controller, model: Model, sizes: np.ndarray, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
+def disturbed(controller: Controller, model: Model, sizes: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """States (k x d) pushed off the orbit by so many extents in seeded directions, and their places (k) on it."""
     random = np.random.default_rng(seed)
     places = random.uniform(0.0, controller.period, sizes.size)
@@ -167,9 +165,10 @@ def _simulated(
         limit.check()
         measured = x + plan.noise * controller.units * random.normal(size=x.shape) if plan.noise else x
         u, tau = law(measured, clock if law.clock else tau)
-        gap = np.linalg.norm(law.deviation(x, tau) / controller.units, axis=1)
+        wanted = law.at(tau)[:, : law.size + law.controls]
+        gap = np.sqrt(law.gap(x, wanted[:, : law.size]) ** 2 @ (1 / controller.units**2))
         lost |= ~(gap <= LOST)
-        yield x, law.at(tau)[:, law.size : law.size + law.controls], u, np.where(lost, np.inf, gap)
+        yield x, wanted[:, law.size :], u, np.where(lost, np.inf, gap)
         z, p = np.column_stack([clock, x]), np.column_stack([np.full(len(x), span), u])
         x = lanes.evaluated(step, STAGES, z, p)[:, 1:]
         x = np.where((lost | ~np.isfinite(x).all(axis=1))[:, None], law.rows[0, : law.size], x)

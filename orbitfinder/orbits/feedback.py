@@ -2,9 +2,9 @@
 
     u = u*(tau) - K(tau) (x - x*(tau)),    K = R^-1 B^T P,    tau: where the orbit is nearest to x, or the clock
 
-P is that of deviations across the flow (`orbits.transverse`), so that a controller without a clock lets the motion choose
-its phase and holds everything else, the energy too. What is claimed is measured by something else: the multipliers of
-the nonlinear closed loop, integrated with its variations from the controller's own numbers.
+P is that of deviations across the flow (`orbits.transverse`), so that a controller without a clock lets the motion
+choose its phase and holds everything else, the energy too. What is claimed is measured by something else: the
+multipliers of the nonlinear closed loop, integrated with its variations from the controller's own numbers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError, closest
-from orbitfinder.exports.law import Law
+from orbitfinder.exports.controller import law_of
 from orbitfinder.integrate.march import March, uniform
 from orbitfinder.mechanics.catalogue import REBUILDABLE, build_model
 from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits
@@ -49,20 +49,20 @@ Weight = float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | None
 def stabilise(
     orbit: Orbit,
     actuators: Sequence[str] | None = None,
-    Q: Weight = None,  # noqa: N803 - the field's letters
-    R: Weight = None,  # noqa: N803
+    Q: Weight = None,
+    R: Weight = None,
     *,
-    limits: Limits | None = None,
+    limits: Limits | float | None = None,
     clock: bool | None = None,
     model: Model | None = None,
 ) -> Controller:
-    """A Controller that holds a motion on an orbit by the named actuators (parameters of its Model), and its certificate.
+    """A Controller, certified, that holds a motion on an orbit by the named actuators, parameters of its Model.
 
     None: the Model's controls; of a chain or linkage without motors, the one joint whose motor has most authority. The
     cost is the integral of dy.Q dy + w.R w, dy deviations in extents of the orbit and w controls in what would move the
     state by that in a radian of the period; a number, a diagonal or a matrix each, 1 unless said. With `clock` (always
-    for forced systems) the controller keeps time too. `limits` bounds controls: greatest magnitude, or lowest and
-    highest. Raises `InputError` for what no controller can hold, naming what could, and `ConvergenceError`.
+    for forced systems) the controller keeps time too. `limits` bounds controls: greatest magnitude of all, or of each,
+    or lowest and highest. Raises `InputError` for what no controller can hold, naming what could, and `ConvergenceError`.
     """
     plant = _plant(orbit, model, actuators)
     forced = plant.candidates.forced
@@ -74,7 +74,9 @@ def stabilise(
     _check_authority(trial, chosen, powers)
     driven = plant.with_only(chosen)
     bounds = {name: driven.limits[name] for name in chosen if name in driven.limits}
-    bounds |= checked_limits(limits or {}, chosen)
+    bounds |= checked_limits(
+        dict.fromkeys(chosen, limits) if isinstance(limits, (int, float)) else limits or {}, chosen
+    )
     weights = _weight("Q", Q, trial.units.size), _weight("R", R, len(chosen))
     made = replace(_designed(orbit, driven, chosen, trial, weights), limits=bounds, authority=powers)
     _check_limits(made)
@@ -105,20 +107,17 @@ def _plant(orbit: Orbit, model: Model | None, actuators: Sequence[str] | None) -
     own = model or build_model(orbit.system)
     if own.hybrid is not None:
         raise InputError(
-            f"{orbit.name}: a hybrid orbit; feedback is for motions without impacts so far: stabilise one of a smooth system"
+            f"{orbit.name}: a hybrid orbit; feedback is for motions without impacts so far; give a smooth one"
         )
     if orbit.shift:
         moved = ", ".join(orbit.shift)
         raise InputError(
             f"{orbit.name}: a relative orbit, which does not come back in {moved}; stabilise one that closes"
         )
-    added = not own.controls and actuators is None
     if isinstance(actuators, str):
         raise InputError(f"actuators: must be a list of names, got {actuators!r}; give [{actuators!r}]")
-    wanted = tuple(actuators or ())
-    added = added or any(name.startswith(TORQUE) and name not in own.parameter_names for name in wanted)
-    able = own
-    if added and model is None and orbit.system.get("kind") in REBUILDABLE and not own.controls:
+    wanted, able = tuple(actuators or ()), own
+    if not own.controls and orbit.system.get("kind") in REBUILDABLE:
         joints = own.system["links"] if orbit.system["kind"] == "chain" else len(own.system["length"]) + 1
         able = build_model({**orbit.system, "motors": list(range(1, joints + 1))})
     for name in wanted:
@@ -138,7 +137,12 @@ def _plant(orbit: Orbit, model: Model | None, actuators: Sequence[str] | None) -
 
 
 def reference_of(
-    orbit: Orbit, model: Model, names: Sequence[str], clock: bool, least: int = LEAST_NODES, like: Reference | None = None
+    orbit: Orbit,
+    model: Model,
+    names: Sequence[str],
+    clock: bool,
+    least: int = LEAST_NODES,
+    like: Reference | None = None,
 ) -> Reference:
     """The orbit at `least` or more equal times over its period, an even number, each from the nearest recorded state;
     measured in units of its own, or of a former one."""
@@ -164,8 +168,8 @@ def _check_authority(reference: Reference, chosen: Sequence[str], powers: Mappin
     able = [name for name, power in powers.items() if power > 0]
     remedy = f"{' and '.join(able)} can, each alone" if able else "none of this system can alone; give several"
     raise InputError(
-        f"actuators: {' and '.join(chosen)} cannot hold {reference.model.system.get('kind', 'this')} orbit: the "
-        f"deviation of multiplier {_number(multiplier)} is out of reach (controllability Gramian over a period); {remedy}"
+        f"actuators: {' and '.join(chosen)} cannot hold this orbit: the deviation of multiplier {_number(multiplier)} "
+        f"is out of reach (controllability Gramian over a period); {remedy}"
     )
 
 
@@ -181,7 +185,9 @@ def _weight(name: str, given: Weight, size: int) -> np.ndarray:
     least = float(np.linalg.eigvalsh(matrix).min()) if good else -1.0
     if not good or least < 0 or (name == "R" and least <= 0):
         wanted = "positive definite" if name == "R" else "symmetric and not negative"
-        raise InputError(f"{name}: must be a number, {size} numbers or a {size} x {size} matrix, {wanted}; got {given!r}")
+        raise InputError(
+            f"{name}: must be a number, {size} numbers or a {size} x {size} matrix, {wanted}; got {given!r}"
+        )
     return np.asarray((matrix + matrix.T) / 2)
 
 
@@ -225,9 +231,9 @@ def _sorted(multipliers: np.ndarray) -> np.ndarray:
 
 def _interpolates(found: Controller) -> bool:
     """True when the spline through every other node meets the nodes between."""
-    thin = {name: getattr(found, name)[::2] for name in ("states", "inputs", "gains")}
+    thin = replace(found, **{name: getattr(found, name)[::2] for name in ("states", "inputs", "gains")})
     odd = np.arange(1, len(found.states), 2)
-    values = law_of(found, thin).at(odd * (found.period / (len(found.states) - 1)))
+    values = law_of(thin).at(odd * (found.period / (len(found.states) - 1)))
     rows = np.hstack([found.states, found.inputs, found.gains])
     sizes = np.concatenate([found.units, found.control_units, np.tile(found.units, len(found.actuators))])
     d, m = found.units.size, len(found.actuators)
@@ -237,12 +243,6 @@ def _interpolates(found: Controller) -> bool:
     errors[:, : d + m] /= sizes[: d + m]
     errors[:, d + m :] *= sizes[d + m :] / np.maximum(tallest, 1e-300)
     return bool(errors.max() <= INTERPOLATED)
-
-
-def law_of(controller: Controller, parts: Mapping[str, np.ndarray] | None = None) -> Law:
-    """What the controller does, as its exports do it; `parts` in place of its own."""
-    names = ("period", "clock", "units", "angles", "states", "inputs", "gains", "actuators", "limits")
-    return Law({name: getattr(controller, name) for name in names} | dict(parts or {}))
 
 
 def _check_limits(controller: Controller) -> None:
@@ -278,14 +278,17 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
     for one in varied.transitions:
         monodromy = one @ monodromy
     gap = float(np.abs((varied.ends - controller.states[1:]) / controller.units).max())
-    own = Reference(model, controller.actuators, controller.period, controller.states, controller.units, controller.clock)
+    own = Reference(
+        model, controller.actuators, controller.period, controller.states, controller.units, controller.clock
+    )
     across = own.bases[0]
     reduced = across.T @ (monodromy * controller.units / controller.units[:, None]) @ across
     found, left, right = eig(reduced, left=True, right=True)
     sharp = np.abs(np.einsum("ik,ik->k", left.conj(), right))  # 1 / condition
     checks = (
         _at_most("reference", gap, CLOSED, "between nodes the controller's orbit is a motion of the model"),
-        _at_most("multipliers", float(np.abs(found).max()), 1 - MARGIN, "of the nonlinear closed loop, largest modulus"),
+        _at_most("multipliers", float(np.abs(found).max()), 1 - MARGIN,
+                 "largest modulus, of the nonlinear closed loop"),
         _at_most("agreement", _apart(found, controller.predicted, sharp), ALIKE,
                  "of the multipliers with the linear design, over their condition"),
     )  # fmt: skip

@@ -45,7 +45,7 @@ class Scattering:
         return Scattering(first - second @ back @ third, _even(-second @ back), _even(-back @ third))
 
     def then(self, after: Scattering) -> Scattering:
-        """This piece and the one after it as one."""
+        """The piece and the one after it as one."""
         inner = np.eye(len(self.reach)) + self.reach @ after.cost
         onward, reached = np.linalg.solve(inner, self.transition), np.linalg.solve(inner, self.reach)
         return Scattering(

@@ -1,12 +1,12 @@
 """Deviations from a periodic orbit across its flow, how they grow, and what controls do to them.
 
-With x in units S of the orbit, dy = (x - x*) / S, y' = g and n = g / |g|, deviations along n are a matter of phase only.
-What is orthogonal to n at a node, of constraints in their tangent space too, has a basis E (d x m), and from node to node
+With x in units S of the orbit, dy = (x - x*) / S, y' = g and n = g / |g|, deviations along n are a matter of phase.
+What is orthogonal to n at a node, under constraints in their tangent space, has a basis E (d x m); from node to node
 
     z = E^T dy,    z_1 = E_1^T Phi E_0 z_0,    m = d - 1        (2n - 1: what changes the energy is across the flow)
 
-The Hamiltonian system of a regulator of weights P Q P and R, P = 1 - n n^T, in all d components keeps l.g = 0, so that it
-is reduced by the same bases. Followed by the clock, all deviations count: P = 1, m = d.
+The Hamiltonian system of a regulator of weights P Q P and R, P = 1 - n n^T, in all d components keeps l.g = 0, so that
+the same bases reduce it. Followed by the clock, all deviations count: P = 1, m = d.
 
 Source: J. Hauser, C. C. Chung, Converse Lyapunov functions for exponentially stable periodic orbits, Systems & Control
 Letters 23 (1994) 27-34; A. Shiriaev, L. Freidovich, S. Gusev, IEEE Trans. Automatic Control 55 (2010) 893-906.
@@ -80,14 +80,14 @@ class Reference:
     def control_units(self) -> np.ndarray:
         """Of each control (m) what moves the state by its extents in a radian of the period, rms over it."""
         sizes = np.sqrt((self.slopes[1] ** 2).sum(axis=1).mean(axis=0))
-        return np.asarray(2 * np.pi / self.period / np.where(sizes > 0, sizes, np.inf)) + (sizes == 0)
+        return np.asarray(np.where(sizes > 0, 2 * np.pi / self.period / np.where(sizes > 0, sizes, 1.0), 1.0))
 
     @cached_property
     def _march(self) -> March:
         return March(_hamiltonian(self), self.model.forced)
 
     def pieces(self, weight: np.ndarray, ease: np.ndarray) -> list[Scattering]:
-        """The regulator's scattering from node to node: Q (d x d) and R^-1 (m x m), of deviations and controls in units.
+        """The regulator's scattering from node to node by Q (d x d) and R^-1 (m x m), all in units.
 
         Without Q those of the motion itself: its transition and what controls reach, the Gramian.
         """

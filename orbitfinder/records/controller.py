@@ -54,15 +54,16 @@ class Basin:
 
 @dataclass(frozen=True)
 class Controller:
-    """u = u*(tau) - K(tau) (x - x*(tau)), tau the place (s) of the orbit that is nearest to x, or with `clock` the time.
+    """u = u*(tau) - K(tau) (x - x*(tau)), tau the place (s) of the orbit nearest to x, or with `clock` the time.
 
     At N + 1 equal times over the period: `states` x* (N + 1 x d), `inputs` u* (N + 1 x m), `gains` K (N + 1 x m d, row
     after row); a periodic cubic spline is between. Nearest is measured in `units` (d), the extents of the orbit;
     `angles` (d) are 1 where a difference is taken within half a turn. `limits` bounds controls by name.
 
-    `open_loop` are the multipliers of deviations from the orbit without control, `predicted` those of the linear design,
-    `multipliers` those found by integrating the nonlinear closed loop. `authority` says of each actuator alone how far
-    it moves in a period, in extents, the deviation that it moves least of those that do not decay; 0: it cannot.
+    `open_loop` are the multipliers of deviations from the orbit without control, `predicted` those of the linear
+    design, `multipliers` those found by integrating the nonlinear closed loop. `authority` says of each actuator alone,
+    at rms 1 in `control_units`, how far it moves in a period, in extents, the deviation that it moves least of those
+    that do not decay; 0: it cannot.
     """
 
     __repr__ = brief("name", "actuators", "period", "multipliers", "certificate")
