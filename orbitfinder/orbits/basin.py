@@ -21,7 +21,7 @@ from orbitfinder.integrate.compiled import compiled
 from orbitfinder.integrate.parallel import STAGES, Lanes
 from orbitfinder.integrate.rk8 import step_of
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.constrained import tangent_space
+from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, vector_field
 from orbitfinder.records.controller import Basin, Controller, Returned
 
@@ -133,7 +133,8 @@ def disturbed(controller: Controller, model: Model, sizes: np.ndarray, seed: int
     directions = random.normal(size=(sizes.size, controller.units.size))
     on = law_of(controller).at(places)[:, : controller.units.size]
     if model.constraint is not None:
-        bases = [np.linalg.qr(tangent_space(model, x) / controller.units[:, None])[0] for x in on]
+        level = constraint_rows(model)
+        bases = [tangent_basis(level(x).full() * controller.units) for x in on]
         directions = np.array([e @ (e.T @ one) for e, one in zip(bases, directions, strict=True)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     pushed = on + sizes[:, None] * directions * controller.units

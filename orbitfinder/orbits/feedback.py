@@ -62,7 +62,7 @@ def stabilise(
     cost is the integral of dy.Q dy + w.R w, dy deviations in extents of the orbit and w controls in what would move the
     state by that in a radian of the period; a number, a diagonal or a matrix each, 1 unless said. With `clock` (always
     for forced systems) the controller keeps time too. `limits` bounds controls: greatest magnitude of all, or of each,
-    or lowest and highest. Raises `InputError` for what no controller can hold, naming what could, and `ConvergenceError`.
+    or lowest and highest. Raises `InputError`, also for what the actuators cannot hold, and `ConvergenceError`.
     """
     plant = _plant(orbit, model, actuators)
     forced = plant.candidates.forced
@@ -73,10 +73,8 @@ def stabilise(
     chosen = plant.chosen or (max(powers, key=lambda name: powers[name]),)
     _check_authority(trial, chosen, powers)
     driven = plant.with_only(chosen)
-    bounds = {name: driven.limits[name] for name in chosen if name in driven.limits}
-    bounds |= checked_limits(
-        dict.fromkeys(chosen, limits) if isinstance(limits, (int, float)) else limits or {}, chosen
-    )
+    given = dict.fromkeys(chosen, limits) if isinstance(limits, (int, float)) else limits or {}
+    bounds = {name: driven.limits[name] for name in chosen if name in driven.limits} | checked_limits(given, chosen)
     weights = _weight("Q", Q, trial.units.size), _weight("R", R, len(chosen))
     made = replace(_designed(orbit, driven, chosen, trial, weights), limits=bounds, authority=powers)
     _check_limits(made)
@@ -278,9 +276,8 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
     for one in varied.transitions:
         monodromy = one @ monodromy
     gap = float(np.abs((varied.ends - controller.states[1:]) / controller.units).max())
-    own = Reference(
-        model, controller.actuators, controller.period, controller.states, controller.units, controller.clock
-    )
+    ends = controller.states[[0, -1]]
+    own = Reference(model, controller.actuators, controller.period, ends, controller.units, controller.clock)
     across = own.bases[0]
     reduced = across.T @ (monodromy * controller.units / controller.units[:, None]) @ across
     found, left, right = eig(reduced, left=True, right=True)

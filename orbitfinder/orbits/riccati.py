@@ -37,10 +37,9 @@ class Scattering:
     cost: np.ndarray
 
     @staticmethod
-    def of(hamiltonian: np.ndarray) -> Scattering:
-        """That of the state-transition matrix (2m x 2m) of (x, l) over the piece."""
-        m = len(hamiltonian) // 2
-        first, second, third, fourth = (hamiltonian[i : i + m, j : j + m] for i in (0, m) for j in (0, m))
+    def of(blocks: np.ndarray) -> Scattering:
+        """That of the state-transition matrix of (x, l) over the piece, in blocks (2 x 2 x m x m)."""
+        (first, second), (third, fourth) = blocks
         back = np.linalg.inv(fourth)
         return Scattering(first - second @ back @ third, _even(-second @ back), _even(-back @ third))
 

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.integrate.march import March, uniform
-from orbitfinder.mechanics.constrained import tangent_space
+from orbitfinder.mechanics.constrained import constraint_rows, tangent_basis
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.orbits.floquet import complement
 from orbitfinder.orbits.riccati import Scattering, whole
@@ -57,24 +57,23 @@ class Reference:
     @cached_property
     def bases(self) -> np.ndarray:
         """E (N + 1 x d x m), the last one the first."""
-        rates = self.slopes[0]
-        found = []
+        rates = self.slopes[0][:, : 0 if self.clock else 1, :]
+        if self.model.constraint is None:
+            found = [complement(np.zeros((0, self.units.size)), rate) for rate in rates]
+            return np.array([*found, found[0]])
+        found, level = [], constraint_rows(self.model)
         for state, rate in zip(self.states[:-1], rates, strict=True):
-            directions = np.zeros((0, rate.size)) if self.clock else rate[None]
-            if self.model.constraint is None:
-                found.append(complement(np.zeros((0, rate.size)), directions))
-                continue
-            tangent = np.linalg.qr(tangent_space(self.model, state) / self.units[:, None])[0]
-            found.append(tangent @ complement(np.zeros((0, tangent.shape[1])), directions @ tangent))
+            tangent = tangent_basis(level(state).full() * self.units)
+            found.append(tangent @ complement(np.zeros((0, tangent.shape[1])), rate @ tangent))
         return np.array([*found, found[0]])
 
     @cached_property
     def slopes(self) -> tuple[np.ndarray, np.ndarray]:
-        """g (N x d) and dg/du (N x d x m) along the orbit."""
+        """g (N x 1 x d) and dg/du (N x d x m) along the orbit."""
         times = np.linspace(0.0, self.period, len(self.states))[:-1]
         n, d, m = len(times), self.units.size, len(self.names)
         found = _slopes(self).map(n)(times[None], self.states[:-1].T, np.tile(self.inputs[:, None], (1, n)))
-        return found[0].full().T, found[2].full().reshape(d, n, m).transpose(1, 0, 2)
+        return found[0].full().T[:, None, :], found[2].full().reshape(d, n, m).transpose(1, 0, 2)
 
     @cached_property
     def control_units(self) -> np.ndarray:
@@ -96,13 +95,9 @@ class Reference:
         tail = np.concatenate([[self.period], weight.ravel(), scaled.ravel()])
         starts = np.hstack([self.states[:-1], np.tile(np.eye(2 * d).ravel(), (count, 1))])
         ends = self._march.ends(starts, uniform(1.0, count, STEPS), tail)
-        matrices = ends[:, d:].reshape(count, 2 * d, 2 * d).transpose(0, 2, 1)
-        found = []
-        for matrix, first, last in zip(matrices, self.bases[:-1], self.bases[1:], strict=True):
-            none = np.zeros_like(first)
-            before, after = np.block([[first, none], [none, first]]), np.block([[last, none], [none, last]])
-            found.append(Scattering.of(after.T @ matrix @ before))
-        return found
+        blocks = ends[:, d:].reshape(count, 2, d, 2, d).transpose(3, 1, 0, 4, 2)  # CasADi's matrices are by columns
+        parts = self.bases[1:].transpose(0, 2, 1) @ blocks @ self.bases[:-1]
+        return [Scattering.of(parts[:, :, k]) for k in range(count)]
 
     def reach(self, names: Sequence[str] | None = None) -> Scattering:
         """Over the period: the monodromy of deviations (m x m) and the Gramian of the controls of these names."""
@@ -111,20 +106,22 @@ class Reference:
 
 
 def lasting(period: Scattering) -> tuple[np.ndarray, np.ndarray]:
-    """Multipliers of deviations that do not decay by themselves, and the left eigenvectors (columns) that see them."""
+    """Multipliers of deviations that do not decay by themselves, and the left eigenvectors (columns) that see them.
+
+    Of all deviations where every one decays.
+    """
     multipliers, seen = np.linalg.eig(period.transition.T)
     chosen = np.abs(multipliers) >= 1.0 - LASTING
+    chosen |= not chosen.any()
     return multipliers[chosen], seen[:, chosen] / np.linalg.norm(seen[:, chosen], axis=0)
 
 
 def authority(period: Scattering, duration: float) -> tuple[float, complex]:
     """How far controls of rms 1 move in a period (s) the lasting deviation that they move least; and its multiplier.
 
-    0 where that is as little as round-off; infinite where every deviation decays.
+    0 where that is as little as round-off.
     """
     multipliers, seen = lasting(period)
-    if not multipliers.size:
-        return np.inf, 0j
     moved = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", seen.conj(), period.reach, seen).real, 0.0) * duration)
     least = int(np.argmin(moved))
     most = np.sqrt(np.linalg.norm(period.reach, 2) * duration)

@@ -63,7 +63,7 @@ class Controller:
     `open_loop` are the multipliers of deviations from the orbit without control, `predicted` those of the linear
     design, `multipliers` those found by integrating the nonlinear closed loop. `authority` says of each actuator alone,
     at rms 1 in `control_units`, how far it moves in a period, in extents, the deviation that it moves least of those
-    that do not decay; 0: it cannot.
+    that do not decay, or of all where all do; 0: it cannot.
     """
 
     __repr__ = brief("name", "actuators", "period", "multipliers", "certificate")
