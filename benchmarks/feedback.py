@@ -27,13 +27,11 @@ from orbitfinder.mechanics.model import vector_field
 from orbitfinder.orbits.transverse import Reference
 
 ROOT = Path(__file__).parents[1]
-SIZES = (0.01, 0.03, 0.1, 0.2, 0.3)
+SIZES = (0.01, 0.03, 0.1, 0.3)
 DISTURBANCES, PERIODS = 200, 100
 CASES = (
-    ("report/triple-1", 1, None, 0.0), ("report/triple-1", 2, None, 0.0), ("report/triple-1", 3, None, 0.0),
-    ("report/triple-1", 3, 2.0, 0.0), ("report/triple-1", 3, None, 0.001),
-    ("report/triple-2", 1, None, 0.0), ("examples/triple-mode-2-strong", 3, None, 0.0),
-    ("examples/triple-mode-2-strong", 3, 10.0, 0.0),
+    ("report/triple-1", 1, None, 0.0), ("examples/triple-mode-2-strong", 3, None, 0.0),
+    ("report/triple-2", 1, None, 0.0), ("report/triple-1", 3, 2.0, 0.001), ("report/triple-1", 2, None, 0.0),
 )  # fmt: skip
 """Problem file, joint of the motor, greatest torque (N m), noise of the measurement (extents)"""
 STEP = 1e-3
@@ -131,10 +129,8 @@ def main() -> None:
     cases = []
     for case in CASES:
         cases.append(held(*case))
+        (given.out / "feedback.md").write_text(report(cases), encoding="utf-8")
         print(report(cases[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
-    text = report(cases)
-    (given.out / "feedback.md").write_text(text, encoding="utf-8")
-    print(text)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits
 from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.orbits.closure import extents_of, shift
 from orbitfinder.orbits.riccati import periodic
-from orbitfinder.orbits.transverse import STEPS, Reference, authority
+from orbitfinder.orbits.transverse import EFFORT, STEPS, Reference, authority
 from orbitfinder.records.controller import Controller
 from orbitfinder.records.orbit import Certificate, Check, Orbit
 
@@ -148,7 +148,8 @@ def reference_of(
     steps = -(-least // len(base))
     steps += steps * len(base) % 2
     field = vector_field(model, ())
-    states = March(field, model.forced).states(base, uniform(1.0, len(base), steps), np.array([orbit.period]))
+    march = March(field, model.forced, effort=EFFORT)
+    states = march.states(base, uniform(1.0, len(base), steps), np.array([orbit.period]))
     states[::steps] = [*base, base[0] + shift(orbit.winding, base.shape[1])]
     units = extents_of(model, states, orbit.period) if like is None else like.units
     return Reference(model, tuple(names), orbit.period, states, units, clock)
@@ -270,7 +271,7 @@ def verified(controller: Controller, model: Model | None = None) -> Controller:
     """
     model = model or build_model(controller.system)
     nodes, count = controller.states[:-1], len(controller.states) - 1
-    march = March(closed_loop(controller, model), forced=True)
+    march = March(closed_loop(controller, model), forced=True, effort=EFFORT)
     varied = march.varied(nodes, uniform(1.0, count, STEPS), np.array([controller.period]))
     monodromy = np.eye(controller.units.size)
     for one in varied.transitions:

@@ -27,6 +27,8 @@ from orbitfinder.mechanics.model import Model, vector_field
 from orbitfinder.orbits.floquet import complement
 from orbitfinder.orbits.riccati import Scattering, whole
 
+EFFORT = 0.3
+"""Seconds of interpreted marching in one design, for `compiled`"""
 STEPS = 2
 """Runge-Kutta steps from node to node"""
 LASTING = 1e-6
@@ -83,7 +85,7 @@ class Reference:
 
     @cached_property
     def _march(self) -> March:
-        return March(_hamiltonian(self), self.model.forced)
+        return March(_hamiltonian(self), self.model.forced, effort=EFFORT)
 
     def pieces(self, weight: np.ndarray, ease: np.ndarray) -> list[Scattering]:
         """The regulator's scattering from node to node by Q (d x d) and R^-1 (m x m), all in units.
