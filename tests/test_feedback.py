@@ -272,6 +272,7 @@ def test_a_linkage_on_its_constraints():
 def test_small_disturbances_return_and_are_repeated(held):
     first, again = (of.basin(held, [0.005], 6, 50, rate=64).basin for _ in range(2))
     assert first.rows[0].returned == 6 and np.array_equal(first.rows[0].peak, again.rows[0].peak)
+    assert first.near == 0.01 and of.basin(held, [0.005], 2, 2, rate=16).basin.near == 0.5  # 0.81 a period leaves more
     assert 0 < first.rows[0].rms[0] < first.rows[0].peak[0] < 1.0
     starts, places = disturbed(held, build_model(held.system), np.full(4, 0.2), 3)
     on = law_of(held).at(places)[:, :6]
@@ -297,7 +298,7 @@ def test_torque_stays_within_its_limits_and_noise_is_told_from_return(held):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "joint", "size", "multiplier"),
-    [("report/triple-1", 1, 0.05, 1.24), ("report/triple-2", 1, 0.05, 1.6),
+    [("control/stabilised-triple-1", 2, 0.03, 1.24), ("report/triple-2", 1, 0.03, 1.6),
      ("examples/triple-mode-2-strong", 3, 0.01, 100.0)],
 )  # fmt: skip
 def test_two_hundred_disturbances_for_a_hundred_periods(file, joint, size, multiplier):
@@ -439,6 +440,10 @@ def test_orbits_that_are_not_held_yet(report_orbits, forced):
     relative = replace(report_orbits["triple-1"], shift={"theta1": 0.1})
     with pytest.raises(InputError, match="a relative orbit, which does not come back in theta1"):
         of.stabilise(relative)
+    controlled = replace(report_orbits["triple-1"], name="swing")
+    object.__setattr__(controlled, "control", {"shape": "linear"})
+    with pytest.raises(InputError, match="swing: a controlled motion"):
+        of.stabilise(controlled)
     with pytest.raises(InputError, match="clock: False for a forced system"):
         of.stabilise(forced, ["force"], clock=False)
     with pytest.raises(InputError, match="actuators: nothing acts on this system"):

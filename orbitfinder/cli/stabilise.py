@@ -122,6 +122,7 @@ def _failed(made: Controller) -> list[str]:
 def _print_basin(made: Controller) -> None:
     assert made.basin is not None
     names = "".join(f"{f'peak {name}':>16}{f'rms {name}':>16}" for name in made.actuators)
+    text(f"  returned: within {made.basin.near:.2g} of the disturbance in the last of {made.basin.periods} periods")
     text(f"  {'size':>8}{'returned':>12}{names}")
     for row in made.basin.rows:
         efforts = "".join(f"{a:>16.4g}{b:>16.4g}" for a, b in zip(row.peak, row.rms, strict=True))

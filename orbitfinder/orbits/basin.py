@@ -26,8 +26,10 @@ from orbitfinder.mechanics.model import Model, constraint_of, vector_field
 from orbitfinder.records.controller import Basin, Controller, Returned
 
 SIZES = (0.01, 0.03, 0.1, 0.3)
-NEAR = 0.01
-"""A motion has returned when it stays within this share of its disturbance"""
+NEAR, HALF = 0.01, 0.5
+"""A motion has returned when it stays within this share of its disturbance; the most that may be granted it"""
+SLACK = 10.0
+"""times what the largest multiplier leaves of a disturbance, where that is more"""
 LOST = 100.0
 """Extents off the orbit beyond which a motion is given up"""
 EFFORT = 30.0
@@ -83,7 +85,8 @@ def basin(
         peak, power = np.maximum(peak, np.abs(effort)), power + np.where(np.isinf(distance)[:, None], 0.0, effort) ** 2
         floor = max(floor, float(distance[-1]))
         far = np.maximum(far, distance) if k >= last else far
-    back = far <= NEAR * pushed + 3 * floor
+    near = float(np.clip(SLACK * np.abs(controller.multipliers).max() ** (periods - 1), NEAR, HALF))
+    back = far <= near * pushed + 3 * floor
     rows = []
     for k, size in enumerate(sizes):
         chosen = slice(k * disturbances, (k + 1) * disturbances)
@@ -91,7 +94,7 @@ def basin(
         strongest = peak[chosen][home].max(axis=0, initial=0.0)
         mean = np.sqrt(power[chosen][home].sum(axis=0) / max(1, periods * rate * int(home.sum())))
         rows.append(Returned(float(size), disturbances, int(home.sum()), strongest, mean))
-    return replace(controller, basin=Basin(tuple(rows), periods, rate, noise, seed, NEAR))
+    return replace(controller, basin=Basin(tuple(rows), periods, rate, noise, seed, near))
 
 
 def recovery(

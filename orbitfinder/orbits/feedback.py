@@ -107,6 +107,10 @@ def _plant(orbit: Orbit, model: Model | None, actuators: Sequence[str] | None) -
         raise InputError(
             f"{orbit.name}: a hybrid orbit; feedback is for motions without impacts so far; give a smooth one"
         )
+    if getattr(orbit, "control", None):
+        raise InputError(
+            f"{orbit.name}: a controlled motion, whose control changes along it; feedback is for motions without so far"
+        )
     if orbit.shift:
         moved = ", ".join(orbit.shift)
         raise InputError(

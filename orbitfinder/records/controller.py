@@ -38,8 +38,8 @@ class Basin:
     """Seeded disturbances of the nonlinear system under a sampled controller, and how many of them returned.
 
     `rate` samples and control values a period, held between; `noise` is the standard deviation of what is measured, in
-    extents of the orbit. Returned: within `near` of the disturbance (and three times what noise alone does) all along
-    the last of so many `periods`.
+    extents of the orbit. Returned: all along the last of so many `periods` within `near`, a share of the disturbance,
+    and three times what noise alone does. It is a hundredth, more where the largest multiplier leaves more by then.
     """
 
     __repr__ = brief("rows", "periods", "noise")
