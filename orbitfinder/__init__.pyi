@@ -34,6 +34,7 @@ from .mechanics.hybrid import impact as impact
 from .mechanics.lagrange import Symbols as Symbols
 from .mechanics.lagrange import lagrange as lagrange
 from .mechanics.linkage import linkage as linkage
+from .mechanics.mechanism import mechanism as mechanism
 from .mechanics.model import Baumgarte as Baumgarte
 from .mechanics.model import Invariant as Invariant
 from .mechanics.model import Model as Model
