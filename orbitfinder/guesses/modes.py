@@ -27,6 +27,7 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
+from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model, counted, vector_field, wrapped
 from orbitfinder.mechanics.scales import given_lengths, masses_of, snapped
 
@@ -119,11 +120,14 @@ def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
 def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
     """Link angles (n, rad) of an equilibrium: the stationary point near `guess`, or the lowest one found.
 
-    Without a guess the potential is minimised on the constraint from some two dozen assemblies. Raises
-    `InputError` when Newton's method finds none.
+    Without a guess the potential is minimised on the constraint from some two dozen assemblies. Of a mechanism with
+    loops they are its coordinates, and it is minimised from the pose alone. Raises `InputError` when Newton's method
+    finds none.
     """
     if guess is not None:
         return _stationary(model, np.asarray(guess, float))
+    if model.system.get("kind") != "linkage":
+        return _stationary(model, _descended(model, mechanism_state(model)[: model.degrees_of_freedom]))
     lengths, ground = dimensions(model)
     random = np.random.default_rng(0)
     found = []
@@ -161,9 +165,12 @@ def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
         step = step[: theta.size]
         theta = theta + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-300))
         if np.abs(step).max() < 1e-13:
-            check_regular(dimensions(model)[0], theta)
+            if model.system.get("kind") == "linkage":
+                check_regular(dimensions(model)[0], theta)
             return theta
-    raise InputError(f"linkage: no equilibrium found near {np.array2string(start, precision=4)}; give other angles")
+    raise InputError(
+        f"{model.system.get('kind')}: no equilibrium found near {np.array2string(start, precision=4)}; give other angles"
+    )
 
 
 def _descended(model: Model, start: np.ndarray) -> np.ndarray:
@@ -416,5 +423,8 @@ def linkage_mode(
         raise InputError(f"guess.mode: mode {mode} does not oscillate (squared frequency {squared[mode - 1]:.3g})")
     shape = shapes[:, mode - 1]
     moved = theta + amplitude * shape / shape[np.abs(shape).argmax()]
-    state = linkage_state(model, assemble(model, {}, guess=moved))
+    if model.system.get("kind") == "linkage":
+        state = linkage_state(model, assemble(model, {}, guess=moved))
+    else:
+        state = mechanism_state(model, near=moved)
     return Guess(state, 2 * np.pi / float(np.sqrt(squared[mode - 1])))

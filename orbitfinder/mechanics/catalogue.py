@@ -32,7 +32,8 @@ REMADE = ("chain", "linkage")
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
     """The Model that a description stands for; of a linkage the one in maximal coordinates, or (with
-    `independent` bars and `branch`) the minimal one, likewise of a mechanism; of a chain with `baumgarte` terms the native DAE.
+    `independent` bars and `branch`) the minimal one; of a mechanism with loops the native DAE, or (with
+    `independent` coordinates) the minimal one; of a chain with `baumgarte` terms the native DAE.
 
     `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
     Raises `InputError` for an unknown or wrong description.

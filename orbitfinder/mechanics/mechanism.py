@@ -1110,8 +1110,8 @@ class _Closings:
             raise InputError(
                 f"joints: over-constrained, {n} coordinates of the tree and {plural(rows, 'equation')} of "
                 f"{', '.join(repr(one.name) for one in self.made.closing)} leave {n - rows} degrees of freedom "
-                f"(Kutzbach); take away joint {last.name!r} between {' and '.join(map(repr, last.table['between']))}, or with "
-                "redundant = 'drop' equations that repeat others"
+                f"(Kutzbach); take away joint {last.name!r} between {' and '.join(map(repr, last.table['between']))}, "
+                "or with redundant = 'drop' equations that repeat others"
             )
 
     def _independent(self, place: np.ndarray) -> list[int]:
