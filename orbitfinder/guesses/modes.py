@@ -168,9 +168,8 @@ def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
             if model.system.get("kind") == "linkage":
                 check_regular(dimensions(model)[0], theta)
             return theta
-    raise InputError(
-        f"{model.system.get('kind')}: no equilibrium found near {np.array2string(start, precision=4)}; give other angles"
-    )
+    kind, near = model.system.get("kind"), np.array2string(start, precision=4)
+    raise InputError(f"{kind}: no equilibrium found near {near}; give other angles")
 
 
 def _descended(model: Model, start: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE, constrained_model
+from orbitfinder.mechanics.controls import divided
 from orbitfinder.mechanics.factorise import LinearBalances, solve_positive_definite
 from orbitfinder.mechanics.lagrange import (
     Symbols,
@@ -60,7 +61,7 @@ KEYS = {
     "joints": {"kind", "between", "at", "axis", "axes", "turned", "length"},
     "springs": {"between", "at", "stiffness", "length", "joint", "rest"},
     "dampers": {"between", "at", "damping", "joint"},
-    "motors": {"joint", "torque", "amplitude", "phase"},
+    "motors": {"joint", "torque", "amplitude", "phase", "limit"},
     "motions": {"joint", "offset", "amplitude", "phase", "turns"},
 }
 EXPRESSION = re.compile(
@@ -568,13 +569,17 @@ class _Motion:
     """Energies and forces of a drawing in its coordinates: what `Symbols` and `Terms` are made of.
 
     `kinetic` and `potential` depend on t where motions are prescribed; `pushed` (n) are forces of springs, dampers and
-    motors (gravity left out), `acting` (n) those that no potential has.
+    motors (gravity left out), `acting` (n) those that no potential has: `passive`, and what the `controls` (motors
+    without a torque of their own) `drive`.
     """
 
     symbols: Symbols
     kinetic: ca.SX
     potential: ca.SX
     elastic: ca.SX
+    passive: ca.SX | None
+    drive: ca.SX | None
+    controls: tuple[str, ...]
     acting: ca.SX | None
     frames: list[tuple[ca.SX, ca.SX]]
     gravity: ca.SX
@@ -611,6 +616,10 @@ class _Motion:
             joint = _coordinate(made, frames, f"motors.{name}", table)
             work += _torque(numbers, name, table, clock) * _rate(joint, q, v, t)
         acting = ca.gradient(work - spent, v) if system.get("motors") or system.get("dampers") else None
+        controls = tuple(
+            name for name, one in system.get("motors", {}).items() if not (one.get("torque") or one.get("amplitude"))
+        )
+        passive, drive = divided(acting, numbers.vector, controls, numbers.names, numbers.values)
         forced = ca.depends_on(ca.vertcat(kinetic, fall + elastic, work), t)
         points, strokes = _picture(system, made, frames)
         symbols = Symbols(
@@ -618,8 +627,11 @@ class _Motion:
             forcing_period=2 * np.pi / clock[1] if forced else None,
         )  # fmt: skip
         angles = [node.kind == "R" for node in own]
-        return cls(symbols, kinetic, fall + elastic, elastic, acting, frames, gravity, [one.name for one in own],
-                   angles, points, strokes, bool(moved))  # fmt: skip
+        names = [one.name for one in own]
+        return cls(
+            symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, frames, gravity, names, angles,
+            points, strokes, bool(moved),
+        )  # fmt: skip
 
 
 def _clock(system: Table, numbers: _Numbers) -> tuple[ca.SX, ca.SX]:
@@ -982,8 +994,13 @@ def _tree(made: _Drawing, motion: _Motion, system: Table) -> Model:
         invariants=[] if symbols.time is not None else
         detected_invariants(terms, labels, arguments, cyclic(terms, arguments)),
         system=system, angles=tuple(motion.angles), points=polyline("points", motion.points, [q, p]),
-        strokes=motion.strokes,
+        strokes=motion.strokes, controls=motion.controls, limits=_limits(system),
     )  # fmt: skip
+
+
+def _limits(system: Table) -> dict[str, Any]:
+    """How far the motors that are controls may go."""
+    return {name: one["limit"] for name, one in system.get("motors", {}).items() if "limit" in one}
 
 
 def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
@@ -1005,8 +1022,14 @@ def _terms(motion: _Motion, arguments: list[ca.SX]) -> Terms:
     """The Lagrangian's terms; a mass matrix that moves with time stays at t = 0, forces make up for the rest."""
     t, q, v, _ = arguments
     if not motion.prescribed or not ca.depends_on(ca.hessian(motion.kinetic, v)[0], t):
-        return take_apart(motion.kinetic, motion.potential, motion.acting, arguments)
-    mass, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.acting, t)
+        terms = take_apart(motion.kinetic, motion.potential, motion.passive, arguments)
+        return replace(terms, actuation=motion.drive)
+    if motion.drive is not None:
+        raise InputError(
+            f"motors.{motion.controls[0]}: a control beside a prescribed motion that changes the inertia is not "
+            "supported; give the motor a torque or an amplitude, or move the joint by another motor"
+        )
+    mass, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.passive, t)
     there = ca.substitute(mass, t, ca.SX(0))
     steady = Terms(0.5 * ca.dot(v, there @ v), ca.substitute(motion.potential, t, ca.SX(0)))
     rest = mass_matrix_and_bias(steady.kinetic, steady.potential, q, v)[1]
@@ -1050,10 +1073,11 @@ def _closed(made: _Drawing, motion: _Motion, system: Table, baumgarte: Sequence[
     stabilisation = Baumgarte(*(_number("baumgarte", one) for one in baumgarte))
     return constrained_model(
         LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
-        phi, Terms(motion.kinetic, motion.potential, forces=motion.acting), symbols, stabilisation,
+        phi, Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols,
+        stabilisation,
         coordinate_names(motion.names, symbols), force_names=names, angles=tuple(motion.angles),
-        points=polyline("points", motion.points, [q, p]), strokes=motion.strokes,
-        system={**system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
+        points=polyline("points", motion.points, [q, p]), strokes=motion.strokes, controls=motion.controls,
+        limits=_limits(system), system={**system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
     )  # fmt: skip
 
 
@@ -1318,7 +1342,8 @@ def _embedded(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray
     if model.forcing_period is not None:
         symbols = replace(symbols, forcing_period=model.forcing_period(p))
     forces = None if model.forces is None else ca.mtimes(basis.T, model.forces(t, q, v, p))
-    terms = Terms(model.kinetic(q, v, p), model.potential(q, p), forces=forces)
+    drive = None if model.actuation is None else ca.mtimes(basis.T, model.actuation(t, q, v, p))
+    terms = Terms(model.kinetic(q, v, p), model.potential(q, p), forces=forces, actuation=drive)
     names = [model.state_names[k] for k in chosen]
     acceleration = solve_positive_definite(inner, -ca.mtimes(basis.T, bias))
     shown = {name: float(value) for name, value in zip(model.state_names, pose, strict=False)}
@@ -1327,7 +1352,8 @@ def _embedded(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray
         invariants=[energy_invariant(terms.kinetic, terms.potential, u, rate, p)] if model.conservative else [],
         angles=tuple(bool(model.angular[k]) for k in chosen),
         points=None if model.points is None else ca.Function("points", [u, p], [model.points(q, p)]),
-        strokes=model.strokes, system={**model.system, "pose": shown, "independent": names},
+        strokes=model.strokes, controls=model.controls, limits=model.limits,
+        system={**model.system, "pose": shown, "independent": names},
     )  # fmt: skip
 
 

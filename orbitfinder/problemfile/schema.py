@@ -131,8 +131,8 @@ class JointTable(Table):
     """A joint between two bodies, or a body and the ground."""
 
     kind: str = Field(
-        description="in the plane revolute, prismatic, slot (a pin in a straight slot of the first body), fixed, free; in "
-        "space revolute, prismatic, cylindrical, universal, spherical, fixed, free; rod, a bar without mass, in both"
+        description="in the plane revolute, prismatic, slot (a pin in a straight slot of the first body), fixed, free; "
+        "in space revolute, prismatic, cylindrical, universal, spherical, fixed, free; rod, a bar without mass, in both"
     )
     between: list[str] = Field(min_length=2, max_length=2, description="the two bodies; one may be 'ground'")
     at: list[Entries] | None = Field(None, description=TWO_POINTS)
@@ -169,12 +169,17 @@ class DamperTable(Table):
 
 
 class MotorTable(Table):
-    """A motor in a joint, torque + amplitude cos(frequency t + phase); its torque is the parameter of its name."""
+    """A motor in a joint, torque + amplitude cos(frequency t + phase); its torque is the parameter of its name, and a
+    control where neither is given.
+    """
 
     joint: str = Field(description="the coordinate it acts in")
     torque: float = Field(0.0, description="steady torque in N m, or force in N")
     amplitude: Entry = Field(0.0, description="amplitude of what varies, in N m or N")
     phase: Entry = Field(0.0, description="in rad")
+    limit: Positive | Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        None, description="how far a motor that is a control (without torque and amplitude) may go, in N m or N"
+    )
 
 
 class MotionTable(Table):
