@@ -901,7 +901,8 @@ def _picture(
     held: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
     for name, table in system["joints"].items():
         for body, at in zip(table["between"], made.places[name], strict=True):
-            if not any(ca.is_equal(ca.densify(at), ca.densify(one), 9) for one in held[body]):
+            slides = body == GROUND and table["kind"] in ("prismatic", "slot", "cylindrical", "free")
+            if not slides and not any(ca.is_equal(ca.densify(at), ca.densify(one), 9) for one in held[body]):
                 held[body].append(at)
             if table["kind"] in ("prismatic", "slot", "cylindrical") and body == table["between"][1]:
                 strokes.append(("slider", (place(body, at),)))
@@ -912,6 +913,7 @@ def _picture(
     for name in system.get("springs", {}):
         if name in made.places:
             pair = system["springs"][name]["between"]
+            held[GROUND] += [at for one, at in zip(pair, made.places[name], strict=True) if one == GROUND]
             strokes.append(("spring", tuple(place(b, at) for b, at in zip(pair, made.places[name], strict=True))))
     strokes += [("ground", (place(GROUND, at),)) for at in held.pop(GROUND)]
     for name, table in system["bodies"].items():
