@@ -22,6 +22,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import qr
 
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE, constrained_model
@@ -71,6 +72,8 @@ NEWTON_STEPS, CLOSED = 80, 1e-13
 """Steps of an assembly, and the gap over the mechanism's size at which it is done"""
 LONGEST_TURN = 0.4
 """rad, or share of the size, by which an assembly moves a coordinate in one step"""
+STRIDE = 0.2
+"""rad, or share of the size, from one assembly to the next on the way from the pose"""
 HOMOTOPY, FINAL = 20, 3
 """Newton steps along the way from the pose to a place, and at the place, of the minimal form"""
 CYCLIC = 1e-13
@@ -151,6 +154,7 @@ class _Node:
     v: ca.SX = field(default_factory=lambda: ca.SX(0))
     a: ca.SX | None = None
     inertia: ca.SX = field(default_factory=lambda: ca.SX(6, 6))
+    index: int = -1
 
     def turn(self) -> ca.SX:
         """Its axes in the parent's (3 x 3)."""
@@ -528,6 +532,7 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
     base = made.bodies[known]
     labels = [name] if len(ways) == 1 else [f"{name}{k + 1}" for k in range(len(ways))]
     steps = list(zip(ways, labels, strict=True))
+    made.owner |= dict.fromkeys(labels, name)
     if not forwards:  # the same motions undone in the other order
         steps = [((kind, -axis), label) for (kind, axis), label in reversed(steps)]
     parent, frame = base.node, base.frame
@@ -536,7 +541,6 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
         frame = ca.mtimes(frame, turned.T)
     for (kind, axis), label in steps:
         made.nodes.append(_Node(parent, frame, place, kind, axis, label))
-        made.owner[label] = name
         parent, frame, place = len(made.nodes) - 1, _eye(), ca.SX(3, 1)
     if forwards:
         frame = ca.mtimes(frame, turned)
@@ -593,12 +597,13 @@ class _Motion:
     def of(cls, system: Table, made: _Drawing, numbers: _Numbers) -> _Motion:
         clock = _clock(system, numbers)
         moved = _prescribed(system, made, numbers, clock)
-        own = [node for node in made.nodes if node.name not in moved]
+        places = list(made.owner)  # a joint told from its second body has its nodes the other way round
+        own = sorted((one for one in made.nodes if one.name not in moved), key=lambda one: places.index(one.name))
         q, v = ca.SX.sym("q", len(own)), ca.SX.sym("v", len(own))
         if not own:
             raise InputError("motions: every coordinate is prescribed, which leaves no motion to compute; free one")
         for k, node in enumerate(own):
-            node.q, node.v = q[k], v[k]
+            node.q, node.v, node.index = q[k], v[k], k
         _weigh(system, made, numbers)
         frames = made.frames()
         gravity = _vector(numbers, "gravity", "gravity", system["gravity"], made.dimension)
@@ -622,6 +627,7 @@ class _Motion:
         passive, drive = divided(acting, numbers.vector, controls, numbers.names, numbers.values)
         forced = ca.depends_on(ca.vertcat(kinetic, fall + elastic, work), t)
         points, strokes = _picture(system, made, frames)
+        points = ca.substitute(points, t, ca.SX(0))  # pictures show what is prescribed as it is at t = 0
         symbols = Symbols(
             q, v, numbers.vector, tuple(numbers.names), tuple(numbers.values), time=t if forced else None,
             forcing_period=2 * np.pi / clock[1] if forced else None,
@@ -940,8 +946,7 @@ def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, 
 
     `pushed` (n) are the generalized forces but for gravity, which is the ground's acceleration the other way.
     """
-    nodes, speeds, free = made.nodes, _speeds(made), iter(range(pushed.numel()))
-    index = [next(free) if node.a is None else -1 for node in nodes]
+    nodes, speeds = made.nodes, _speeds(made)
     inertia = [node.inertia for node in nodes]
     bias = [
         ca.mtimes(_crossed(speed).T, ca.mtimes(-node.inertia, speed)) for node, speed in zip(nodes, speeds, strict=True)
@@ -954,7 +959,7 @@ def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, 
             passed, rest = inertia[k], bias[k] + ca.mtimes(inertia[k], moved[k] + way * node.a)
         else:
             column = ca.mtimes(inertia[k], way)
-            weight, push = ca.dot(way, column), pushed[index[k]] - ca.dot(way, bias[k])
+            weight, push = ca.dot(way, column), pushed[node.index] - ca.dot(way, bias[k])
             kept[k] = (column, weight, push)
             passed = inertia[k] - ca.mtimes(column, column.T) / weight
             rest = bias[k] + ca.mtimes(passed, moved[k]) + column * (push / weight)
@@ -962,14 +967,16 @@ def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, 
             across = _transform(node)
             inertia[node.parent] = inertia[node.parent] + ca.mtimes([across.T, passed, across])
             bias[node.parent] = bias[node.parent] + ca.mtimes(across.T, rest)
-    start, found, speeding = ca.vertcat(ca.SX(3, 1), -gravity), list[ca.SX](), list[ca.SX]()
+    start, speeding = ca.vertcat(ca.SX(3, 1), -gravity), list[ca.SX]()
+    found, weights = [ca.SX(0)] * pushed.numel(), [ca.SX(0)] * pushed.numel()
     for k, node in enumerate(nodes):
         before = ca.mtimes(_transform(node), speeding[node.parent] if node.parent >= 0 else start) + moved[k]
         column, weight, push = kept[k]
         own = node.a if node.a is not None else (push - ca.dot(column, before)) / weight
         speeding.append(before + node.way() * own)
-        found += [] if node.a is not None else [own]
-    return ca.densify(ca.vertcat(*found)), ca.vertcat(*(kept[k][1] for k in range(len(nodes)) if index[k] >= 0))
+        if node.a is None:
+            found[node.index], weights[node.index] = own, weight
+    return ca.densify(ca.vertcat(*found)), ca.vertcat(*weights)
 
 
 def _crossed(speed: ca.SX) -> ca.SX:
@@ -1157,7 +1164,8 @@ class _Closings:
                 raise InputError(
                     "joints: over-constrained, the independent equations leave no freedom; take a joint away"
                 )
-            return kept
+            best = qr(self._slopes(place).T, mode="r", pivoting=True)[1]  # what is farthest from repeating others
+            return sorted(int(k) for k in best[: len(kept)])
         raise InputError(
             f"joints: over-constrained, row {self.names[lost]!r} of {self._owner(lost)} repeats what others hold (rank "
             f"{len(kept)} of {len(self.names)} equations), so its force is not determined; loosen that joint, or leave "
@@ -1239,17 +1247,22 @@ def mechanism_state(
     place = np.array([pose.get(name, 0.0) for name in names]) if near is None else np.array(near, float)
     if place.shape != (len(names),):
         raise InputError(f"near: {plural(place.size, 'number')}; give one for each of {', '.join(names)}")
-    place[list(given)] = list(given.values())
     rate = np.zeros(len(names))
     rate[list(speeds)] = list(speeds.values())
     if model.constraint is None:
+        place[list(given)] = list(given.values())
         return np.concatenate([place, rate])
     freedom = len(names) - len(model.constraint.force_names)
     for what, table in (("coordinates", given), ("rates", speeds)):
         if len(table) > freedom:
             raise InputError(f"{what}: {len(table)} given, this mechanism has {plural(freedom, 'degree')} of freedom")
     function = _phi(model)
-    place = closed_near(function, p, place, list(given), units, lambda row: joint_of(model, row))
+    place = closed_near(function, p, place, (), units, lambda row: joint_of(model, row))
+    begin, wanted = place[list(given)], np.array(list(given.values()))
+    away = float(np.abs((wanted - begin) / units[list(given)]).max(initial=0.0))
+    for share in np.linspace(0.0, 1.0, 1 + int(np.ceil(away / STRIDE)))[1:]:  # the same assembly all the way
+        place[list(given)] = begin + share * (wanted - begin)
+        place = closed_near(function, p, place, list(given), units, lambda row: joint_of(model, row))
     slopes = function(place, p)[1].full() * units
     others = [k for k in range(len(names)) if k not in speeds]
     if speeds and len(independent_rows(slopes[:, others].T)) < len(slopes):
