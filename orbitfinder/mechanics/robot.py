@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.quiet import quietly
+from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.mechanism import GROUND, mechanism
 from orbitfinder.mechanics.model import Model
@@ -122,7 +122,7 @@ def _urdf(path: Path, data: bytes) -> _Read:
     except ImportError as error:
         raise InputError("file: URDF files need the extra: pip install 'orbitfinder[robot]'") from error
     try:
-        with quietly():
+        with captured():
             found = URDF.from_xml_string(data)
             root = found.get_root()
     except Exception as error:
@@ -181,7 +181,7 @@ def _mjcf(path: Path, data: bytes) -> _Read:
     except ImportError as error:
         raise InputError("file: MJCF files need the extra: pip install 'orbitfinder[robot]'") from error
     try:
-        with quietly():
+        with captured():
             one = mujoco.MjModel.from_xml_path(str(path)) if path.is_file() else mujoco.MjModel.from_xml_string(
                 data.decode()
             )
@@ -207,8 +207,7 @@ def _mjcf(path: Path, data: bytes) -> _Read:
             raise InputError(f"file: the joint of body {names[k]!r} is neither a hinge nor a slide; "
                              "a free base is made by floating=True")  # fmt: skip
         dof, pivot = int(one.jnt_dofadr[first]), np.array(one.jnt_pos[first])
-        if np.abs(pivot).max() > 0:  # the joint's place is in the child: the body moves about it
-            bodies[names[k]].com = bodies[names[k]].com - pivot
+        if np.abs(pivot).max() > 0:
             raise InputError(f"file: the joint of body {names[k]!r} is off its origin; move the body's frame to it")
         joints[_word(one.joint(first).name or f"joint{first}")] = _Joint(
             kind, parent, names[k], place, turned, np.array(one.jnt_axis[first]),

@@ -282,11 +282,11 @@ def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
         found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
         return found if given.period is None else Guess(found.state, given.period)
     state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
-    if given.period is None and (model.forced or model.constraint is None):
+    if given.period is None and (model.forced or "baumgarte" not in model.system):
         if model.forcing_period is None:
             raise InputError("guess.period: missing; give one in s with the angles of a mechanism without loops")
         return Guess(state, float(model.forcing_period(model.parameter_values)))
-    return Guess(state, given.period or first_return(model, state, given.duration or 20.0))
+    return Guess(state, given.period or first_return(model, state, given.duration))
 
 
 def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
