@@ -44,6 +44,8 @@ from .mechanics.model import Model as Model
 from .mechanics.model import energies as energies
 from .mechanics.model import energy as energy
 from .mechanics.model import positions as positions
+from .mechanics.robot import robot as robot
+from .mechanics.symbolic import from_sympy as from_sympy
 from .orbits.certify import certify as certify
 from .orbits.find import find_orbit as find_orbit
 from .orbits.refine import Refiner as Refiner

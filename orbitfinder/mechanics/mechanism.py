@@ -273,6 +273,7 @@ def mechanism(
     baumgarte: Sequence[float] | None = None,
     values: Table | None = None,
     scales: Mapping[str, float] | None = None,
+    drawn: Table | None = None,
 ) -> Model:
     """The Model of a mechanism in the plane (`dimension` 2) or in space (3), SI units, angles in rad.
 
@@ -287,6 +288,8 @@ def mechanism(
     numbers = _Numbers(parameters or {}, values or {})
     system = _description(bodies, joints, springs, dampers, motors, motions, gravity, dimension, parameters, frequency,
                           pose, redundant, values)  # fmt: skip
+    if drawn:
+        system["drawn"] = dict(drawn)
     drawing = _drawn(system, numbers)
     motion = _Motion.of(system, drawing, numbers)
     numbers.finish()
@@ -542,7 +545,9 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
     if not forwards:
         frame = ca.mtimes(frame, turned.T)
     for (kind, axis), label in steps:
-        rotor = made.numbers(f"joints.{name}.rotor", f"{name}_rotor", table.get("rotor", 0.0)) if len(steps) == 1 else 0.0
+        rotor = (
+            made.numbers(f"joints.{name}.rotor", f"{name}_rotor", table.get("rotor", 0.0)) if len(steps) == 1 else 0.0
+        )
         made.nodes.append(_Node(parent, frame, place, kind, axis, label, rotor=rotor))
         parent, frame, place = len(made.nodes) - 1, _eye(), ca.SX(3, 1)
     if forwards:

@@ -27,6 +27,8 @@ STRAIGHT = 1e-9
 """What entries of a turn are 0 or 1 to, where angles of a file are rounded"""
 KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 DIGITS = 15
+BASE, WORLD = "base_joint", "world_of_base"
+"""The free joint of a floating base, and what it hangs on"""
 
 
 @dataclass
@@ -118,7 +120,7 @@ def _numbers(path: Path, data: bytes) -> _Read:
 
 def _urdf(path: Path, data: bytes) -> _Read:
     try:
-        from urdf_parser_py.urdf import URDF
+        from urdf_parser_py.urdf import URDF  # noqa: PLC0415
     except ImportError as error:
         raise InputError("file: URDF files need the extra: pip install 'orbitfinder[robot]'") from error
     try:
@@ -177,19 +179,22 @@ def _straight(turn: np.ndarray) -> np.ndarray:
 def _mjcf(path: Path, data: bytes) -> _Read:
     """Bodies and joints of a MuJoCo model, as MuJoCo itself compiles them."""
     try:
-        import mujoco
+        import mujoco  # noqa: PLC0415
     except ImportError as error:
         raise InputError("file: MJCF files need the extra: pip install 'orbitfinder[robot]'") from error
     try:
         with captured():
-            one = mujoco.MjModel.from_xml_path(str(path)) if path.is_file() else mujoco.MjModel.from_xml_string(
-                data.decode()
+            one = (
+                mujoco.MjModel.from_xml_path(str(path))
+                if path.is_file()
+                else mujoco.MjModel.from_xml_string(data.decode())
             )
     except Exception as error:
         raise InputError(f"file: {path.name} is no MJCF that can be read ({error})") from error
     names = [_word(one.body(k).name or f"body{k}") for k in range(one.nbody)]
     bodies, joints = {names[0]: _Body()}, dict[str, _Joint]()
-    kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic"}
+    kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
+             int(mujoco.mjtJoint.mjJNT_FREE): "free"}  # fmt: skip
     for k in range(1, one.nbody):
         turn = _quaternion(one.body_iquat[k])
         bodies[names[k]] = _Body(
@@ -204,8 +209,7 @@ def _mjcf(path: Path, data: bytes) -> _Read:
             joints[f"{names[k]}_weld"] = _Joint("fixed", parent, names[k], place, turned, np.eye(3)[0])
             continue
         if (kind := kinds.get(int(one.jnt_type[first]))) is None:
-            raise InputError(f"file: the joint of body {names[k]!r} is neither a hinge nor a slide; "
-                             "a free base is made by floating=True")  # fmt: skip
+            raise InputError(f"file: the joint of body {names[k]!r} is a ball, which is not known; use three hinges")
         dof, pivot = int(one.jnt_dofadr[first]), np.array(one.jnt_pos[first])
         if np.abs(pivot).max() > 0:
             raise InputError(f"file: the joint of body {names[k]!r} is off its origin; move the body's frame to it")
@@ -237,35 +241,38 @@ def tables(
     gravity: float = 9.80665,
 ) -> dict[str, Any]:
     """The tables of the mechanism that a robot is, with `drawn`: the file's name and SHA-256."""
+    if floating:
+        made = _afloat(made)
     free = [name for name, one in made.joints.items() if one.kind != "fixed"]
     still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
     _check_names("locked", still, free)
     moving = [name for name in free if name not in still]
-    if not moving and not floating:
+    if not moving:
         raise InputError("locked: no joint is left to move; unlock one")
     bodies, whose = _lumped(made, still)
     found: dict[str, Any] = {"dimension": 3, "gravity": [float(gravity), 0.0, 0.0], "bodies": {}, "joints": {}}
-    base = whose[made.root]
-    if floating:
-        found["joints"]["base"] = {"kind": "free", "between": [GROUND, _word(base)]}
+    held = whose[made.root]
     for name in moving:
         one = made.joints[name]
-        parent, turn, place = whose[one.parent], *_frame(made, name, still)
-        child = _word(whose[one.child])
-        before = bodies[parent].place if parent != base or floating else np.zeros(3)
-        found["joints"][_word(name)] = {
-            "kind": one.kind, "between": [_word(parent) if parent != base or floating else GROUND, child],
-            "at": [_listed(DOWN @ (place - before)), [0.0, 0.0, 0.0]], "axis": _listed(DOWN @ turn @ one.axis),
+        parent, (turn, place) = whose[one.parent], _frame(made, name)
+        before = bodies[parent].place if parent != held else np.zeros(3)
+        table: dict[str, Any] = {
+            "kind": one.kind, "between": [GROUND if parent == held else _word(parent), _word(whose[one.child])],
+            "at": [_listed(DOWN @ (place - before)), [0.0, 0.0, 0.0]],
         }  # fmt: skip
+        if one.kind != "free":
+            table["axis"] = _listed(DOWN @ turn @ one.axis)
         if one.rotor:
-            found["joints"][_word(name)]["rotor"] = one.rotor
+            table["rotor"] = one.rotor
+        found["joints"][_word(name)] = table
     for name, body in bodies.items():
-        if name == base and not floating:
+        if name == held:
             continue
         if not body.mass > 0:
-            joint = next((j for j, one in made.joints.items() if whose[one.child] == name), name)
-            raise InputError(f"file: link {name!r} moves with joint {joint!r} and has no mass; give it one, or lock the "
-                             "joint")  # fmt: skip
+            joint = next(j for j, one in made.joints.items() if whose[one.child] == name)
+            raise InputError(
+                f"file: link {name!r} moves with joint {joint!r} and has no mass; give it one, or lock the joint"
+            )
         inertia = DOWN @ body.inertia @ DOWN.T
         six = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
         found["bodies"][_word(name)] = {
@@ -276,11 +283,20 @@ def tables(
     return found
 
 
+def _afloat(made: _Read) -> _Read:
+    """The same with its base on a free joint."""
+    if BASE in made.joints or WORLD in made.bodies:
+        raise InputError(f"floating: the file has a joint {BASE!r} or a link {WORLD!r} already; rename it")
+    joint = _Joint("free", WORLD, made.root, np.zeros(3), np.eye(3), np.eye(3)[0])
+    return _Read(made.name, {WORLD: _Body(), **made.bodies}, {BASE: joint, **made.joints}, WORLD)
+
+
 def _acting(
     found: dict[str, Any], made: _Read, moving: list[str], stiffness: Any, rest: Mapping[str, float], damping: Any,
     motors: Sequence[str] | str,
 ) -> None:  # fmt: skip
     """Springs, dampers and motors of the moving joints."""
+    moving = [name for name in moving if made.joints[name].kind != "free"]
     _check_names("rest", rest, moving)
     for key, given, entry in (("springs", stiffness, "stiffness"), ("dampers", damping, "damping")):
         own = {name: getattr(made.joints[name], entry) for name in moving}
@@ -325,7 +341,7 @@ def _listed(numbers: Iterable[float]) -> list[float]:
     return [float(f"{one:.{DIGITS}g}") for one in values]
 
 
-def _frame(made: _Read, name: str, still: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def _frame(made: _Read, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Axes (3 x 3) and place (3) of a joint in the ground's, at the zero position."""
     one = made.joints[name]
     parent = made.bodies[one.parent]
@@ -340,8 +356,8 @@ def _lumped(made: _Read, still: Mapping[str, float]) -> tuple[dict[str, _Body], 
             if one.parent != parent:
                 continue
             if one.child in whose:
-                raise InputError(f"file: link {one.child!r} hangs on two joints, one of them {name!r}; a URDF is a tree")
-            turn, place = _frame(made, name, still)
+                raise InputError(f"file: link {one.child!r} hangs on two joints, {name!r} the second; a URDF is a tree")
+            turn, place = _frame(made, name)
             fixed = one.kind == "fixed" or name in still
             if name in still and one.kind == "revolute":
                 turn = turn @ _axis_turn(one.axis, still[name])
@@ -364,7 +380,7 @@ def _axis_turn(axis: np.ndarray, angle: float) -> np.ndarray:
     """The turn (3 x 3) about an axis."""
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
 def _together(made: _Read, names: Sequence[str], head: str) -> _Body:
