@@ -88,10 +88,6 @@ class Hamiltonian:
     """Hamilton's equations of a Model in y = (q, p) (m numbers), under constraints in as few as it offers."""
 
     def __init__(self, model: Model) -> None:
-        if model.constraint is not None and model.forces is not None:
-            raise InputError(
-                "certify: systems under constraints are certified when they are conservative, and this is not"
-            )
         self.model, self.equations = model, hamilton(model)
         self.coordinates = self.equations.coordinates
         self.field = vector_field(self.equations.field)

@@ -56,6 +56,8 @@ class Motion:
     drawn: str
     course: Course | None = None
     """of a hybrid orbit, whose motion jumps"""
+    strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    """what is drawn through which points; () is one line through all"""
 
     @property
     def partners(self) -> list[int]:
@@ -188,7 +190,9 @@ def _jumping(
     n, moments = model.degrees_of_freedom, np.arange(JUMPING) * period / JUMPING
     shown = path.positions(moments) if model.points is not None else _plane(path.states(moments), n)
     drawn = "mechanism" if model.points is not None else "plane"
-    return Motion(period, times, states, model.state_names, model.angles or (True,) * n, shown, drawn, path)
+    return Motion(
+        period, times, states, model.state_names, model.angles or (True,) * n, shown, drawn, path, model.strokes
+    )
 
 
 def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
@@ -200,7 +204,7 @@ def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) 
         return positions(model, chosen) if model.points is not None else _plane(chosen, n)
 
     drawn = "mechanism" if model.points is not None else "plane"
-    return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn)
+    return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn, strokes=model.strokes)
 
 
 def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.ndarray) -> Motion:
@@ -249,17 +253,22 @@ def packed(motion: Motion) -> dict[str, Any]:
     middle = np.repeat(centre, many)
     numbers = np.rint((channels - middle[:, None]) / half * LEVELS)
     still = {str(c): float(round(channels[c, 0], 9)) for c in range(2 * many) if c not in moving}
-    return _landscape(motion) | {
-        "count": count,
-        "points": many,
-        "period": motion.period,
-        "centre": [float(x) for x in centre],
-        "half": half,
-        "moving": moving,
-        "still": still,
-        "data": base64.b64encode(numbers[moving].astype("<i2").tobytes()).decode(),
-        "drawn": motion.drawn,
-    }
+    strokes = {"strokes": [[kind, list(chosen)] for kind, chosen in motion.strokes]} if motion.strokes else {}
+    return (
+        _landscape(motion)
+        | strokes
+        | {
+            "count": count,
+            "points": many,
+            "period": motion.period,
+            "centre": [float(x) for x in centre],
+            "half": half,
+            "moving": moving,
+            "still": still,
+            "data": base64.b64encode(numbers[moving].astype("<i2").tobytes()).decode(),
+            "drawn": motion.drawn,
+        }
+    )
 
 
 def _landscape(motion: Motion) -> dict[str, Any]:
