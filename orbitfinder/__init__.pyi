@@ -16,6 +16,9 @@ from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
 from .families.folder import follow_family as follow_family
 from .families.point import FamilySettings as FamilySettings
+from .families.tori import TorusSettings as TorusSettings
+from .families.tori import follow_tori as follow_tori
+from .families.tori import torus as torus
 from .loops.conditions import Constraint as Constraint
 from .loops.conditions import Variables as Variables
 from .loops.conditions import pin as pin
@@ -53,6 +56,10 @@ from .records.family import load_family as load_family
 from .records.orbit import Certificate as Certificate
 from .records.orbit import Orbit as Orbit
 from .records.orbit import save_orbit as save_orbit
+from .records.torus import Tori as Tori
+from .records.torus import Torus as Torus
+from .records.torus import load_tori as load_tori
+from .records.torus import save_tori as save_tori
 from .show.animate import orbit_clip as orbit_clip
 from .show.animate import save_animation as save_animation
 from .show.animate import simulation_clip as simulation_clip
