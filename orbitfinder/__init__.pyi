@@ -12,6 +12,7 @@ from .atlas.search import search as search
 from .atlas.store import Atlas as Atlas
 from .atlas.store import Filter as Filter
 from .atlas.store import load_orbit as load_orbit
+from .exports.controller import export_controller as export_controller
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
 from .families.folder import follow_family as follow_family
@@ -39,13 +40,19 @@ from .mechanics.hybrid import impact as impact
 from .mechanics.lagrange import Symbols as Symbols
 from .mechanics.lagrange import lagrange as lagrange
 from .mechanics.linkage import linkage as linkage
+from .mechanics.mechanism import mechanism as mechanism
 from .mechanics.model import Baumgarte as Baumgarte
 from .mechanics.model import Invariant as Invariant
 from .mechanics.model import Model as Model
 from .mechanics.model import energies as energies
 from .mechanics.model import energy as energy
 from .mechanics.model import positions as positions
+from .mechanics.robot import robot as robot
+from .mechanics.symbolic import from_sympy as from_sympy
+from .orbits.basin import basin as basin
+from .orbits.basin import recovery as recovery
 from .orbits.certify import certify as certify
+from .orbits.feedback import stabilise as stabilise
 from .orbits.find import find_orbit as find_orbit
 from .orbits.optima import follow_optima as follow_optima
 from .orbits.refine import Refiner as Refiner
@@ -53,6 +60,9 @@ from .orbits.simulate import simulate as simulate
 from .orbits.sweep import sweep as sweep
 from .problemfile.read import load_problem as load_problem
 from .proof.theorem import prove as prove
+from .records.controller import Controller as Controller
+from .records.controller import load_controller as load_controller
+from .records.controller import save_controller as save_controller
 from .records.family import Family as Family
 from .records.family import load_family as load_family
 from .records.orbit import Certificate as Certificate
