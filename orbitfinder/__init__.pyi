@@ -38,12 +38,15 @@ from .mechanics.hybrid import impact as impact
 from .mechanics.lagrange import Symbols as Symbols
 from .mechanics.lagrange import lagrange as lagrange
 from .mechanics.linkage import linkage as linkage
+from .mechanics.mechanism import mechanism as mechanism
 from .mechanics.model import Baumgarte as Baumgarte
 from .mechanics.model import Invariant as Invariant
 from .mechanics.model import Model as Model
 from .mechanics.model import energies as energies
 from .mechanics.model import energy as energy
 from .mechanics.model import positions as positions
+from .mechanics.robot import robot as robot
+from .mechanics.symbolic import from_sympy as from_sympy
 from .orbits.basin import basin as basin
 from .orbits.basin import recovery as recovery
 from .orbits.certify import certify as certify
