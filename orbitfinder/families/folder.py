@@ -99,6 +99,8 @@ def follow_family(
         else:
             assert folder is not None
             curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
+            if isinstance(origin, Branch):  # with what else vanishes along a curve of bifurcations
+                curve = replace(curve, test=origin.start.curve.test, degenerate=origin.start.curve.degenerate)
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
         return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
@@ -150,7 +152,7 @@ def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings,
         return start
     start = origin.start if isinstance(origin, Branch) else origin
     free, _ = unknown_parameters(start.curve.equations.model, settings)
-    if free != start.curve.equations.physical:
+    if start.curve.test is None and free != start.curve.equations.physical:
         raise InputError(
             f"parameter: {settings.parameter!r} on a branch of a family in {parameter_of(start)}; leave it out, or "
             "continue one of the branch's orbits (FAMILY.json#K) in it"
@@ -207,7 +209,7 @@ def _header(
         "curve": {
             "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
             "constant": curve.constant, "winding": curve.turns, "weights": curve.weights,
-            **entry_of(curve),
+            **entry_of(curve), **({} if curve.test is None else {"test": curve.test.entry}),
         },
     })  # fmt: skip
     return header
