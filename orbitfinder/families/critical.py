@@ -16,8 +16,9 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.changes import margins
-from orbitfinder.families.stability import Spectrum, spectrum
+from orbitfinder.families.stability import Spectrum, keeps_pairs, reduced_map
 from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.orbits.floquet import reciprocal_pairs
 
 REAL = 1e-9
 """A product of two multipliers is real when its imaginary part is below this, relative to its size."""
@@ -44,21 +45,23 @@ class Critical:
             if known is None:
                 raise ConvergenceError(f"what is grazed is no longer near {self.margin[1]}; take a smaller step")
             return known.value
-        return self.of(spectrum(curve, found))
-
-    def of(self, about: Spectrum) -> float:
-        """The test by the multipliers of an orbit."""
-        if self.kind == "collision":
-            return discriminant(about.indices)
+        reduced = reduced_map(curve, found)[0]
+        roots = np.linalg.eigvals(reduced).astype(complex)
         if self.kind == "torus":
-            return torus_pair(multipliers(about))[0] - 1.0
-        return levelled(*self.roots(about))
+            return torus_pair(roots)[0] - 1.0
+        conservative = keeps_pairs(curve, reduced)
+        if conservative:
+            first, second = reciprocal_pairs(roots)
+            roots = roots[first] + roots[second]
+        return discriminant(roots) if self.kind == "collision" else levelled(roots, self.level(conservative))
+
+    def level(self, conservative: bool) -> float:
+        """The value that a stability index, or a multiplier, has along the curve."""
+        return float((2.0 if conservative else 1.0) * self.multiplier.real)
 
     def roots(self, about: Spectrum) -> tuple[np.ndarray, float]:
-        """Indices (conservative) or multipliers, and the value that one of them has along the curve."""
-        if about.conservative:
-            return about.indices, 2.0 * self.multiplier.real
-        return multipliers(about), float(self.multiplier.real)
+        """Indices (conservative) or multipliers of an orbit, and the value that one of them has along the curve."""
+        return about.indices if about.conservative else multipliers(about), self.level(about.conservative)
 
     @property
     def entry(self) -> dict[str, Any]:

@@ -31,7 +31,10 @@ FEWEST_STEPS = 16
 NEWTON_FLOOR = 1e-9
 """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
 MOST_NEWTON = 12
-NO_JACOBIAN = np.zeros((0, 0))
+TESTED = 1e3
+"""What a test function is measured in: it may be so much farther from 0 before the last step, whose row is exact."""
+ACROSS = 1e-3
+"""A step of which less than this share, squared, leads off the surface of orbits tells how the test changes along it."""
 DIFFERENCE = 1e-4
 """Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
 
@@ -75,6 +78,9 @@ class Curve(Loop):
         return 1.0 if self.equations.model.angular.any() else float(self.weights[0])
 
 
+NO_ROWS = np.zeros((0, 0))
+
+
 @dataclass(frozen=True)
 class Solution:
     """A corrected orbit with the integration it came from and the Jacobian of all rows, a test's too, but the aim."""
@@ -108,7 +114,7 @@ def make_curve(
 def _row_units(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> np.ndarray:
     """What each row is measured in, a test's and then an aim's last, unknowns being measured as the metric does."""
     units = curve.row_units(w, 1.0 / np.sqrt(curve.weights), slopes)
-    return units if curve.test is None else np.insert(units, len(units) - (slopes is not None), 1.0)
+    return units if curve.test is None else np.insert(units, len(units) - (slopes is not None), TESTED)
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -197,55 +203,56 @@ def correct(
 
 
 class Border:
-    """The row of a curve's test over w: its derivatives by central differences along what the other rows leave free.
+    """The row of a curve's test over w.
 
-    Between two of these they follow from the last change of its value (Broyden's update).
+    Its derivatives along what the other rows leave free are central differences; across, where an orbit is corrected,
+    they are learnt from how the test changes (a secant update), and kept from one orbit to the next.
     """
 
     def __init__(self, curve: Curve, slope: np.ndarray | None = None) -> None:
         assert curve.test is not None
         self.curve, self.test = curve, curve.test
-        self._row = None if slope is None else slope[-1]
+        self._row = np.zeros(0) if slope is None else slope[-1]
         self._last: tuple[np.ndarray, float] | None = None
         self._value = np.inf
 
     def value(self, found: Solution) -> float:
         """The test at an orbit."""
-        self._path, self._value = found.march, self.test(self.curve, found)
+        self._value = self.test(self.curve, found)
         return self._value
 
     def row(self, w: Unknowns, jacobian: np.ndarray, exact: bool = True) -> np.ndarray:
         """The row where `value` was asked for last; `jacobian` is that of the other rows."""
+        columns, known = _columns(self.curve, w), self._row.size == w.vector.size
         before, self._last = self._last, (w.vector, self._value)
-        if exact or self._row is None or self._row.size != w.vector.size:
-            self._row = self._differenced(w, jacobian)
+        if known and not exact and before is None:
+            return self._row
+        row = self._row * columns if known else np.zeros(columns.size)
+        free = _left_free(self.curve, w, jacobian)
+        if exact or not known:
+            slopes = np.array([self._at(w, DIFFERENCE * columns * one) for one in free]) / (2 * DIFFERENCE)
+            row = row + (slopes - free @ row) @ free
         elif before is not None:
-            moved = w.vector - before[0]
-            head = w.spread(self.curve.weights * w.head_of(moved))
-            missed = self._value - before[1] - float(self._row @ moved)
-            self._row = self._row + missed / max(float(head @ moved), 1e-300) * head
+            moved = (w.vector - before[0]) / columns
+            across = moved - (free @ moved) @ free
+            told = across if across @ across > ACROSS * (moved @ moved) else moved
+            row = row + (self._value - before[1] - row @ moved) / max(told @ told, 1e-300) * told
+        self._row = row / columns
         return self._row
 
-    def _differenced(self, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
-        curve = self.curve
-        free = _left_free(curve, Solution(w, self._path, jacobian, 0.0))
-        heads = np.array([w.head_of(one) for one in free])
-        lower = np.linalg.cholesky((heads * curve.weights) @ heads.T)  # of unit length, and normal to each other
-        free, heads = np.linalg.solve(lower, free), np.linalg.solve(lower, heads)
-        slopes = [self._at(w, DIFFERENCE * one) - self._at(w, -DIFFERENCE * one) for one in free]
-        return w.spread(curve.weights * (np.array(slopes) @ heads) / (2 * DIFFERENCE))
-
     def _at(self, w: Unknowns, step: np.ndarray) -> float:
-        near = w.moved(step)
-        return self.test(self.curve, Solution(near, self.curve.equations.varied(near, states=True), NO_JACOBIAN, 0.0))
+        """The change of the test from a step before an orbit to a step behind it."""
+        places, march = (w.moved(step), w.moved(-step)), self.curve.equations.varied
+        late, early = (self.test(self.curve, Solution(one, march(one, states=True), NO_ROWS, 0.0)) for one in places)
+        return late - early
 
 
-def _left_free(curve: Curve, found: Solution) -> np.ndarray:
-    """A basis (k x whole) of what the rows of a curve, its test and aim left out, leave free: their kernel."""
-    matrix, units = scaled(curve, found)
+def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (k x whole), in units of the metric, of the kernel of all rows but the test and the aim."""
+    matrix, _ = _measured(curve, w, jacobian)
     if curve.degenerate:
-        return np.asarray(np.linalg.svd(matrix)[2][len(matrix) - 1 :] * units)
-    return np.asarray(qr(matrix.T)[0][:, len(matrix) :].T * units)
+        return np.asarray(np.linalg.svd(matrix)[2][len(matrix) - 1 :])
+    return np.asarray(qr(matrix.T)[0][:, len(matrix) :].T)
 
 
 def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -270,9 +277,13 @@ def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> C
 
 def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
-    w, columns = found.place, _columns(curve, found.place)
-    rows = _row_units(curve.through(w), w)[: len(found.jacobian)]
-    return found.jacobian * columns / rows[:, None], columns
+    return _measured(curve, found.place, found.jacobian)
+
+
+def _measured(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    columns = _columns(curve, w)
+    rows = _row_units(curve.through(w), w)[: len(jacobian)]
+    return jacobian * columns / rows[:, None], columns
 
 
 def _columns(curve: Curve, w: Unknowns) -> np.ndarray:
