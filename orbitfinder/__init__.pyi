@@ -14,6 +14,7 @@ from .atlas.store import Filter as Filter
 from .atlas.store import load_orbit as load_orbit
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
+from .families.curves import follow_curve as follow_curve
 from .families.folder import follow_family as follow_family
 from .families.point import FamilySettings as FamilySettings
 from .loops.conditions import Constraint as Constraint

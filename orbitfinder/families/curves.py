@@ -96,7 +96,8 @@ def curve_start(
     test = Critical(chosen.kind, names, chosen.detail, chosen.order, chosen.multiplier)
     test = replace(test, margin=_grazed(curve, at_place(curve, place), chosen)) if chosen.kind == "grazing" else test
     curve = replace(curve, test=test, degenerate=bool(sizes[-1] < LOST * sizes[-2]))
-    aim = pinned(curve.equations, names[1], parameter_value(curve, place, names[1]))
+    held = names[0] if names[0] != family.parameter else names[1]
+    aim = pinned(curve.equations, held, parameter_value(curve, place, held))
     try:
         start = corrected(curve, place, aim)
     except ConvergenceError as error:

@@ -191,8 +191,10 @@ def correct(
         whole = np.vstack([jacobian, w.spread(curve.slopes(w, (aim,))[0])])
         step = -_solved(curve, w, whole, rows)
         moved = w.moved(step)
-        if ready:
+        if ready and border is None:
             return Solution(moved, path, jacobian, largest)
+        if ready:  # so far from the bifurcation was the march
+            return Solution(moved, curve.equations.varied(moved, states=True), jacobian, largest)
         if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:
