@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import qr
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
@@ -181,7 +180,8 @@ def correct(
         if border is not None:
             rows = np.insert(rows, -1, border.value(Solution(w, path, jacobian, 0.0)))
         largest = float(np.abs(rows / units).max())
-        ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > 0.1 * previous)
+        stays = 0.1 if border is None else 0.7  # by less it shrinks where the border is not yet known
+        ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > stays * previous)
         if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
         if not np.isfinite(jacobian).all():
@@ -216,6 +216,7 @@ class Border:
         self.curve, self.test = curve, curve.test
         self._row = np.zeros(0) if slope is None else slope[-1]
         self._last: tuple[np.ndarray, float] | None = None
+        self._free: np.ndarray | None = None
         self._value = np.inf
 
     def value(self, found: Solution) -> float:
@@ -230,7 +231,9 @@ class Border:
         if known and not exact and before is None:
             return self._row
         row = self._row * columns if known else np.zeros(columns.size)
-        free = _left_free(self.curve, w, jacobian)
+        if exact or not known or self._free is None:
+            self._free = _left_free(self.curve, w, jacobian)
+        free = self._free
         if exact or not known:
             slopes = np.array([self._at(w, DIFFERENCE * columns * one) for one in free]) / (2 * DIFFERENCE)
             row = row + (slopes - free @ row) @ free
@@ -254,7 +257,7 @@ def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
     matrix, _ = _measured(curve, w, jacobian)
     if curve.degenerate:
         return np.asarray(np.linalg.svd(matrix)[2][len(matrix) - 1 :])
-    return np.asarray(qr(matrix.T)[0][:, len(matrix) :].T)
+    return np.asarray(np.linalg.qr(matrix.T, mode="complete")[0][:, len(matrix) :].T)
 
 
 def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
