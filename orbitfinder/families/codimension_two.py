@@ -15,7 +15,7 @@ from math import gcd
 
 import numpy as np
 
-from orbitfinder.families.critical import Critical, doubled, levelled, multipliers, nearest_pair, torus_pair
+from orbitfinder.families.critical import REAL, Critical, doubled, levelled, multipliers, nearest_pair, torus_pair
 from orbitfinder.families.events import event_at
 from orbitfinder.families.passages import Measure, Test, located
 from orbitfinder.families.point import FamilySettings, parameter_value
@@ -28,8 +28,6 @@ VANISHED = 1e-3
 """A measure that is no smaller where it was located, relative to its ends, has jumped and did not vanish."""
 ASIDE = 1e-3
 """How far aside of a curve of folds its surface is looked at, in the metric"""
-LAST = ("1:1", "1:2")
-"""Strong resonances at which a torus pair, or a Krein collision, leaves the unit circle: its curve ends."""
 
 
 def find_special(interval: Interval, settings: FamilySettings) -> list[Event]:
@@ -42,11 +40,11 @@ def find_special(interval: Interval, settings: FamilySettings) -> list[Event]:
 
 
 def left_circle(curve: Curve, event: Event) -> End | None:
-    """The end of a curve of tori, or of collisions, whose multipliers become real: beyond are neutral saddles."""
+    """The end of a curve of tori, or of Krein collisions, whose multipliers become real: beyond are neutral saddles."""
     test = curve.test
     if not isinstance(test, Critical) or test.kind not in ("torus", "collision") or event.kind != "strong_resonance":
         return None
-    if event.detail not in LAST:
+    if abs(event.multiplier.imag) > REAL:  # of a half period, it goes on round the circle
         return None
     what = "a neutral saddle" if test.kind == "torus" else "real multipliers that meet"
     return End("strong_resonance", f"the critical multipliers become real at a {event.detail} resonance; beyond is {what}")

@@ -55,6 +55,10 @@ class Critical:
             roots = roots[first] + roots[second]
         return discriminant(roots) if self.kind == "collision" else levelled(roots, self.level(conservative))
 
+    def neutral(self, curve: Curve, found: Solution) -> bool:
+        """Whether the pair of a torus is real: a neutral saddle."""
+        return abs(torus_pair(np.linalg.eigvals(reduced_map(curve, found)[0]).astype(complex))[1]) >= 2.0
+
     def level(self, conservative: bool) -> float:
         """The value that a stability index, or a multiplier, has along the curve."""
         return float((2.0 if conservative else 1.0) * self.multiplier.real)

@@ -103,6 +103,11 @@ def curve_start(
     except ConvergenceError as error:
         lasting = "; it need not persist where nothing keeps its symmetry" if curve.degenerate else ""
         raise ConvergenceError(f"event {number} of {family.name} ({chosen.kind}): {error}{lasting}") from error
+    if test.kind == "torus" and test.neutral(start.curve, start.found):
+        raise ConvergenceError(
+            f"event {number} of {family.name}: two real multipliers of product 1, a neutral saddle and no torus; "
+            "continue the family again"
+        )
     return Locus(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
 
 
