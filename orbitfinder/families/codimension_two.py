@@ -145,9 +145,9 @@ def slopes(sample: Sample, names: tuple[str, str]) -> np.ndarray:
 def _turns(interval: Interval) -> Iterator[tuple[Sample, Test]]:
     """Cusps, and places where the parameter that folds is extremal along a curve of folds."""
     one = _critical(interval)
-    sizes = np.array([max(abs(parameter_value(interval.curve, interval.first.found.place, name)), 1e-300)
-                      for name in one.parameters])  # fmt: skip
-    ends = [slopes(sample, one.parameters) / sizes for sample in (interval.first, interval.last)]
+    ends = np.array([slopes(sample, one.parameters) for sample in (interval.first, interval.last)])
+    sizes = np.maximum(np.abs(ends).max(axis=0), 1e-300)
+    ends = ends / sizes
     if ends[0] @ ends[1] < 0:
         across = (ends[0] / np.linalg.norm(ends[0]) - ends[1] / np.linalg.norm(ends[1])) / sizes
         measure: Measure = _Along(one.parameters, across)

@@ -96,6 +96,11 @@ def curve_start(
     test = Critical(chosen.kind, names, chosen.detail, chosen.order, chosen.multiplier)
     test = replace(test, margin=_grazed(curve, at_place(curve, place), chosen)) if chosen.kind == "grazing" else test
     curve = replace(curve, test=test, degenerate=bool(sizes[-1] < LOST * sizes[-2]))
+    if test.kind == "branch_point" and test.multiplier.real > 0 and not curve.degenerate:
+        raise InputError(
+            f"event: the branch point {described(family, number)} lasts only while nothing disturbs it, and one of "
+            f"{' and '.join(names)} does: folds leave from there; choose parameters that keep the symmetry"
+        )
     held = names[0] if names[0] != family.parameter else names[1]
     aim = pinned(curve.equations, held, parameter_value(curve, place, held))
     try:

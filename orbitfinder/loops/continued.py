@@ -32,6 +32,8 @@ NEWTON_FLOOR = 1e-9
 MOST_NEWTON = 12
 TESTED = 1e3
 """What a test function is measured in: it may be so much farther from 0 before the last step, whose row is exact."""
+SLOW = 0.1
+"""A step that leaves more than this share of the residual asks for the differences of a test function anew."""
 ACROSS = 1e-3
 """A step of which less than this share, squared, leads off the surface of orbits tells how the test changes along it."""
 DIFFERENCE = 1e-4
@@ -187,7 +189,8 @@ def correct(
         if not np.isfinite(jacobian).all():
             raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")
         if border is not None:
-            jacobian = np.vstack([jacobian, border.row(w, jacobian, ready)])
+            slow = iteration > 0 and largest > SLOW * previous
+            jacobian = np.vstack([jacobian, border.row(w, jacobian, ready or slow)])
         whole = np.vstack([jacobian, w.spread(curve.slopes(w, (aim,))[0])])
         step = -_solved(curve, w, whole, rows)
         moved = w.moved(step)
@@ -207,8 +210,8 @@ def correct(
 class Border:
     """The row of a curve's test over w.
 
-    Its derivatives along what the other rows leave free are central differences; across, where an orbit is corrected,
-    they are learnt from how the test changes (a secant update), and kept from one orbit to the next.
+    Its derivatives along what the other rows leave free, and in the direction across it in which an orbit was corrected,
+    are differences; in between they follow from how the test changes (a secant update).
     """
 
     def __init__(self, curve: Curve, slope: np.ndarray | None = None) -> None:
@@ -216,7 +219,7 @@ class Border:
         self.curve, self.test = curve, curve.test
         self._row = np.zeros(0) if slope is None else slope[-1]
         self._last: tuple[np.ndarray, float] | None = None
-        self._free: np.ndarray | None = None
+        self._free, self._across = np.zeros((0, 0)), np.zeros((0, 0))
         self._value = np.inf
 
     def value(self, found: Solution) -> float:
@@ -230,26 +233,36 @@ class Border:
         before, self._last = self._last, (w.vector, self._value)
         if known and not exact and before is None:
             return self._row
-        row = self._row * columns if known else np.zeros(columns.size)
-        if exact or not known or self._free is None:
+        if exact or not known or not self._free.size:
             self._free = _left_free(self.curve, w, jacobian)
-        free = self._free
+        moved = np.zeros(columns.size) if before is None else (w.vector - before[0]) / columns
+        across = moved - (self._free @ moved) @ self._free
+        length = float(np.linalg.norm(across))
+        if not self._across.size and length > 0.0:
+            self._across = across[None] / length
         if exact or not known:
-            slopes = np.array([self._at(w, DIFFERENCE * columns * one) for one in free]) / (2 * DIFFERENCE)
-            row = row + (slopes - free @ row) @ free
-        elif before is not None:
-            moved = (w.vector - before[0]) / columns
-            across = moved - (free @ moved) @ free
-            told = across if across @ across > ACROSS * (moved @ moved) else moved
-            row = row + (self._value - before[1] - row @ moved) / max(told @ told, 1e-300) * told
+            row = self._differenced(w, columns)
+        else:
+            row = self._row * columns
+            told = across if length**2 > ACROSS * (moved @ moved) else moved
+            change = self._value - (before[1] if before else self._value)
+            row = row + (change - row @ moved) / max(told @ told, 1e-300) * told
         self._row = row / columns
         return self._row
 
-    def _at(self, w: Unknowns, step: np.ndarray) -> float:
-        """The change of the test from a step before an orbit to a step behind it."""
-        places, march = (w.moved(step), w.moved(-step)), self.curve.equations.varied
-        late, early = (self.test(self.curve, Solution(one, march(one, states=True), NO_ROWS, 0.0)) for one in places)
-        return late - early
+    def _differenced(self, w: Unknowns, columns: np.ndarray) -> np.ndarray:
+        """The row over unknowns in units of the metric, 0 along what nothing was moved in."""
+        free = np.array([self._at(w, columns * one) - self._at(w, -columns * one) for one in self._free]) / 2
+        found = free @ self._free
+        for one in self._across:
+            beside = one - (self._free @ one) @ self._free
+            found = found + (self._at(w, columns * one) - self._value - DIFFERENCE * found @ one) * beside
+        return np.asarray(found / DIFFERENCE)
+
+    def _at(self, w: Unknowns, direction: np.ndarray) -> float:
+        """The test a small step along a direction."""
+        near = w.moved(DIFFERENCE * direction)
+        return self.test(self.curve, Solution(near, self.curve.equations.varied(near, states=True), NO_ROWS, 0.0))
 
 
 def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
@@ -308,7 +321,7 @@ def tangent(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
     right = np.zeros(len(found.jacobian) + 1)
     right[-1] = 1.0
     matrix = np.vstack([found.jacobian, row])
-    whole = _solved(curve, found.place, matrix, right) if curve.degenerate else Factors(matrix).solve(right)
+    whole = _solved(curve, found.place, matrix, right)
     return np.asarray(whole / np.sqrt(curve.weights @ found.place.head_of(whole) ** 2))
 
 
