@@ -1,10 +1,10 @@
 """Curves of bifurcations in two parameters: orbitfinder beside AUTO-07p, and both beside numbers of 140 bits.
 
-Doublings of two coupled pendula (AUTO's demo `pen`) from damping 0.1 to 0.5 and folds of Duffing's oscillator from a force
-of 0.3 to 0.5. Each program starts from one orbit, finds the event, frees the second parameter and goes on with its own
-steps. Time is that of the second run divided by its points: AUTO's from its start to its end on the coarsest mesh that is
-right to TOLERANCE, with one thread; orbitfinder's `follow` after one run that compiles, first without and then with what
-AUTO has not, the independent closure of every point.
+Doublings of two coupled pendula (AUTO's demo `pen`) from damping 0.1 to 0.5 and folds of Duffing's oscillator from a
+force of 0.3 to 0.5. Each program starts from one orbit, finds the event, frees the second parameter and goes on with its
+own steps. Time is that of the second run divided by its points: AUTO's from its start to its end on the coarsest mesh
+that is right to TOLERANCE, with one thread; orbitfinder's `follow` after one run that compiles, first without and then
+with what AUTO has not, the independent closure of every point.
 
     python benchmarks/curves.py           prints the table
     python benchmarks/curves.py --cpu     processor time for both, for a busy machine
@@ -56,7 +56,7 @@ class Case:
 CASES = (
     Case("doublings of two pendula", "coupled-pendula.toml", "period_doubling", 0.17, ("torque", "damping"), (0.1, 0.5),
          (0.1791637762686538, 0.7966132828830927), PENDULA, (-0.01, 0.02)),
-    Case("upper folds of Duffing's oscillator", "duffing-resonance.toml", "fold", 2.5, ("frequency", "force"), (0.3, 0.5),
+    Case("folds of Duffing's oscillator", "duffing-resonance.toml", "fold", 2.5, ("frequency", "force"), (0.3, 0.5),
          (1.7797195242985731, 2.2119353170197306), DUFFING, (0.02, 0.02)),
 )  # fmt: skip
 
@@ -116,7 +116,7 @@ def main() -> None:
     clock = Clock(parser.parse_args().cpu)
     if shutil.which("gfortran") is None or not (AUTO / "lib").is_dir():
         sys.exit(f"AUTO-07p is needed in {AUTO} (Debian: auto-07p, gfortran); set AUTO_DIR")
-    print("| curve | ms a point | with closure | AUTO's | ours / AUTO | points | AUTO's | error at the end | AUTO's | mesh |")
+    print("| curve | ms a point | with closure | AUTO's | ours / AUTO | points | AUTO's | error | AUTO's | mesh |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for case in CASES:
         with tempfile.TemporaryDirectory() as folder:

@@ -23,7 +23,7 @@ FEW = of.FamilySettings(certify=False, points=60)
 
 
 def turning(growth, names, values):
-    """r' = r growth(r^2, p), once round in 2 pi: its cycles are the zeros of growth, their multiplier exp(4 pi r^2 g')."""
+    """r' = r growth(r^2, p), once round in 2 pi: its cycles are the zeros of growth."""
 
     def field(_, x, p):
         rate = growth(x.x**2 + x.y**2, p)
@@ -121,8 +121,8 @@ def test_a_branch_point_where_the_equations_lose_a_rank():
                               settings=FEW)  # fmt: skip
     start = curve_start(family, event_of(family, "branch_point"), ("b", "a"), model=model)
     assert start.start.curve.degenerate
-    curve = of.follow_curve(family, event_of(family, "branch_point"), ("b", "a"), at=(0.0,), settings=replace(FEW, points=12),
-                            model=model)  # fmt: skip
+    settings = replace(FEW, points=12)
+    curve = of.follow_curve(family, start.event, ("b", "a"), at=(0.0,), settings=settings, model=model)
     at = curve.places[: len(curve.points)]
     assert np.abs(at[:, 1] - at[:, 0] - at[:, 0] ** 2).max() < 1e-11 and np.ptp(at[:, 0]) > 0.25
 
@@ -162,7 +162,9 @@ def test_folds_of_duffings_oscillator(duffing):
         assert duffing.events[fold].parameter == pytest.approx(first, abs=1e-10)
         curve = of.follow_curve(duffing, fold, ("force", "frequency"), at=(0.5,), settings=FEW)
         assert curve.points[-1].free == pytest.approx({"force": 0.5, "frequency": second}, abs=1e-10)
-        both = of.follow_curve(duffing, fold, ("force", "frequency"), settings=replace(FEW, directions="backward", points=40))
+        both = of.follow_curve(
+            duffing, fold, ("force", "frequency"), settings=replace(FEW, directions="backward", points=40)
+        )
         cusps += [list(one.free.values()) for one in both.events if one.kind == "cusp"]
     assert len(cusps) == 2 and cusps[0] == pytest.approx(cusps[1], abs=1e-8)
 
@@ -206,9 +208,13 @@ def entrained():
     def field(t, x, p):
         return [x.v, 0.4 * (1 - x.x**2) * x.v - x.x + p.force * ca.cos(p.frequency * t)]
 
-    model = of.ode(field, ("x", "v"), {"force": 0.6, "frequency": 1.0}, forcing_period=lambda p: 2 * np.pi / p.frequency)
+    model = of.ode(
+        field, ("x", "v"), {"force": 0.6, "frequency": 1.0}, forcing_period=lambda p: 2 * np.pi / p.frequency
+    )
     problem = of.Problem(model, of.Guess([2.0, 0.0], 2 * np.pi), name="entrained")
-    return model, of.follow_family(problem, "frequency", until=1.3, model=model, settings=replace(FEW, directions="forward"))
+    return model, of.follow_family(
+        problem, "frequency", until=1.3, model=model, settings=replace(FEW, directions="forward")
+    )
 
 
 def test_a_curve_of_tori_ends_where_its_multipliers_become_real():
@@ -246,7 +252,7 @@ def multipliers_of(model, event):
 
 
 def test_a_neutral_saddle_is_no_torus():
-    """Without damping a driven pendulum's saddle has real multipliers of product 1: no event, and none can be forged."""
+    """Without damping a driven pendulum's saddle has real multipliers of product 1: no event, and none is forged."""
     model = of.systems.forced_pendulum(damping=-0.02, torque=0.3, frequency=1.0, gravity=1.0)
     problem = of.Problem(model, of.Guess([np.pi, 0.0], 2 * np.pi), name="upright")
     family = of.follow_family(problem, "damping", until=0.02, settings=replace(FEW, directions="forward"))
@@ -347,8 +353,18 @@ def test_the_command(duffing, tmp_path):
     """--curve and --parameters; options that do not go together exit with 2."""
     save_family(duffing, tmp_path)
     file = str(tmp_path / "family.json")
-    asked = ["continue", file, "--curve", "0", "--parameters", "force,frequency", "--out", str(tmp_path), "--no-figures"]
-    code, printed, _ = run([*asked, "--at", "0.32", "--json"])
+    asked = [
+        "continue",
+        file,
+        "--curve",
+        "0",
+        "--parameters",
+        "force,frequency",
+        "--out",
+        str(tmp_path),
+        "--no-figures",
+    ]
+    code, printed, _ = run([*asked, "--no-figures", "--at", "0.32", "--json"])
     told = json.loads(printed)
     assert code == 0
     assert told["parameters"] == ["force", "frequency"] and told["name"] == "duffing-resonance-0-force-frequency"
@@ -360,7 +376,9 @@ def test_the_command(duffing, tmp_path):
     ):
         code, _, printed = run(["continue", file, *more])
         assert code == 2 and said in printed
-    code, _, printed = run(["continue", str(PROBLEMS / "duffing-resonance.toml"), "--curve", "0", "--parameters", "a,b"])
+    code, _, printed = run(
+        ["continue", str(PROBLEMS / "duffing-resonance.toml"), "--curve", "0", "--parameters", "a,b"]
+    )
     assert code == 2 and "is not a family.json" in printed
 
 

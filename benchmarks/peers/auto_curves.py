@@ -133,9 +133,9 @@ class AutoLocus:
             subprocess.run(command, cwd=folder, check=True, capture_output=True)
 
     def reach(self, kind: str, mesh: tuple[int, int], step: float) -> int:
-        """The first run, to the first event of a kind, and the short one from there that AUTO makes a start of; its label.
+        """The first run, to the first event of a kind, and the short one from there that AUTO makes a start of.
 
-        The start is left in fort.3.
+        The label of the start, which is left in fort.3.
         """
         asked = {"dat": "dat = 'orbit'", "label": 0, "folds": 1, "free": "[1, 11]", "special": 2, "switch": 1,
                  "points": 300, "step": step, "longest": 2 * abs(step)}  # fmt: skip

@@ -120,7 +120,8 @@ def summary(family: Family) -> dict[str, Any]:
         for one in family.events
     ]  # fmt: skip
     return {
-        "name": family.name, "parameter": family.parameter, "parameters": list(family.parameters), "points": len(family.points),
+        "name": family.name, "parameter": family.parameter, "parameters": list(family.parameters),
+        "points": len(family.points),
         "certified": sum(one.certified for one in family.points), "events": events,
         "ends": [{"kind": end.kind, "reason": end.reason} for end in family.ends],
     }  # fmt: skip

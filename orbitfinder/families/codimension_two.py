@@ -47,7 +47,9 @@ def left_circle(curve: Curve, event: Event) -> End | None:
     if abs(event.multiplier.imag) > REAL:  # of a half period, it goes on round the circle
         return None
     what = "a neutral saddle" if test.kind == "torus" else "real multipliers that meet"
-    return End("strong_resonance", f"the critical multipliers become real at a {event.detail} resonance; beyond is {what}")
+    return End(
+        "strong_resonance", f"the critical multipliers become real at a {event.detail} resonance; beyond is {what}"
+    )
 
 
 def _critical(interval: Interval) -> Critical:

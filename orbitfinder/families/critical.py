@@ -1,6 +1,6 @@
-"""What vanishes along a curve of bifurcations in two parameters, and the points of codimension two on it.
+"""What vanishes along a curve of bifurcations in two parameters.
 
-Everything is read off the reduced map of an orbit (see `stability.spectrum`), by numbers that are smooth where multipliers
+It is read off the reduced map of an orbit (see `stability.reduced_map`), by numbers that are smooth where multipliers
 meet: products over all of them, the product of a pair, the squared distance of two stability indices.
 Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapters 9 and 10.
 """

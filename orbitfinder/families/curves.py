@@ -1,7 +1,7 @@
 """Curves of bifurcations: an event of a family followed while two parameters vary.
 
-Its orbits keep the family's equations, with one parameter more free and one row more, a test function of the multipliers
-(`critical.Critical`); they are followed, journalled and certified as those of any family.
+Its orbits keep the family's equations, with one parameter more free and one row more, a test function of the
+multipliers (`critical.Critical`); they are followed, journalled and certified as those of any family.
 """
 
 from __future__ import annotations
@@ -158,12 +158,12 @@ def _parameters(model: Model, names: Sequence[str]) -> tuple[str, str]:
 
 
 def _hold(base: Curve, family: Family, event: Event, names: tuple[str, str]) -> tuple[str, ...]:
-    """What keeps its value along the curve of a conservative system. `InputError` for folds that are no bifurcations."""
+    """What keeps its value along a conservative system's curve. `InputError` for folds that are no bifurcations."""
     held_period = family.curve.get("period") is not None
     if event.kind == "fold" and (event.detail == "period" or held_period):
         raise InputError(
-            f"event: at a fold of the {event.detail}{' at a fixed period' if held_period else ''} no multiplier is at +1, "
-            "it is no bifurcation; choose a fold of the energy, or continue the family with the energy held"
+            f"event: at a fold of the {event.detail}{' at a fixed period' if held_period else ''} no multiplier is at "
+            "+1, it is no bifurcation; choose a fold of the energy, or continue the family with the energy held"
         )
     model = base.equations.model
     if not model.conservative:
@@ -179,7 +179,7 @@ def _released(base: Curve, event: Event, names: tuple[str, str], held: tuple[str
     free = tuple(name for name in names if name in model.parameter_names)
     fixed = {name: event.free[name] for name in old.physical if name not in free}
     equations = Equations(with_parameters(model, fixed), old.symmetry, free, action=True, alone=True)
-    known = dict(zip(equations.free, equations.numbers, strict=True)) | event.free
+    known = dict(zip(equations.free, equations.numbers, strict=True)) | dict(event.free)
     place = unknowns_of(base, event)
     place = replace(
         place, unfolding=np.zeros(equations.march.unfolding), free=np.array([known[one] for one in equations.free])
@@ -189,7 +189,9 @@ def _released(base: Curve, event: Event, names: tuple[str, str], held: tuple[str
 
 def _grazed(curve: Curve, found: Solution, event: Event) -> tuple[int, str, str]:
     """The margin that is 0 at an event."""
-    known = {key: one for key, one in margins(curve, found).items() if one.kind == event.kind and key[1] == event.detail}
+    known = {
+        key: one for key, one in margins(curve, found).items() if one.kind == event.kind and key[1] == event.detail
+    }
     if not known:
         raise InputError(f"event: what is grazed there ({event.detail}) cannot be told; continue the family again")
     return min(known, key=lambda key: abs(known[key].value))

@@ -14,6 +14,7 @@ from orbitfinder._runtime import limit, locks
 from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
+from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
@@ -209,10 +210,15 @@ def _header(
         "curve": {
             "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
             "constant": curve.constant, "winding": curve.turns, "weights": curve.weights,
-            **entry_of(curve), **({} if curve.test is None else {"test": curve.test.entry}),
+            **entry_of(curve), **tested(curve),
         },
     })  # fmt: skip
     return header
+
+
+def tested(curve: Curve) -> dict[str, Any]:
+    """What a curve of bifurcations keeps, for its file; nothing of a family in one parameter."""
+    return {"test": curve.test.entry} if isinstance(curve.test, Critical) else {}
 
 
 def directions(

@@ -166,7 +166,9 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
-            clear = _within([each for each in events if each is not event], origin, reach - turned * ECHO * interval.unit)
+            clear = _within(
+                [each for each in events if each is not event], origin, reach - turned * ECHO * interval.unit
+            )
             return Batch(run.direction, _ordered(_within(points, origin, reach)), (*clear, event), joined)
     ended = ended or returned(run.curve, before, after)
     return Batch(run.direction, (*_ordered(points), after.point), tuple(events), ended)

@@ -35,7 +35,7 @@ TESTED = 1e3
 SLOW = 0.1
 """A step that leaves more than this share of the residual asks for the differences of a test function anew."""
 ACROSS = 1e-3
-"""A step of which less than this share, squared, leads off the surface of orbits tells how the test changes along it."""
+"""A step of which less than this share, squared, leads off the surface of orbits tells how a test changes along it."""
 DIFFERENCE = 1e-4
 """Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
 
@@ -210,8 +210,8 @@ def correct(
 class Border:
     """The row of a curve's test over w.
 
-    Its derivatives along what the other rows leave free, and in the direction across it in which an orbit was corrected,
-    are differences; in between they follow from how the test changes (a secant update).
+    Its derivatives along what the other rows leave free, and in the direction across it in which an orbit was
+    corrected, are differences; in between they follow from how the test changes (a secant update).
     """
 
     def __init__(self, curve: Curve, slope: np.ndarray | None = None) -> None:
@@ -247,7 +247,7 @@ class Border:
             told = across if length**2 > ACROSS * (moved @ moved) else moved
             change = self._value - (before[1] if before else self._value)
             row = row + (change - row @ moved) / max(told @ told, 1e-300) * told
-        self._row = row / columns
+        self._row = np.asarray(row / columns)
         return self._row
 
     def _differenced(self, w: Unknowns, columns: np.ndarray) -> np.ndarray:

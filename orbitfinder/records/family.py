@@ -98,8 +98,9 @@ class Event:
     """Something that happens between two points, located on the family.
 
     `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change, of hybrid systems
-    grazing | cycle_change | holds; along a curve of bifurcations in two parameters cusp | isola_centre | transcritical |
-    strong_resonance | fold_doubling | degenerate_doubling | fold_torus | doubling_torus. `detail` says what exactly (of what the fold is, q of the resonance, what changed);
+    grazing | cycle_change | holds; along a curve of bifurcations in two parameters cusp | isola_centre | transcritical
+    | strong_resonance | fold_doubling | fold_torus | doubling_torus.
+    `detail` says what exactly (of what the fold is, q of the resonance, what changed);
     `multiplier` is the critical multiplier of the root map, `order` the number of periods after which the branch
     closes.
     """
@@ -181,7 +182,8 @@ class Family:
     @property
     def places(self) -> np.ndarray:
         """The values (k x 1 or k x 2) of what varies at every point and then at every event."""
-        rows = [[number_of(one, name) for name in self.parameters] for one in (*self.points, *self.events)]
+        members: tuple[FamilyPoint | Event, ...] = (*self.points, *self.events)
+        rows = [[number_of(one, name) for name in self.parameters] for one in members]
         return np.array(rows, float).reshape(-1, len(self.parameters))
 
     @property

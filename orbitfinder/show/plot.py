@@ -275,7 +275,7 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
 MARKERS = {
     "fold": "v", "branch_point": "o", "period_doubling": "s", "torus": "P", "resonance": ".", "collision": "x",
     "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X", "cusp": "^", "isola_centre": "h",
-    "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D", "degenerate_doubling": "8", "fold_torus": "<",
+    "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D", "fold_torus": "<",
     "doubling_torus": ">",
 }  # fmt: skip
 """Marker of each kind of event."""
@@ -370,7 +370,9 @@ def two_parameters(families: Sequence[Family], title: str | None = None) -> Figu
     names = families[0].parameters
     for one in families:
         if len(one.parameters) < 2 or set(one.parameters) != set(names):
-            raise InputError(f"{one.name}: varies {', '.join(one.parameters)}; give curves in {' and '.join(names)} alone")
+            raise InputError(
+                f"{one.name}: varies {', '.join(one.parameters)}; give curves in {' and '.join(names)} alone"
+            )
     figure = new_figure(8.0, 5.6, title or f"{', '.join(one.name for one in families)}: bifurcations in two parameters")
     axes, shown = figure.subplots(), dict[str, Any]()
     for k, one in enumerate(families):

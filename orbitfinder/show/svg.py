@@ -10,7 +10,7 @@ from html import escape
 
 import numpy as np
 
-from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.records.family import Event, Family, FamilyPoint
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
@@ -146,9 +146,15 @@ def diagram(family: Family) -> str:
     names, places = family.parameters, family.places
     if len(names) < 2:
         names = ("energy (J)", "frequency (1/s)")
-        places = np.array([[one.energy, 1 / one.period] for one in (*family.points, *family.events)])
+        places = np.column_stack([
+            [*family.values("energy"), *(one.energy for one in family.events)],
+            [*(1 / family.values("period")), *(1 / one.period for one in family.events)],
+        ])  # fmt: skip
     at = dict(zip(map(id, (*family.points, *family.events)), places, strict=True))
-    low, span = places[: len(family.points)].min(axis=0), np.maximum(np.ptp(places[: len(family.points)], axis=0), 1e-12)
+    low, span = (
+        places[: len(family.points)].min(axis=0),
+        np.maximum(np.ptp(places[: len(family.points)], axis=0), 1e-12),
+    )
     room = np.array([WIDTH - LEFT - AROUND, HEIGHT - BELOW - AROUND])
 
     def place(*some: FamilyPoint | Event) -> np.ndarray:
@@ -158,7 +164,9 @@ def diagram(family: Family) -> str:
     lines = []
     for stable, run in runs(family.points):
         dash = "" if stable else ' stroke-dasharray="5 4"'
-        lines.append(f'<polyline points="{path(place(*run))}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
+        lines.append(
+            f'<polyline points="{path(place(*run))}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>'
+        )
     for event in family.events:
         ((x, y),) = place(event)
         name = escape(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}")

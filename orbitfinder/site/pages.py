@@ -268,7 +268,8 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
     summary = (
         f"{plural(len(points), 'orbit')} of the {mechanism(family.system)}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "
-        f"{'Parameters' if family.parameters[1:] else 'Parameter'}: {', '.join(family.parameters)}. All as orbitfinder continue recorded it; not checked here."
+        f"{'Parameters' if family.parameters[1:] else 'Parameter'}: {', '.join(family.parameters)}. "
+        "All as orbitfinder continue recorded it; not checked here."
     )
     return {
         "family": family,
