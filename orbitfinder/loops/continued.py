@@ -90,6 +90,8 @@ class Solution:
     march: Varied
     jacobian: np.ndarray
     residual: float
+    stepped: float = 0.0
+    """how far, in the family's metric, the place is from where `march` was made: Newton's last step"""
 
 
 def make_curve(
@@ -194,10 +196,10 @@ def correct(
         whole = np.vstack([jacobian, w.spread(curve.slopes(w, (aim,))[0])])
         step = -_solved(curve, w, whole, rows)
         moved = w.moved(step)
-        if ready and border is None:
-            return Solution(moved, path, jacobian, largest)
-        if ready:  # so far from the bifurcation was the march
-            return Solution(moved, curve.equations.varied(moved, states=True), jacobian, largest)
+        if ready:
+            if border is not None:  # by so much off the bifurcation was the march
+                return Solution(moved, curve.equations.varied(moved, states=True), jacobian, largest)
+            return Solution(moved, path, jacobian, largest, distance(curve, moved.head, w.head))
         if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:
