@@ -15,6 +15,7 @@ from .atlas.store import load_orbit as load_orbit
 from .exports.controller import export_controller as export_controller
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
+from .families.curves import follow_curve as follow_curve
 from .families.folder import follow_family as follow_family
 from .families.point import FamilySettings as FamilySettings
 from .families.tori import TorusSettings as TorusSettings

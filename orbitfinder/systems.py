@@ -4,6 +4,7 @@ from orbitfinder.mechanics.library import FUNCTIONS as SMOOTH
 from orbitfinder.mechanics.library import (
     brusselator,
     cart_chain,
+    coupled_pendula,
     double_well,
     duffing,
     fitzhugh_nagumo,
@@ -51,6 +52,7 @@ __all__ = [
     "brusselator",
     "cart_chain",
     "compass_gait",
+    "coupled_pendula",
     "double_well",
     "duffing",
     "fitzhugh_nagumo",

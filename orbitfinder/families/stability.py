@@ -43,15 +43,8 @@ class Spectrum:
 def spectrum(curve: Curve, found: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
     p, place, units = curve.equations, found.place, curve.units
-    root_map, root = _root_map(curve, found)
-    gradients, directions = _frame(curve, found)
-    basis = complement(gradients * units, directions / units)
-    root_map = root_map * units / units[:, None]
-    reduced = np.asarray(basis.T @ root_map @ basis)
-    if not np.all(np.isfinite(reduced)):
-        raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
-    area = abs(np.linalg.det(reduced)) if p.links and reduced.size else 1.0
-    conservative = p.symplectic and abs(area - 1.0) < AREA  # resets need not keep areas
+    reduced, basis, root = reduced_map(curve, found)
+    conservative = keeps_pairs(curve, reduced)
     whole = np.linalg.matrix_power(reduced, root)
     floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
     indices = analyse(reduced).indices if conservative else floquet.indices
@@ -65,6 +58,23 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
         on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
         turns = np.where(on_circle, _krein(form, reduced, upper), 0)
     return Spectrum(floquet, root, indices, turns, krein, reduced, conservative)
+
+
+def reduced_map(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray, int]:
+    """The root map without the trivial multipliers (r x r), the basis (d x r) that it is in, and the map's root."""
+    units, (root_map, root) = curve.units, _root_map(curve, found)
+    gradients, directions = _frame(curve, found)
+    basis = complement(gradients * units, directions / units)
+    reduced = np.asarray(basis.T @ (root_map * units / units[:, None]) @ basis)
+    if not np.all(np.isfinite(reduced)):
+        raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
+    return reduced, basis, root
+
+
+def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
+    """Whether multipliers come in reciprocal pairs; resets need not keep areas."""
+    area = abs(np.linalg.det(reduced)) if curve.equations.links and reduced.size else 1.0
+    return bool(curve.equations.symplectic and abs(area - 1.0) < AREA)
 
 
 def _resolved(floquet: Floquet) -> Floquet:
