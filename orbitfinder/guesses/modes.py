@@ -91,24 +91,28 @@ def sizes(model: Model) -> np.ndarray:
 
 
 def equilibrium(model: Model) -> np.ndarray:
-    """Coordinates (n) of the minimum of the potential nearest to q = 0."""
+    """Coordinates (n) of the minimum of the potential nearest to q = 0, of a mechanism to its pose."""
     n, units = model.degrees_of_freedom, sizes(model)
+    pose = model.system.get("pose", {})
+    from_here = np.array([pose.get(name, 0.0) for name in model.state_names[:n]])
 
     def potential(q: np.ndarray) -> float:
-        return float(model.potential(units * q, model.parameter_values))
+        return float(model.potential(from_here + units * q, model.parameter_values))
 
     zero = np.zeros(n)
     work = _work(potential, n)
     slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
     if np.abs(slopes).max() < 1e-11 * max(work, abs(potential(zero))):
-        return zero
+        return from_here
     found = minimize(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11}).x
-    pace = work / masses_of(model.kinetic, np.concatenate([units * found, zero]), model).max() / units.max()
+    pace = work / masses_of(model.kinetic, np.concatenate([from_here + units * found, zero]), model).max() / units.max()
 
     def force(q: np.ndarray) -> np.ndarray:
-        return np.asarray(model.acceleration(0.0, units * q, zero, model.parameter_values).full().ravel() / pace)
+        return np.asarray(
+            model.acceleration(0.0, from_here + units * q, zero, model.parameter_values).full().ravel() / pace
+        )
 
-    return np.asarray(units * np.asarray(root(force, found, tol=1e-15).x))
+    return np.asarray(from_here + units * np.asarray(root(force, found, tol=1e-15).x))
 
 
 def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
@@ -196,7 +200,8 @@ def normal_modes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies (n, rad^2/s^2, slowest first) and shapes (n x n, one per column).
 
-    K u = w^2 M u with M = d2T/dv2 and K = d2V/dq2 at the equilibrium (default: q = 0, hanging).
+    K u = w^2 M u with M = d2T/dv2 and K = d2V/dq2 at the equilibrium (default: q = 0, hanging; of a mechanism the one
+    nearest to its pose).
     Source: Goldstein, Classical Mechanics, section 6.2.
     """
     n = model.degrees_of_freedom
@@ -204,7 +209,7 @@ def normal_modes(
         raise InputError(
             "a first-order system has no masses; give mode, amplitude and equilibrium, or a state and a period"
         )
-    place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
+    place = _place(model, equilibrium)
     if place.shape != (n,):
         raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")
     column, columns = at_rest(model), []
@@ -226,6 +231,13 @@ def normal_modes(
     except np.linalg.LinAlgError as error:
         raise InputError(f"guess.mode: no modes at {place.tolist()} ({error}); give a state and a period") from error
     return np.asarray(squared), np.asarray(shapes)
+
+
+def _place(model: Model, given: Sequence[float] | np.ndarray | None) -> np.ndarray:
+    """The equilibrium given; without one q = 0, of a mechanism the nearest to its pose."""
+    if given is not None:
+        return np.asarray(given, float)
+    return equilibrium(model) if model.system.get("kind") == "mechanism" else np.zeros(model.degrees_of_freedom)
 
 
 def normal_mode(
@@ -258,7 +270,7 @@ def normal_mode(
         )
     shape = shapes[:, mode - 1]
     largest = shape[np.abs(shape).argmax()]
-    place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
+    place = _place(model, equilibrium)
     return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
 
 

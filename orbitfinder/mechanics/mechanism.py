@@ -59,7 +59,7 @@ ROWS = {
 """The equations by which each kind closes a loop, one letter each (see `_rows`)"""
 KEYS = {
     "bodies": {"mass", "inertia", "com", "shape", "disc"},
-    "joints": {"kind", "between", "at", "axis", "axes", "turned", "length"},
+    "joints": {"kind", "between", "at", "axis", "axes", "turned", "length", "rotor"},
     "springs": {"between", "at", "stiffness", "length", "joint", "rest"},
     "dampers": {"between", "at", "damping", "joint"},
     "motors": {"joint", "torque", "amplitude", "phase", "limit"},
@@ -154,6 +154,8 @@ class _Node:
     v: ca.SX = field(default_factory=lambda: ca.SX(0))
     a: ca.SX | None = None
     inertia: ca.SX = field(default_factory=lambda: ca.SX(6, 6))
+    rotor: ca.SX | float = 0.0
+    """inertia of what turns with it in its drive, geared (kg m^2, kg)"""
     index: int = -1
 
     def turn(self) -> ca.SX:
@@ -271,6 +273,7 @@ def mechanism(
     baumgarte: Sequence[float] | None = None,
     values: Table | None = None,
     scales: Mapping[str, float] | None = None,
+    drawn: Table | None = None,
 ) -> Model:
     """The Model of a mechanism in the plane (`dimension` 2) or in space (3), SI units, angles in rad.
 
@@ -285,6 +288,8 @@ def mechanism(
     numbers = _Numbers(parameters or {}, values or {})
     system = _description(bodies, joints, springs, dampers, motors, motions, gravity, dimension, parameters, frequency,
                           pose, redundant, values)  # fmt: skip
+    if drawn:
+        system["drawn"] = dict(drawn)
     drawing = _drawn(system, numbers)
     motion = _Motion.of(system, drawing, numbers)
     numbers.finish()
@@ -540,7 +545,10 @@ def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> Non
     if not forwards:
         frame = ca.mtimes(frame, turned.T)
     for (kind, axis), label in steps:
-        made.nodes.append(_Node(parent, frame, place, kind, axis, label))
+        rotor = (
+            made.numbers(f"joints.{name}.rotor", f"{name}_rotor", table.get("rotor", 0.0)) if len(steps) == 1 else 0.0
+        )
+        made.nodes.append(_Node(parent, frame, place, kind, axis, label, rotor=rotor))
         parent, frame, place = len(made.nodes) - 1, _eye(), ca.SX(3, 1)
     if forwards:
         frame = ca.mtimes(frame, turned)
@@ -754,7 +762,7 @@ def _kinetic(made: _Drawing) -> ca.SX:
         turning, sliding = speeds[one.node][:3], speeds[one.node][3:]
         centre = sliding + ca.mtimes(_skew(one.com).T, turning)
         energy += 0.5 * one.mass * ca.sumsqr(centre) + 0.5 * ca.dot(turning, ca.mtimes(one.inertia, turning))
-    return energy
+    return energy + sum(0.5 * node.rotor * node.v**2 for node in made.nodes)
 
 
 def _speeds(made: _Drawing) -> list[ca.SX]:
@@ -959,7 +967,7 @@ def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, 
             passed, rest = inertia[k], bias[k] + ca.mtimes(inertia[k], moved[k] + way * node.a)
         else:
             column = ca.mtimes(inertia[k], way)
-            weight, push = ca.dot(way, column), pushed[node.index] - ca.dot(way, bias[k])
+            weight, push = ca.dot(way, column) + node.rotor, pushed[node.index] - ca.dot(way, bias[k])
             kept[k] = (column, weight, push)
             passed = inertia[k] - ca.mtimes(column, column.T) / weight
             rest = bias[k] + ca.mtimes(passed, moved[k]) + column * (push / weight)

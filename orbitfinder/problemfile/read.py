@@ -29,6 +29,7 @@ from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
 from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.robot import robot
 from orbitfinder.problemfile.schema import SYSTEMS, FindTable, GuessTable, ProblemTable, Table, check_name, sentence
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
@@ -133,7 +134,10 @@ def _located(source: Path) -> Iterator[None]:
 
 def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust: bool) -> ProblemFile:
     name = table.name or checked_name(source.stem)
-    model = build_model(table.system.model_dump(exclude_none=True), source.parent if trust else None)
+    system = table.system.model_dump(exclude_none=True)
+    model = (
+        robot_of(system, source.parent) if "file" in system else build_model(system, source.parent if trust else None)
+    )
     problem = None
     if table.guess is not None:
         guess = replace(guess_from_table(table.guess, model, source.parent), free=table.guess.free)
@@ -151,6 +155,12 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         starts=table.find.starts,
         seed=table.find.seed,
     )
+
+
+def robot_of(system: Mapping[str, Any], folder: Path) -> Model:
+    """The Model of a robot whose file lies in a folder."""
+    options = {key: value for key, value in system.items() if key not in ("kind", "file")}
+    return robot(folder / system["file"], **options)
 
 
 def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:

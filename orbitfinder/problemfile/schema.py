@@ -223,6 +223,27 @@ class MechanismSystem(Table):
     )
 
 
+class RobotSystem(Table):
+    """A robot in a URDF or MJCF file, read into a mechanism; needs the extra [robot]."""
+
+    kind: Literal["robot"] = Field(description="which system this is")
+    file: Line = Field(description="the URDF or MJCF file, beside the problem file unless the path says otherwise")
+    locked: dict[str, float] | list[Line] = Field([], description="joints that stay at 0, or at the angles given")
+    stiffness: float | dict[str, float] | None = Field(
+        None, description="springs in all joints, or in each by name (N m/rad, N/m); the file's own when left out"
+    )
+    rest: dict[str, float] = Field({}, description="where springs are at ease, by joint, 0 otherwise")
+    damping: float | dict[str, float] | None = Field(
+        None, description="dampers in all joints, or in each by name; the file's own when left out"
+    )
+    motors: list[Line] | Literal["all"] = Field(
+        [], description="joints with a control torque, within the file's effort"
+    )
+    floating: bool = Field(False, description="the base moves freely instead of being fixed to the ground")
+    gravity: float = Field(9.80665, description="m/s^2, along the file's -z")
+    values: dict[str, float] = Field({}, description="physical parameters that replace the file's, such as link3_mass")
+
+
 class PythonSystem(Table):
     """A system made by a Python function: a built-in one, or with `--trust` any installed or neighbouring module's."""
 
@@ -252,7 +273,7 @@ class PythonSystem(Table):
 
 
 SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "mechanism": MechanismSystem,
-                                    "python": PythonSystem}  # fmt: skip
+                                    "robot": RobotSystem, "python": PythonSystem}  # fmt: skip
 """The `[system]` table of each `kind`; a new kind is added here and in `mechanics.catalogue`."""
 
 MOST_SEGMENTS = 1000
@@ -441,6 +462,11 @@ class SearchTable(Table):
     energy: Energies | None = Field(
         None, description="energy of the orbits wanted in J, one number or a list; find.pin.energy when left out"
     )
+    section: dict[str, list[float]] = Field(
+        {}, description="hybrid systems: ranges of the state right after the event that ends the cycle, by component, "
+        "such as `{ v = [-1.5, 0.0], phase = [0.0, 6.2832] }`; others follow from the event"
+    )  # fmt: skip
+    cycles: int = Field(3, ge=1, le=64, description="hybrid systems: how many cycles an orbit goes through at most")
 
     @model_validator(mode="after")
     def _ordered(self) -> SearchTable:
@@ -449,6 +475,12 @@ class SearchTable(Table):
                 "period", "period: must be [smallest, largest] with smallest below largest, got {v}",
                 {"v": str(self.period)},
             )  # fmt: skip
+        for name, ends in self.section.items():
+            if len(ends) != 2 or not ends[0] < ends[1]:
+                raise PydanticCustomError(
+                    "section", "section.{n}: must be [smallest, largest] with smallest below largest, got {v}",
+                    {"n": name, "v": str(ends)[:60]},
+                )  # fmt: skip
         return self
 
 
