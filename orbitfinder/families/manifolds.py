@@ -68,7 +68,7 @@ class ManifoldSettings:
     """most points of one curve"""
     first: int = 33
     """points of a fundamental domain to begin with"""
-    halvings: int = 12
+    halvings: int = 8
     """how often the distance between two of these is halved at most, towards a place where the curve is torn"""
 
 
@@ -95,6 +95,11 @@ class Local:
         """By how much a displacement grows in `laps` returns."""
         lap = max(abs(self.multiplier), 1 / abs(self.multiplier))
         return lap if self.multiplier > 0 else lap**2
+
+    @cached_property
+    def varied(self) -> Crossings:
+        """What integrates motions with their variations, (x, vec Phi)."""
+        return varied_motions(self.surface, self.extents)
 
     def states(self, places: np.ndarray) -> np.ndarray:
         """x(s) (k x d) on the plane at the held invariants."""
@@ -136,6 +141,12 @@ class Local:
         return place, error, half
 
 
+def varied_motions(found: Surface, units: np.ndarray) -> Crossings:
+    """What integrates motions of a section's Model with their variations, measured in `units` (d)."""
+    measures = np.concatenate([units, (units[:, None] / units[None, :]).ravel("F")])
+    return Crossings(variational_field(vector_field(found.model)), measures)
+
+
 def local_manifold(
     orbit: Orbit, found: Surface, which: str, number: int = 0, point: np.ndarray | None = None
 ) -> Local:
@@ -169,8 +180,7 @@ def _monodromy(found: Surface, orbit: Orbit, begin: float, start: np.ndarray, se
     since = (sense * (np.arange(len(nodes)) * period / len(nodes) - begin)) % period
     order = [k for k in np.argsort(since) if 1e-9 * period < since[k] < (1 - 1e-9) * period]
     cuts = np.concatenate([[0.0], since[order], [period]])
-    measures = np.concatenate([units, (units[:, None] / units[None, :]).ravel("F")])
-    motions, total = Crossings(variational_field(vector_field(found.model)), measures), np.eye(size)
+    motions, total = varied_motions(found, units), np.eye(size)
     for k, state in enumerate([start, *nodes[order]]):
         moment = begin + sense * cuts[k]
         clock = Plane(-1, sense * moment + cuts[k + 1] - cuts[k], 0)
@@ -296,23 +306,22 @@ def recorded(base: Local, kind: str, measured: tuple[float, float, float], parts
 
 def grown(base: Local, place: float, returns: int, chosen: ManifoldSettings) -> list[Part]:
     """The fundamental domain that ends at a place, and its images, with points where they are wanted."""
-    share = np.linspace(0.0, 1.0, chosen.first)
-    images = returns * base.laps
-    table = _Table(base, place, images)
-    table.add(share)
+    table, images = _Table(base, place), returns * base.laps
+    table.add(np.linspace(0.0, 1.0, chosen.first))
     for image in range(images + 1):
         _filled(table, image, chosen)
+        if image < images:
+            table.extend()
     return [part for image in range(images + 1) for part in table.parts(image, chosen)]
 
 
 class _Table:
-    """Points of a fundamental domain (by their share of it) with all their returns."""
+    """Points of a fundamental domain (by their share of it) with their returns so far."""
 
-    def __init__(self, base: Local, place: float, images: int) -> None:
-        self.base, self.place, self.images = base, place, images
-        size = base.point.size
-        self.shares, self.states = np.zeros(0), np.zeros((0, images + 1, size))
-        self.times = np.zeros((0, images + 1))
+    def __init__(self, base: Local, place: float) -> None:
+        self.base, self.place = base, place
+        self.shares, self.states = np.zeros(0), np.zeros((0, 1, base.point.size))
+        self.times = np.zeros((0, 1))
 
     def places(self, shares: np.ndarray) -> np.ndarray:
         """Displacements of shares of the domain."""
@@ -320,14 +329,20 @@ class _Table:
 
     def add(self, shares: np.ndarray) -> None:
         """More points, in their order."""
-        start = self.base.states(self.places(shares))
-        found = self.base.returned(start, self.images, SEEN if self.images else FINE)
+        start, images = self.base.states(self.places(shares)), self.states.shape[1] - 1
+        found = self.base.returned(start, images, SEEN)
         states = np.concatenate([start[:, None], found.states], axis=1)
         times = np.concatenate([np.zeros((len(start), 1)), found.times], axis=1)
         order = np.argsort(np.concatenate([self.shares, shares]), kind="stable")
         self.shares = np.concatenate([self.shares, shares])[order]
         self.states = np.concatenate([self.states, states])[order]
         self.times = np.concatenate([self.times, times])[order]
+
+    def extend(self) -> None:
+        """One more return of all points."""
+        found = self.base.returned(self.states[:, -1], 1, SEEN)
+        self.states = np.concatenate([self.states, found.states], axis=1)
+        self.times = np.concatenate([self.times, self.times[:, -1:] + found.times], axis=1)
 
     @cached_property
     def angular(self) -> np.ndarray:
@@ -349,7 +364,7 @@ class _Table:
         """The unbroken curves of a return."""
         lengths = np.linalg.norm(self.gaps(image), axis=1)
         known = np.isfinite(self.states[:, image]).all(axis=1)
-        torn = ~(lengths <= 10 * chosen.spacing)
+        torn = ~(lengths <= 2 * chosen.spacing)
         found = []
         for run in np.split(np.arange(self.shares.size), np.flatnonzero(torn) + 1):
             run = run[known[run]]
@@ -408,12 +423,10 @@ def _tube(base: Local, place: float, duration: float, sides: Sequence[int], chos
 def _around(base: Local, place: float, phases: np.ndarray) -> np.ndarray:
     """States (k x d) displaced by a place along the manifold's direction all around the orbit."""
     size, period = base.point.size, base.orbit.period
-    units = np.concatenate([base.extents, (base.extents[:, None] / base.extents[None, :]).ravel("F")])
-    motions = Crossings(variational_field(vector_field(base.surface.model)), units)
     begin = np.concatenate([base.point, np.eye(size).ravel()])[None]
     order = np.argsort(phases)
     moments = np.concatenate([[0.0], period * np.maximum(phases[order], 1e-12)])
-    found = motions.along(begin, np.maximum.accumulate(moments), tolerance=FINE, sense=base.sense)[0, 1:]
+    found = base.varied.along(begin, np.maximum.accumulate(moments), tolerance=FINE, sense=base.sense)[0, 1:]
     matrices = found[:, size:].reshape(len(phases), size, size).transpose(0, 2, 1)
     slope = np.log(abs(base.multiplier)) * base.sense
     moved = (matrices @ base.direction) * np.exp(-slope * phases[order])[:, None]

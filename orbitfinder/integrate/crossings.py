@@ -213,21 +213,25 @@ class _Run:
         end: tuple[np.ndarray, np.ndarray],
     ) -> np.ndarray:  # fmt: skip
         """Where within steps that end on the side on which they began a cubic has been on the other; else nan."""
+        found = np.full(h.size, np.nan)
         if self.plane.component < 0:
-            return np.full(h.size, np.nan)
+            return found
         (a, slope), (b, last) = self._watched(*begin), self._watched(begin[0], *end)
-        slope, last, cells = slope * h * self.sense, last * h * self.sense, self.cells[here]
+        if not (turning := slope * last < 0).any():
+            return found
+        a, b, h, cells = a[turning], b[turning], h[turning], self.cells[here[turning]]
+        slope, last = slope[turning] * h * self.sense, last[turning] * h * self.sense
         c3, c2 = 2 * (a - b) + slope + last, 3 * (b - a) - 2 * slope - last
+        peak = np.full(h.size, np.nan)
         with np.errstate(all="ignore"):
+            # of slope + 2 c2 s + 3 c3 s^2 = 0, in the form that loses no digits
             root = np.sqrt(np.maximum(c2**2 - 3 * c3 * slope, 0.0))
-            # of c + 2 c2 s + 3 c3 s^2 = 0, the two in the form that loses no digits
             q = -(c2 + np.where(c2 >= 0, root, -root))
-            found = np.full(h.size, np.nan)
             for s in (q / (3 * c3), slope / q):
-                inside = (s > 1e-3) & (s < 1 - 1e-3) & (slope * last < 0)
                 height = a + s * (slope + s * (c2 + s * c3))
-                other = inside & (self.plane.cell(height) != cells) & (self.plane.cell(b) == cells)
-                found = np.where(other, s * h, found)
+                other = (self.plane.cell(height) != cells) & (self.plane.cell(b) == cells)
+                peak = np.where((s > 1e-3) & (s < 1 - 1e-3) & other, s * h, peak)
+        found[turning] = peak
         return found
 
     def _accept(self, here: np.ndarray, h: np.ndarray, after: np.ndarray, rates: np.ndarray) -> None:

@@ -331,7 +331,7 @@ def at_points(found: Surface, base: np.ndarray, points: np.ndarray) -> np.ndarra
     states[:, list(found.axes)] = points
     if not found.levels:
         return states
-    i = _solved(found)
+    i = solved_component(found)
     unit = found.units[i]
     values = []
     for x in (-unit, 0.0, unit):  # energies are of the second degree in a rate or momentum; what is not is polished
@@ -364,7 +364,7 @@ def _rising(found: Surface, states: np.ndarray):  # type: ignore[no-untyped-def]
     return call
 
 
-def _solved(found: Surface) -> int:
+def solved_component(found: Surface) -> int:
     """The component that is found from the energy: the rate or momentum of the plane's coordinate, or another one."""
     model, i = found.model, found.plane.component
     half = len(model.state_names) // 2

@@ -12,7 +12,17 @@ import numpy as np
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.orbit import Certificate, Check, certificate_to_document
-from orbitfinder.records.reading import arrays, finite, json_file, read_as, write_atomically, write_json, write_npz
+from orbitfinder.records.reading import (
+    arrays,
+    finite,
+    json_file,
+    plain_numbers,
+    read_as,
+    walked,
+    write_atomically,
+    write_json,
+    write_npz,
+)
 
 FORMAT, CONNECTION, VERSION = "orbitfinder/manifold", "orbitfinder/connection", 1
 AGAIN = "make it again"
@@ -124,14 +134,13 @@ def _document(source: Path, wanted: str, what: str, maker: str) -> Mapping[str, 
 
 @dataclass(frozen=True)
 class End:
-    """One end of a connection: an orbit's point on the section and a place on its local manifold.
+    """One end of a connection: an orbit and where on its local manifold the motion begins or ends.
 
-    `orbit` its name, `state` (d) and `period` the orbit itself, `direction` (d) the eigendirection at its `point` (d),
-    `start` (d) where the motion leaves the local manifold, `place` its displacement, `flight` (s, negative backwards) how
-    long from there to the connection's point; `multiplier` of the direction.
+    `orbit` is its name, `state` (d) and `period` the orbit itself, `point` (d) its crossing of the section, `multiplier`
+    and `direction` (d) those of the manifold there, `place` the displacement along it, `extents` (d) what that is in.
     """
 
-    __repr__ = brief("orbit", "flight")
+    __repr__ = brief("orbit", "multiplier", "place")
 
     orbit: str
     state: np.ndarray
@@ -139,17 +148,17 @@ class End:
     multiplier: float
     point: np.ndarray
     direction: np.ndarray
-    start: np.ndarray
     place: float
-    flight: float
+    extents: np.ndarray
 
 
 @dataclass(frozen=True)
 class Connection:
     """A motion from one orbit to another (heteroclinic) or back to the same (homoclinic).
 
-    `state` (d) is where it crosses the section; `angle` (rad) that between the manifolds there; `error` how far off the
-    point may be, in the state's own units. `origin` is the end on the unstable manifold, `goal` that on the stable one.
+    `states` (m + 1 x d) are its crossings of the section, the first on the unstable manifold of `origin`, the last on the
+    stable one of `goal`, `durations` (m, s) the times between; it is looked at at crossing number `chosen`: `angle` (rad)
+    between the manifolds there and `error` of that point, in the state's own units. `component` is that of the plane.
     """
 
     __repr__ = brief("name", "kind", "state", "angle", "error", "certificate")
@@ -158,9 +167,12 @@ class Connection:
     system: Mapping[str, Any]
     state_names: tuple[str, ...]
     plane: str
+    component: int
     axes: tuple[str, str]
     energy: float
-    state: np.ndarray
+    states: np.ndarray
+    durations: np.ndarray
+    chosen: int
     angle: float
     error: float
     origin: End
@@ -168,6 +180,11 @@ class Connection:
     certificate: Certificate | None = None
     times: np.ndarray = field(default_factory=lambda: np.zeros(0))
     samples: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def state(self) -> np.ndarray:
+        """The point (d) where it is looked at."""
+        return np.asarray(self.states[self.chosen])
 
     @property
     def kind(self) -> str:
@@ -182,11 +199,14 @@ class _Plain2:
     system: Mapping[str, Any]
     state_names: tuple[str, ...]
     plane: str
+    component: int
     axes: tuple[str, str]
     energy: float | None
-    state: np.ndarray
+    states: np.ndarray
+    durations: np.ndarray
+    chosen: int
     angle: float
-    error: float
+    error: float | None
     origin: End
     goal: End
 
@@ -202,15 +222,11 @@ def save_connection(connection: Connection, path: str | Path) -> Path:
     target.parent.mkdir(parents=True, exist_ok=True)
     write_npz(target.with_suffix(".npz"), {"times": connection.times, "samples": connection.samples})
     plain = {name: getattr(connection, name) for name in _Plain2.__dataclass_fields__}
-    ends = {name: _listed(plain[name]) for name in ("origin", "goal")}
+    plain |= {name: walked(plain[name], plain_numbers) for name in ("states", "durations")}
+    ends = {name: walked(vars(plain[name]), plain_numbers) for name in ("origin", "goal")}
     certificate = certificate_to_document(connection.certificate)
     document = {"format": CONNECTION, "version": VERSION, "kind": connection.kind, **plain, **ends}
-    document["state"] = connection.state.tolist()
     return write_json(target, finite(document | {"certificate": certificate}))
-
-
-def _listed(end: End) -> dict[str, Any]:
-    return {name: one.tolist() if isinstance(one, np.ndarray) else one for name, one in vars(end).items()}
 
 
 def load_connection(path: str | Path) -> Connection:
@@ -223,7 +239,10 @@ def load_connection(path: str | Path) -> Connection:
     beside = source.with_suffix(".npz")
     dense = arrays(beside, ("times", "samples"), AGAIN) if beside.exists() else {}
     energy = float("nan") if plain.energy is None else plain.energy
-    return Connection(**{**vars(plain), "energy": energy}, certificate=Certificate(found.checks), **dense)
+    numbers = {"energy": energy, "error": float("inf") if plain.error is None else plain.error}
+    if plain.states.ndim != 2 or not 0 <= plain.chosen < len(plain.states):
+        raise InputError(f"{source}: states: expected rows, the chosen one among them; {AGAIN}")
+    return Connection(**{**vars(plain), **numbers}, certificate=Certificate(found.checks), **dense)
 
 
 def _known(entry: Any) -> Any:
