@@ -1,17 +1,18 @@
-"""Connections of orbits: motions on the unstable manifold of one and on the stable manifold of another, or of the same.
+"""Connections of orbits: motions on the unstable manifold of one and on the stable manifold of another, or of the
+same.
 
-The curves that both manifolds draw on a section of two dimensions are intersected. Each intersection is a problem of two
-points, solved by Newton's method with the derivatives of the flow: with P the return to the section,
+The curves that both manifolds draw on a section of two dimensions are intersected. Each intersection is a problem of
+two points, solved by Newton's method with the derivatives of the flow: with P the return to the section,
 
     P(x_u(a)) = y_1,   P(y_i) = y_i+1,   P(y_m-1) = x_s(b)
 
-in the places a, b on both local manifolds and the crossings y_i between (two numbers each), so that round-off grows over
-one return only. The tangents of both manifolds, carried to a crossing, give the angle at which they meet: where it is 0
-they only touch, and nothing is claimed.
+in the places a, b on both local manifolds and the crossings y_i between (two numbers each), so that round-off grows
+over one return only. The tangents of both manifolds, carried to a crossing, give the angle at which they meet: where
+it is 0 they only touch, and nothing is claimed.
 
-The certificate takes another integrator on another formulation (DOP853 on Hamilton's equations) from each recorded crossing
-to the next, and once round each orbit from nearer to it than the motion begins and ends, which shows how far off the local
-manifolds are. The error of a point is what the linearised problem makes of all that.
+The certificate takes another integrator on another formulation (DOP853 on Hamilton's equations) from each recorded
+crossing to the next, and once round each orbit from nearer to it than the motion begins and ends, which shows how far
+off the local manifolds are. The error of a point is what the linearised problem makes of all that.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.manifolds import Local, ManifoldSettings, Part, grown, local_manifold, surface_of
 from orbitfinder.integrate.crossings import FINE
@@ -54,14 +55,16 @@ APART = 1e-3
 """A connection's point is at least this far from its orbits, in extents: else it is the orbit itself"""
 SAME_POINT = 1e-5
 """Crossings nearer to each other than this, in extents, are one"""
+COARSE = ManifoldSettings(spacing=0.03, turning=0.5, halvings=6)
+"""How finely curves are grown that are only to be intersected"""
 SAMPLES = 40
 """Recorded states between two crossings"""
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A connection's unknowns: crossings (m + 1 x d) from one local manifold to the other, their places there, and which
-    crossing it is looked at."""
+    """A connection's unknowns: crossings (m + 1 x d) from one local manifold to the other, their places there, and
+    which crossing it is looked at."""
 
     origin: Local
     goal: Local
@@ -72,7 +75,8 @@ class Chain:
 
 @dataclass(frozen=True)
 class Linear:
-    """A chain's gaps (m x 2), the derivative of each return (m x 2 x 2), durations (m, s), the matrix of the problem."""
+    """A chain's gaps (m x 2), the derivative of each return (m x 2 x 2), durations (m, s), the matrix of the
+    problem."""
 
     gaps: np.ndarray
     slopes: np.ndarray
@@ -80,7 +84,6 @@ class Linear:
     matrix: np.ndarray
 
 
-@checked
 def connect(
     orbit: Orbit,
     other: Orbit | None = None,
@@ -97,10 +100,11 @@ def connect(
     """Connections from an orbit to another (or back to itself), certified, at most so many, those of few returns first
     or those nearest to a point `near` of the axes.
 
-    Both orbits have the same energy; `plane`, `axes` and `direction` as in `section`, which both orbits cross. `returns`
-    fundamental domains of each manifold are grown. Raises `InputError`; finds none where the curves do not cross.
+    Both orbits have the same energy; `plane`, `axes` and `direction` as in `section`, which both orbits cross.
+    `returns` fundamental domains of each manifold are grown. Raises `InputError`; finds none where the curves do not
+    cross.
     """
-    goal, chosen = other or orbit, settings or ManifoldSettings()
+    goal, chosen = other or orbit, settings or COARSE
     found = surface_of(orbit, model, plane, axes, direction)
     _check_section(found, orbit, goal)
     for one in (orbit, goal) if other else (orbit,):
@@ -109,10 +113,11 @@ def connect(
     ends = local_manifold(orbit, found, "unstable"), local_manifold(goal, found, "stable")
     if near is not None and (len(near) != 2 or not np.all(np.isfinite(near))):
         raise InputError(f"near: need two numbers, one for each axis, got {', '.join(map(str, near))}")
-    curves = [_curves(one, returns, chosen) for one in ends]
+    here, there = (_curves(one, returns, chosen) for one in ends)
+    point = None if near is None else np.asarray(near, float)
     called = orbit.name if other is None else f"{orbit.name}-{goal.name}"
     connections: list[Connection] = []
-    for guess in _crossings(*ends, *curves, None if near is None else np.asarray(near, float)):
+    for guess in _crossings(*ends, here, there, point):
         if any(_met(found, guess.states[guess.chosen], one) for one in connections):
             continue
         try:
@@ -121,7 +126,10 @@ def connect(
             continue
         if _own(made) < APART or any(_met(found, made.states[made.chosen], one) for one in connections):
             continue
-        connections.append(certified_connection(described(made, f"{called}-{len(connections) + 1}"), found.model))
+        known = certified_connection(described(made, f"{called}-{len(connections) + 1}"), found.model)
+        if known.certificate is None or not known.certificate.passed:
+            continue
+        connections.append(known)
         if len(connections) >= most:
             break
     return tuple(connections)
@@ -133,7 +141,7 @@ def _check_section(found: Surface, orbit: Orbit, goal: Orbit) -> None:
     size = len(model.state_names) - held - (found.plane.component >= 0)
     if size != 2:
         raise InputError(
-            f"orbit: its section has {size} dimensions, in which curves do not meet; connections are found in 2, such as of "
+            f"orbit: its section has {size} dimensions, in which curves do not meet; connections are found in 2, as of "
             "two degrees of freedom at one energy"
         )
     if goal.system != orbit.system:
@@ -153,7 +161,8 @@ def _curves(base: Local, returns: int, chosen: ManifoldSettings) -> list[Part]:
 def _crossings(
     origin: Local, goal: Local, here: Sequence[Part], there: Sequence[Part], near: np.ndarray | None
 ) -> Iterator[Chain]:
-    """Where polylines cross, those of few returns first, or those nearest to a point (2) of the axes: guesses of chains."""
+    """Where polylines cross, those of few returns first, or those nearest to a point (2) of the axes: guesses of
+    chains."""
     found = []
     for (states, places, count, _), (others, marks, number, _) in product(here, there):
         if count + number < 2:
@@ -234,7 +243,8 @@ def _matrix(chain: Chain, slopes: np.ndarray) -> np.ndarray:
 
 
 def solved(chain: Chain) -> Chain:
-    """The connection near a guess, by Newton's method. Raises `ConvergenceError` where the manifolds do not meet there."""
+    """The connection near a guess, by Newton's method. Raises `ConvergenceError` where the manifolds do not meet
+    there."""
     found, best = chain.origin.surface, (np.inf, chain)
     axes = list(found.axes)
     for _ in range(MOST_STEPS):
@@ -304,7 +314,16 @@ def described(chain: Chain, name: str) -> Connection:
     found, linear = chain.origin.surface, _linear(chain)
     names = found.model.state_names
     ends = [
-        End(one.orbit.name, one.orbit.state, one.orbit.period, one.multiplier, one.point, one.direction, place, one.extents)
+        End(
+            one.orbit.name,
+            one.orbit.state,
+            one.orbit.period,
+            one.multiplier,
+            one.point,
+            one.direction,
+            place,
+            one.extents,
+        )
         for one, place in zip((chain.origin, chain.goal), chain.places, strict=True)
     ]
     units = _extents(found.model, chain.states, chain.origin.orbit.period)
@@ -353,47 +372,68 @@ class _Independent:
         return np.asarray(self.hamiltonian.states(path)[-1])
 
 
+@dataclass(frozen=True)
+class _Evidence:
+    """What DOP853 says of a record: where motions come from its crossings, how far both orbits are from closing and
+    both ends are off the local manifolds (d each), and the linearised problem."""
+
+    reached: np.ndarray
+    closed: list[np.ndarray]
+    local: list[np.ndarray]
+    chain: Chain
+    linear: Linear
+
+
+def _gathered(connection: Connection, model: Model) -> _Evidence:
+    states, independent, ends = connection.states, _Independent(model), (connection.origin, connection.goal)
+    reached = np.array([independent.end(x, t) for x, t in zip(states, connection.durations, strict=False)])
+    closed = [wrapped(independent.end(one.point, one.period) - one.point, model.angular) for one in ends]
+    local = [_off(independent, one, x, sense) for one, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
+    return _Evidence(reached, closed, local, *_again(connection, model))
+
+
 def _certificate(connection: Connection, model: Model) -> tuple[Certificate, float]:
     """The certificate of a record, and the error of its point in the state's units."""
-    states, independent = connection.states, _Independent(model)
-    if not (np.isfinite(states).all() and np.isfinite(connection.durations).all() and (connection.durations > 0).all()):
+    states, durations = connection.states, connection.durations
+    if not (np.isfinite(states).all() and np.isfinite(durations).all() and (durations > 0).all()):
         return Certificate((Check("finite", np.inf, 0.0, False, "a crossing or a duration is not a number"),)), np.inf
-    ends, units = (connection.origin, connection.goal), _extents(model, states, connection.origin.period)
     try:
-        reached = np.array([independent.end(x, t) for x, t in zip(states, connection.durations, strict=False)])
-        closed = [wrapped(independent.end(x, one.period) - x, model.angular) for one in ends for x in (one.point,)]
-        local = [_off(independent, one, x, sense) for one, x, sense in zip(ends, states[[0, -1]], (1, -1), strict=True)]
-        chain, linear = _again(connection, model)
-    except (IntegrationError, ConvergenceError, InputError) as error:
-        return Certificate((Check("integration", np.inf, 0.0, False, str(error)),)), np.inf
-    gaps = wrapped(reached - states[1:], model.angular)
-    errors = np.abs(gaps[:, list(chain.origin.surface.axes)])
-    for k, (slopes, off) in enumerate(((linear.slopes[0], local[0]), (np.eye(2), local[1]))):
-        errors[-k] += np.abs(slopes @ off[list(chain.origin.surface.axes)])
-    wrong = np.abs(_inverse(linear.matrix)) @ errors.ravel()
+        evidence = _gathered(connection, model)
+    except (IntegrationError, ConvergenceError, InputError) as failure:
+        return Certificate((Check("integration", np.inf, 0.0, False, str(failure)),)), np.inf
+    chain, linear, units = evidence.chain, evidence.linear, _extents(model, states, connection.origin.period)
+    axes, gaps = list(chain.origin.surface.axes), wrapped(evidence.reached - states[1:], model.angular)
+    errors = np.abs(gaps[:, axes])
+    errors[0] += np.abs(linear.slopes[0] @ evidence.local[0][axes])
+    errors[-1] += np.abs(evidence.local[1][axes])
     place = 2 * chain.chosen - 1
-    error = float(np.linalg.norm(wrong[place : place + 2]))
-    axes = units[list(chain.origin.surface.axes)]
-    growth = [max(abs(one.multiplier), 1 / abs(one.multiplier)) for one in ends]
-    level = np.array([energy(model, x) for x in (*states, *(one.state for one in ends))])
-    angle = _angle(chain, linear, units)
-    away = [np.linalg.norm(wrapped(states[chain.chosen] - one.point, model.angular) / one.extents) for one in ends]
+    error = float(np.linalg.norm((np.abs(_inverse(linear.matrix)) @ errors.ravel())[place : place + 2]))
+    away = [np.linalg.norm(wrapped(states[chain.chosen] - one.point, model.angular) / one.extents)
+            for one in (chain.origin, chain.goal)]  # fmt: skip
+    off = max(float(np.abs(_off_plane(chain, x)).max()) for x in (states, evidence.reached))
     checks = [
-        _most("orbits", max(float(np.abs(gap / one.extents).max()) / g
-                            for gap, one, g in zip(closed, ends, growth, strict=True)), GAP,
-              "gap of both orbits after a period, over their multipliers"),
-        _most("local", max(float(np.linalg.norm(off / one.extents)) for off, one in zip(local, ends, strict=True)), LINEAR,
-              "how far the first and the last crossing are off the local manifolds, in extents"),
+        *_end_checks(connection, model, evidence),
         _most("gap", float(np.abs(gaps / units).max()), GAP, "from each crossing to the next, by DOP853, in extents"),
-        _most("section", max(float(np.abs(_off_plane(chain, x)).max()) for x in (states, reached)), GAP,
-              "crossings off the plane, in extents"),
-        *([_most("energy", float(np.ptp(level)) / max(abs(level[0]), 1e-300), LEVEL, "of all crossings and both orbits")]
-          if model.conservative else []),
-        _least("angle", angle, TANGENT, "between the manifolds (rad); where it is 0 they need not meet"),
-        _most("error", error / float(axes.max()), POINT, "of the point, in extents: all of the above through the problem"),
+        _most("section", off, GAP, "crossings off the plane, in extents"),
+        _least("angle", _angle(chain, linear, units), TANGENT, "between the manifolds (rad); 0 where they only touch"),
+        _most("error", error / float(units[axes].max()), POINT, "of the point, in extents: all that, carried"),
         _least("apart", float(min(away)), APART, "the point is not the orbit's own"),
     ]  # fmt: skip
     return Certificate(tuple(checks)), error
+
+
+def _end_checks(connection: Connection, model: Model, evidence: _Evidence) -> Iterator[Check]:
+    """That the ends are orbits, the starts on their local manifolds, and all of one energy."""
+    ends = connection.origin, connection.goal
+    growth = [max(abs(one.multiplier), 1 / abs(one.multiplier)) for one in ends]
+    gaps = [np.abs(gap / one.extents).max() / g for gap, one, g in zip(evidence.closed, ends, growth, strict=True)]
+    yield _most("orbits", max(gaps), GAP, "gap of both orbits after a period, over their multipliers")
+    off = [np.linalg.norm(gap / one.extents) for gap, one in zip(evidence.local, ends, strict=True)]
+    yield _most("local", max(off), LINEAR, "of the first and the last crossing off the local manifolds, in extents")
+    if model.conservative:
+        level = np.array([energy(model, x) for x in (*connection.states, *(one.state for one in ends))])
+        spread = float(np.ptp(level)) / max(abs(level[0]), 1e-300)
+        yield _most("energy", spread, LEVEL, "of all crossings and both orbits, relative")
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
@@ -443,7 +483,8 @@ def _no_orbit(end: End) -> Orbit:
 
 
 def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> np.ndarray:
-    """How far (d) a start is off the local manifold, not along it and not along the flow: by a period from nearer by."""
+    """How far (d) a start is off the local manifold, not along it and not along the flow: by a period from nearer
+    by."""
     model, turns = independent.model, 1 if end.multiplier > 0 else 2
     growth = max(abs(end.multiplier), 1 / abs(end.multiplier)) ** turns
     gap = wrapped(independent.end(end.point + end.place / growth * end.direction, sense * turns * end.period) - state,
@@ -454,7 +495,7 @@ def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> 
     return np.asarray((gap - along @ (along.T @ gap)) * end.extents)
 
 
-def _most(name: str, value: float, tolerance: float, note: str) -> Check:
+def _most(name: str, value: Any, tolerance: float, note: str) -> Check:
     return Check(name, float(value), tolerance, bool(value <= tolerance), note)
 
 
@@ -462,9 +503,13 @@ def _least(name: str, value: float, tolerance: float, note: str) -> Check:
     return Check(name, float(value), tolerance, bool(value >= tolerance), note)
 
 
-@checked
 def follow_connection(
-    connection: Connection, orbit: Orbit, energies: Sequence[float], other: Orbit | None = None, *, model: Model | None = None
+    connection: Connection,
+    orbit: Orbit,
+    energies: Sequence[float],
+    other: Orbit | None = None,
+    *,
+    model: Model | None = None,
 ) -> tuple[Connection, ...]:
     """A connection at other energies, one after another; it ends before the list does where the manifolds part.
 
@@ -478,26 +523,45 @@ def follow_connection(
         Refiner(Problem(model, Guess(one.state, one.period), pin=(Pin("energy", one.energy),), symmetry=one.symmetry))
         for one in ((orbit,) if other is None else (orbit, other))
     ]
+    before = connection.energy
     for level in energies:
         if not np.isfinite(level):
             raise InputError(f"energies: must be finite, got {level}")
         try:
-            chain = _at_level(chain, refiners, float(level), connection)
+            chain = _reached(chain, refiners, before, float(level), connection.axes)
         except (ConvergenceError, IntegrationError):
             break
-        found.append(certified_connection(described(chain, f"{connection.name}-E{len(found) + 1}"), model))
+        before = float(level)
+        found.append(certified_connection(described(chain, f"{connection.name}-{len(found) + 1}"), model))
     return tuple(found)
 
 
-def _at_level(chain: Chain, refiners: Sequence[Refiner], level: float, connection: Connection) -> Chain:
-    """The chain at another energy, its orbits there."""
+def _reached(
+    chain: Chain, refiners: Sequence[Refiner], before: float, level: float, axes: Sequence[str], halvings: int = 5
+) -> Chain:
+    """The chain at another energy, by steps that are halved where Newton's method fails."""
+    try:
+        return _at_level(chain, refiners, level, axes)
+    except (ConvergenceError, IntegrationError):
+        if not halvings:
+            raise
+    middle = 0.5 * (before + level)
+    return _reached(_reached(chain, refiners, before, middle, axes, halvings - 1), refiners, middle, level, axes, 0)
+
+
+def _at_level(chain: Chain, refiners: Sequence[Refiner], level: float, axes: Sequence[str]) -> Chain:
+    """The chain at another energy: its orbits there, motions from the same places, Newton's method."""
     orbits = [one.orbit(one.refine(None, (Pin("energy", level),)), False) for one in refiners]
     plane, model = chain.origin.surface.plane, chain.origin.surface.model
     text = f"{model.state_names[plane.component]}={plane.level!r}"
-    surfaces = [surface_of(one, model, text, connection.axes, plane.direction) for one in orbits]
-    ends = [
+    surfaces = [surface_of(one, model, text, axes, plane.direction) for one in orbits]
+    origin, goal = (
         local_manifold(orbits[k], surfaces[k], which, point=end.point)
         for k, which, end in ((0, "unstable", chain.origin), (-1, "stable", chain.goal))
-    ]
-    moved = replace(chain, origin=ends[0], goal=replace(ends[1], surface=surfaces[0]))
-    return solved(_moved(moved, np.zeros(2 * len(chain.states) - 2)))
+    )
+    goal = replace(goal, surface=surfaces[0])
+    forth = _returned(origin, chain.places[0], chain.chosen)
+    back = _returned(goal, chain.places[1], len(chain.states) - 1 - chain.chosen)
+    if not (np.isfinite(forth).all() and np.isfinite(back).all()):
+        raise ConvergenceError("connection: its motion does not come back to the section at this energy")
+    return solved(replace(chain, origin=origin, goal=goal, states=np.vstack([forth, back[-2::-1]])))

@@ -1,20 +1,22 @@
 """Stable and unstable manifolds of an orbit: as curves on a section, and as tubes in the state space.
 
-At the orbit's point x* on a section the manifold is tangent to the eigendirection u of the monodromy. It begins there on
+At the orbit's point x* on a section the manifold is tangent to the eigendirection u of the monodromy. It begins there
+on
 
     x(s) = x* + s u, moved onto the values of the invariants,       s from d / |mu| to d (one fundamental domain),
 
-which is off the manifold by e(s) = c s^2. The k-th return of x(s / |mu|^k) has forgotten its own error (returns contract
-what is off the manifold), so that
+which is off the manifold by e(s) = c s^2. The k-th return of x(s / |mu|^k) has forgotten its own error (returns
+contract what is off the manifold), so that
 
     e(d) = |component off u of F(x(d / mu)) - x(d)|
 
-is measured, at d and at d / 2, and d chosen for it. The curves of all returns are images of that domain; points are added
-where neighbours are far apart or the curve turns. A stable manifold is the unstable one of the motion backwards in time.
+is measured, at d and at d / 2, and d chosen for it. The curves of all returns are images of that domain; points are
+added where neighbours are far apart or the curve turns. A stable manifold is the unstable one of the motion backwards
+in time.
 
-Sources: D. Hobson, "An efficient method for computing invariant manifolds of planar maps", J. Comput. Phys. 104 (1993)
-14-22; W. Koon, M. Lo, J. Marsden, S. Ross, "Heteroclinic connections between periodic orbits and resonance transitions in
-celestial mechanics", Chaos 10 (2000) 427-469.
+Sources: D. Hobson, "An efficient method for computing invariant manifolds of planar maps", J. Comput. Phys. 104
+(1993) 14-22; W. Koon, M. Lo, J. Marsden, S. Ross, "Heteroclinic connections between periodic orbits and resonance
+transitions in celestial mechanics", Chaos 10 (2000) 427-469.
 """
 
 from __future__ import annotations
@@ -25,7 +27,6 @@ from functools import cached_property
 
 import numpy as np
 
-from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, plural
 from orbitfinder.integrate.crossings import FINE, SEEN, Crossings, Passing, Plane
@@ -94,7 +95,7 @@ class Local:
     def growth(self) -> float:
         """By how much a displacement grows in `laps` returns."""
         lap = max(abs(self.multiplier), 1 / abs(self.multiplier))
-        return lap if self.multiplier > 0 else lap**2
+        return float(lap if self.multiplier > 0 else lap**2)
 
     @cached_property
     def varied(self) -> Crossings:
@@ -121,7 +122,7 @@ class Local:
         before = self.states(np.array([place / self.growth]))
         gap = self.returned(before, self.laps).states[:, -1] - self.states(np.array([place]))
         found = float(np.linalg.norm(self.off(wrapped(gap, self.surface.model.angular))))
-        return found / (1.0 - self.growth**-3.0)
+        return float(found / (1.0 - self.growth**-3.0))
 
     def displacement(self, accuracy: float) -> tuple[float, float, float]:
         """d with an error of about the accuracy, its error, and that at d / 2. Raises `ConvergenceError`."""
@@ -135,7 +136,7 @@ class Local:
         order = np.log2(max(error, 1e-300) / max(half, 1e-300))
         if not (error <= ROUND_OFF * 10 or order >= SECOND_ORDER) or not np.isfinite(error):
             raise ConvergenceError(
-                f"displacement: {error:.2g} off the manifold at {place:.2g} and {half:.2g} at half of it, which is not of "
+                f"displacement: {error:.2g} off the manifold at {place:.2g} and {half:.2g} at half of it, not of "
                 "second order; the orbit's multiplier is not known well enough, find the orbit again"
             )
         return place, error, half
@@ -147,12 +148,11 @@ def varied_motions(found: Surface, units: np.ndarray) -> Crossings:
     return Crossings(variational_field(vector_field(found.model)), measures)
 
 
-def local_manifold(
-    orbit: Orbit, found: Surface, which: str, number: int = 0, point: np.ndarray | None = None
-) -> Local:
+def local_manifold(orbit: Orbit, found: Surface, which: str, number: int = 0, point: np.ndarray | None = None) -> Local:
     """The local manifold of an orbit at its first crossing of a section, or at the one nearest to `point`.
 
-    `number` counts the multipliers outside (unstable) or inside the unit circle from the strongest. Raises `InputError`.
+    `number` counts the multipliers outside (unstable) or inside the unit circle from the strongest. Raises
+    `InputError`.
     """
     if which not in WHICH:
         raise InputError(f"which: must be unstable or stable, got {which!r}")
@@ -174,7 +174,9 @@ def local_manifold(
     return Local(orbit, found, sense, start, direction, float(multiplier), laps, units)
 
 
-def _monodromy(found: Surface, orbit: Orbit, begin: float, start: np.ndarray, sense: int, units: np.ndarray) -> np.ndarray:
+def _monodromy(
+    found: Surface, orbit: Orbit, begin: float, start: np.ndarray, sense: int, units: np.ndarray
+) -> np.ndarray:
     """Phi over a period (`sense` -1: backwards) from a crossing (d) at a moment, from node to node of the orbit."""
     size, period, nodes = start.size, orbit.period, nodes_of(found, orbit)
     since = (sense * (np.arange(len(nodes)) * period / len(nodes) - begin)) % period
@@ -205,18 +207,17 @@ def _eigenpair(
     growing = [k for k in order if abs(values[k]) > 1 + HYPERBOLIC]
     shown = ", ".join(f"{z.real:.6g}" + (f"{z.imag:+.6g}i" if z.imag else "") for z in values[order])
     if not growing:
-        side = "unstable" if which == "unstable" else "stable"
         raise InputError(
-            f"which: the orbit has no {side} manifold, no multiplier is off the unit circle ({shown}); motions about it "
-            "stay on tori, see `orbitfinder section`"
+            f"which: the orbit has no {which} manifold, no multiplier is off the unit circle that way ({shown}); "
+            "motions about it stay on tori, see `orbitfinder section`"
         )
     if number >= len(growing):
         raise InputError(f"number: the orbit has {plural(len(growing), 'multiplier')} that grow; count them from 0")
     chosen = growing[number]
     if abs(values[chosen].imag) > REAL * abs(values[chosen]):
         raise InputError(
-            f"which: the multiplier {values[chosen]:.6g} is complex, its manifold winds about the orbit and has no single "
-            "direction; give another orbit, or number= of a real multiplier"
+            f"which: the multiplier {values[chosen]:.6g} is complex, its manifold winds about the orbit and has no "
+            "single direction; give another orbit, or number= of a real multiplier"
         )
     mu, w = float(values[chosen].real), basis @ vectors[:, chosen].real
     # Phi w = mu w + directions a, so that w + directions a / (mu - 1) is the eigenvector
@@ -226,7 +227,6 @@ def _eigenpair(
     return mu if which == "unstable" else 1.0 / mu, w
 
 
-@checked
 def manifold(
     orbit: Orbit,
     which: str = "unstable",
@@ -243,9 +243,9 @@ def manifold(
 ) -> Manifold:
     """The unstable or stable manifold of an orbit, as curves on a section or, for `tube` s of motion, as a tube.
 
-    `plane` ("y=0", `direction` 1 growing, -1 falling) and `axes` as in `section`; by default the plane through the orbit's
-    first state. `returns` fundamental domains are grown beyond the local one, on one `side` (1 or -1) of the orbit or both
-    (0). `number` counts the multipliers from the strongest. Raises `InputError`, `ConvergenceError`.
+    `plane` ("y=0", `direction` 1 growing, -1 falling) and `axes` as in `section`; by default the plane through the
+    orbit's first state. `returns` fundamental domains are grown beyond the local one, on one `side` (1 or -1) of the
+    orbit or both (0). `number` counts the multipliers from the strongest. Raises `InputError`, `ConvergenceError`.
     """
     chosen = settings or ManifoldSettings()
     if side not in (-1, 0, 1):
@@ -353,7 +353,7 @@ class _Table:
         """Extents of all that has been seen on the axes (2)."""
         chart = self.base.surface.chart(self.states.reshape(-1, self.states.shape[2]))
         own = self.base.extents[list(self.base.surface.axes)]
-        return np.maximum(np.nanmax(chart, axis=0) - np.nanmin(chart, axis=0), own)
+        return np.asarray(np.maximum(np.nanmax(chart, axis=0) - np.nanmin(chart, axis=0), own))
 
     def gaps(self, image: int) -> np.ndarray:
         """Chords (k - 1 x 2) between neighbours in units of the scale; nan where one of them has left."""
@@ -363,8 +363,8 @@ class _Table:
     def parts(self, image: int, chosen: ManifoldSettings) -> list[Part]:
         """The unbroken curves of a return."""
         lengths = np.linalg.norm(self.gaps(image), axis=1)
-        known = np.isfinite(self.states[:, image]).all(axis=1)
-        torn = ~(lengths <= 2 * chosen.spacing)
+        known = np.asarray(np.isfinite(self.states[:, image]).all(axis=1))
+        torn = np.logical_not(lengths <= 2 * chosen.spacing)
         found = []
         for run in np.split(np.arange(self.shares.size), np.flatnonzero(torn) + 1):
             run = run[known[run]]
@@ -387,7 +387,7 @@ def _filled(table: _Table, image: int, chosen: ManifoldSettings) -> None:
         sharp[1:] |= bent
         sharp[:-1] |= bent
         wanted = (lengths > chosen.spacing) | (sharp & (lengths > 0.05 * chosen.spacing))
-        known = np.isfinite(table.states[:, image]).all(axis=1)
+        known = np.asarray(np.isfinite(table.states[:, image]).all(axis=1))
         wanted |= known[1:] != known[:-1]  # up to where the motion first leaves
         spans = np.diff(table.shares)
         wanted &= spans > closest

@@ -1,9 +1,10 @@
 """Where motions cross a plane: many at once, each with steps of its own, crossings located to round-off.
 
-A plane is x_i = c, of an angle c + 2 pi k; a forced system is looked at once a period of its forcing, where t = k P. The
-steps are those of `rk8` with its estimate of their error. In a step that crosses, Newton's method on the step's length
-finds the crossing with the step itself, so that it is as good as the motion; a step whose cubic touches the plane and
-turns back is shortened to that turn, so that no pair of crossings is stepped over. Backwards in time steps are negative.
+A plane is x_i = c, of an angle c + 2 pi k; a forced system is looked at once a period of its forcing, where t = k P.
+The steps are those of `rk8` with its estimate of their error. In a step that crosses, Newton's method on the step's
+length finds the crossing with the step itself, so that it is as good as the motion; a step whose cubic touches the
+plane and turns back is shortened to that turn, so that no pair of crossings is stepped over. Backwards in time steps
+are negative.
 
 Source: M. Henon, "On the numerical computation of Poincare maps", Physica D 5 (1982) 412-414; step control: E. Hairer,
 S. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), section II.4.
@@ -88,7 +89,9 @@ def _stepper(field: ca.Function) -> ca.Function:
     z = (ca.SX.sym if short else ca.MX.sym)("z", 1 + field.size1_in(1))
     p = type(z).sym("p", 1 + field.size1_in(2) + field.size1_in(3))
     step, error = (
-        (one_step(field, ca.SX.sym), one_step(field, ca.SX.sym, True)) if short else (step_of(field), step_of(field, True))
+        (one_step(field, ca.SX.sym), one_step(field, ca.SX.sym, True))
+        if short
+        else (step_of(field), step_of(field, True))
     )
     after, cut = step(z, p), 1 + field.size1_in(2)
     rate = field(after[0], after[1:], p[1:cut], p[cut:])
@@ -181,7 +184,7 @@ class _Run:
     def _first(self) -> np.ndarray:
         """A first length for each motion: what takes it a hundredth of a unit."""
         pace = np.abs(self.rates / self.of.units).max(axis=1, initial=0.0)
-        return np.minimum(0.01 / np.maximum(pace, 1e-300), 0.01 * self.longest)
+        return np.asarray(np.minimum(0.01 / np.maximum(pace, 1e-300), 0.01 * self.longest))
 
     def _watched(self, times: np.ndarray, states: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The plane's component and its rate forwards in time; time itself counts from where it began."""
@@ -260,9 +263,7 @@ class _Run:
             times[who, which], states[who, which] = self._located(*steps)
         return Passing(times, states)
 
-    def _located(
-        self, h: np.ndarray, t: np.ndarray, x: np.ndarray, level: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _located(self, h: np.ndarray, t: np.ndarray, x: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Times and states on the plane: Newton's method, kept within the step, on the step's length."""
         low, high, s, plane, i = np.zeros(h.size), h.copy(), h * 0.5, self.plane, self.plane.component
         below = plane.off(self._watched(t, x, x)[0], level)

@@ -1,12 +1,12 @@
 """Poincare sections: where the motions of a Model at one energy cross a plane, and which of them are regular.
 
-A section is a plane of one component of the state (of a forced system: whole periods of its forcing; of a hybrid one: what
-comes after the event that begins its cycle), looked at in two other components, its axes. Where an energy is conserved,
-motions begin on the plane at that energy: of each point of the axes one more rate is found from it.
+A section is a plane of one component of the state (of a forced system: whole periods of its forcing; of a hybrid one:
+what comes after the event that begins its cycle), looked at in two other components, its axes. Where an energy is
+conserved, motions begin on the plane at that energy: of each point of the axes one more rate is found from it.
 
-A motion is regular, on a torus or in an island, where averages along it converge faster than any power of the number of
-returns, and chaotic where they do not. Source: E. Sander, J. D. Meiss, "Birkhoff averages and rotational invariant circles
-for area-preserving maps", Physica D 411 (2020) 132569.
+A motion is regular, on a torus or in an island, where averages along it converge faster than any power of the number
+of returns, and chaotic where they do not. Source: E. Sander, J. D. Meiss, "Birkhoff averages and rotational invariant
+circles for area-preserving maps", Physica D 411 (2020) 132569.
 """
 
 from __future__ import annotations
@@ -143,13 +143,16 @@ def surface(
     levels: Mapping[str, float] | None = None,
     state: np.ndarray | None = None,
 ) -> Surface:
-    """The section of a Model by a plane such as "y=0", crossed with y growing (`direction` 1), falling (-1) or both (0).
+    """The section of a Model by a plane such as "y=0", crossed with y growing (`direction` 1), falling (-1) or both
+    (0).
 
-    `levels` are values of invariants by name. Without a plane it is the one through `state` (d) that the motion crosses
-    fastest, for a forced system whole periods of its forcing. Raises `InputError`.
+    `levels` are values of invariants by name. Without a plane it is the one through `state` (d) that the motion
+    crosses fastest, for a forced system whole periods of its forcing. Raises `InputError`.
     """
     if model.constraint is not None:
-        raise InputError("plane: systems under constraints have no section; take of.linkages.minimal_linkage of a linkage")
+        raise InputError(
+            "plane: systems under constraints have no section; take of.linkages.minimal_linkage of a linkage"
+        )
     if direction not in (-1, 0, 1):
         raise InputError(f"direction: must be 1 (growing), -1 (falling) or 0 (both), got {direction}")
     if plane is not None and (model.forced or model.hybrid is not None):
@@ -175,7 +178,9 @@ def _plane(model: Model, plane: str | None, direction: int, state: np.ndarray | 
     name, equals, level = (part.strip() for part in plane.partition("="))
     if name not in model.state_names:
         known = ", ".join(model.state_names)
-        raise InputError(f"plane: unknown component {name!r}{closest(name, model.state_names)}; this system has {known}")
+        raise InputError(
+            f"plane: unknown component {name!r}{closest(name, model.state_names)}; this system has {known}"
+        )
     try:
         value = float(level)
         if not equals or not np.isfinite(value):
@@ -198,10 +203,14 @@ def _axes(model: Model, plane: Plane, axes: Sequence[str] | None) -> tuple[int, 
         return (left[0], left[-1]) if half > 1 or len(left) > 1 else (left[0], left[0])
     given = tuple(axes)
     if len(given) != 2 or given[0] == given[1]:
-        raise InputError(f"axes: need two different components, got {', '.join(map(str, given))}; one of {', '.join(names)}")
+        raise InputError(
+            f"axes: need two different components, got {', '.join(map(str, given))}; one of {', '.join(names)}"
+        )
     for name in given:
         if name not in names:
-            raise InputError(f"axes: unknown component {name!r}{closest(name, names)}; this system has {', '.join(names)}")
+            raise InputError(
+                f"axes: unknown component {name!r}{closest(name, names)}; this system has {', '.join(names)}"
+            )
         if names.index(name) == plane.component:
             raise InputError(f"axes: {name!r} is the same all over its own plane; choose other components")
     return names.index(given[0]), names.index(given[1])
@@ -227,7 +236,7 @@ def energy_of(model: Model, state: np.ndarray) -> float:
 
 
 def section(
-    of: Model | Orbit | Problem,
+    system: Model | Orbit | Problem,
     energy: float | None = None,
     *,
     plane: str | None = None,
@@ -249,7 +258,7 @@ def section(
     for what, count, most in (("seeds", seeds, 100_000), ("returns", returns, 1_000_000)):
         if not 1 <= count <= most:
             raise InputError(f"{what}: must be between 1 and {most}, got {count}")
-    model, state, own = _of(of, model)
+    model, state, own = _of(system, model)
     if model.hybrid is None and (energy is not None or not model.conservative or state is not None):
         levels = level_of(model, energy, state)
     else:
@@ -275,13 +284,13 @@ def section(
     )  # fmt: skip
 
 
-def _of(of: Model | Orbit | Problem, model: Model | None) -> tuple[Model, np.ndarray | None, str]:
+def _of(system: Model | Orbit | Problem, model: Model | None) -> tuple[Model, np.ndarray | None, str]:
     """A Model, a state to start from and a name."""
-    if isinstance(of, Model):
-        return of, None, str(of.system.get("function", of.system.get("kind", "section")))
-    if isinstance(of, Problem):
-        return of.model, np.asarray(of.guess.state, float), of.name
-    return model or build_model(of.system), of.state, of.name
+    if isinstance(system, Model):
+        return system, None, str(system.system.get("function", system.system.get("kind", "section")))
+    if isinstance(system, Problem):
+        return system.model, np.asarray(system.guess.state, float), system.name
+    return model or build_model(system.system), system.state, system.name
 
 
 def _starts(found: Surface, seeds: int, ranges: Mapping[str, Sequence[float]], state: np.ndarray | None) -> np.ndarray:
@@ -341,27 +350,24 @@ def at_points(found: Surface, base: np.ndarray, points: np.ndarray) -> np.ndarra
     a, b = 0.5 * (high + low) - c, 0.5 * (high - low)
     with np.errstate(all="ignore"):
         root = np.sqrt(b * b - 4 * a * c)
-    rising = _rising(found, states)
     best = np.full_like(states, np.nan)
     for sign in (1.0, -1.0):
         with np.errstate(all="ignore"):
             states[:, i] = unit * (-b + sign * root) / (2 * a)
         there = found.held(states, along=[i])
         good = np.isfinite(there).all(axis=1)
-        good[good] = rising(there[good])
+        good[good] = _rising(found, there[good])
         best = np.where(good[:, None] & ~np.isfinite(best), there, best)
     return best
 
 
-def _rising(found: Surface, states: np.ndarray):  # type: ignore[no-untyped-def]
+def _rising(found: Surface, states: np.ndarray) -> np.ndarray:
+    """Which states (k) cross the plane in the direction that is looked at."""
     plane = found.plane
-
-    def call(there: np.ndarray) -> np.ndarray:
-        if not len(there) or plane.component < 0:
-            return np.ones(len(there), bool)
-        return found.motions.rates(np.zeros(len(there)), there)[:, plane.component] * (plane.direction or 1) > 0
-
-    return call
+    if not len(states) or plane.component < 0:
+        return np.ones(len(states), bool)
+    rates = found.motions.rates(np.zeros(len(states)), states)[:, plane.component]
+    return np.asarray(rates * (plane.direction or 1) > 0)
 
 
 def solved_component(found: Surface) -> int:
@@ -374,7 +380,7 @@ def solved_component(found: Surface) -> int:
     if not left:
         names = ", ".join(model.state_names[j] for j in (i, *found.axes))
         raise InputError(f"axes: nothing is left to find from the energy beside {names}; choose other axes")
-    return left[0]
+    return int(left[0])
 
 
 def _box(found: Surface, base: np.ndarray, ranges: Mapping[str, Sequence[float]]) -> tuple[np.ndarray, np.ndarray]:
@@ -427,7 +433,9 @@ def _events(model: Model, starts: np.ndarray, returns: int) -> tuple[np.ndarray,
     for k, start in enumerate(starts):
         found = 0
         try:
-            for arc in Automaton(model, SECOND).arcs(start, hybrid.first.name, events=returns * max(1, len(hybrid.cycle))):
+            for arc in Automaton(model, SECOND).arcs(
+                start, hybrid.first.name, events=returns * max(1, len(hybrid.cycle))
+            ):
                 if arc.ended_by is not None and last in (None, arc.ended_by) and found < returns:
                     times[k, found], states[k, found] = arc.times[-1], arc.after
                     found += 1

@@ -33,10 +33,11 @@ class Manifold:
     """A stable or unstable manifold of an orbit: curves on a section, or motions along it (a tube).
 
     `states` (k x d) are the points of all curves one after another; `pieces` (k) numbers the curves, which are broken
-    where that changes; `places` (k) are where each began: its displacement along the eigendirection, in extents of the
-    orbit; `images` (k) how many returns it took, `times` (k, s) how long. `point` (d) is the orbit's own on the section,
-    `direction` (d) the eigendirection there, `displacement` the largest of the places and `error` how far off the manifold
-    that was measured to be, in extents of the orbit, at it and at half of it (which shows its order).
+    where that changes; `places` (k) are where each began: its displacement along the eigendirection, in extents of
+    the orbit; `images` (k) how many returns it took, `times` (k, s) how long. `point` (d) is the orbit's own on the
+    section, `direction` (d) the eigendirection there, `displacement` the largest of the places and `error` how far
+    off the manifold that was measured to be, in extents of the orbit, at it and at half of it (which shows its
+    order).
     """
 
     __repr__ = brief("name", "which", "kind", "multiplier", "displacement", "error")
@@ -121,8 +122,8 @@ def load_manifold(path: str | Path) -> Manifold:
     source = Path(path)
     document = _document(source, FORMAT, "a manifold", "`orbitfinder manifold`")
     plain = read_as(_Plain, document, str(source), AGAIN)
-    energy = float("nan") if plain.energy is None else plain.energy
-    return Manifold(**{**vars(plain), "energy": energy}, **arrays(source.with_suffix(".npz"), ARRAYS, AGAIN))
+    numbers: dict[str, Any] = {**vars(plain), **arrays(source.with_suffix(".npz"), ARRAYS, AGAIN)}
+    return Manifold(**numbers | {"energy": float("nan") if plain.energy is None else plain.energy})
 
 
 def _document(source: Path, wanted: str, what: str, maker: str) -> Mapping[str, Any]:
@@ -136,8 +137,9 @@ def _document(source: Path, wanted: str, what: str, maker: str) -> Mapping[str, 
 class End:
     """One end of a connection: an orbit and where on its local manifold the motion begins or ends.
 
-    `orbit` is its name, `state` (d) and `period` the orbit itself, `point` (d) its crossing of the section, `multiplier`
-    and `direction` (d) those of the manifold there, `place` the displacement along it, `extents` (d) what that is in.
+    `orbit` is its name, `state` (d) and `period` the orbit itself, `point` (d) its crossing of the section,
+    `multiplier` and `direction` (d) those of the manifold there, `place` the displacement along it, `extents` (d)
+    what that is in.
     """
 
     __repr__ = brief("orbit", "multiplier", "place")
@@ -156,9 +158,10 @@ class End:
 class Connection:
     """A motion from one orbit to another (heteroclinic) or back to the same (homoclinic).
 
-    `states` (m + 1 x d) are its crossings of the section, the first on the unstable manifold of `origin`, the last on the
-    stable one of `goal`, `durations` (m, s) the times between; it is looked at at crossing number `chosen`: `angle` (rad)
-    between the manifolds there and `error` of that point, in the state's own units. `component` is that of the plane.
+    `states` (m + 1 x d) are its crossings of the section, the first on the unstable manifold of `origin`, the last on
+    the stable one of `goal`, `durations` (m, s) the times between; it is looked at at crossing number `chosen`:
+    `angle` (rad) between the manifolds there and `error` of that point, in the state's own units. `component` is that
+    of the plane.
     """
 
     __repr__ = brief("name", "kind", "state", "angle", "error", "certificate")
@@ -238,11 +241,12 @@ def load_connection(path: str | Path) -> Connection:
     found = read_as(_Checks, _known(entry), str(source), AGAIN)
     beside = source.with_suffix(".npz")
     dense = arrays(beside, ("times", "samples"), AGAIN) if beside.exists() else {}
-    energy = float("nan") if plain.energy is None else plain.energy
-    numbers = {"energy": energy, "error": float("inf") if plain.error is None else plain.error}
+    numbers: dict[str, Any] = {**vars(plain), **dense, "certificate": Certificate(found.checks)}
+    numbers["energy"] = float("nan") if plain.energy is None else plain.energy
+    numbers["error"] = float("inf") if plain.error is None else plain.error
     if plain.states.ndim != 2 or not 0 <= plain.chosen < len(plain.states):
         raise InputError(f"{source}: states: expected rows, the chosen one among them; {AGAIN}")
-    return Connection(**{**vars(plain), **numbers}, certificate=Certificate(found.checks), **dense)
+    return Connection(**numbers)
 
 
 def _known(entry: Any) -> Any:

@@ -84,4 +84,6 @@ def load_section(path: str | Path) -> Section:
     if len(plain.axes) != 2 or not set(plain.axes) <= set(plain.state_names):
         raise InputError(f"{source}: axes: expected two of the components; {AGAIN}")
     energy = float("nan") if plain.energy is None else plain.energy
-    return Section(plain.name, plain.system, plain.state_names, plain.plane, (plain.axes[0], plain.axes[1]), energy, **found)
+    return Section(
+        plain.name, plain.system, plain.state_names, plain.plane, (plain.axes[0], plain.axes[1]), energy, **found
+    )

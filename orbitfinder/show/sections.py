@@ -1,0 +1,231 @@
+"""Pictures of Poincare sections with orbits and manifolds in them, and of manifolds in the plane or in space."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.orbits.section import REGULAR, Surface, pierced, surface
+from orbitfinder.records.manifold import Connection, Manifold
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.section import Section
+from orbitfinder.show.plot import axis
+from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import COLOURS
+
+CHAOS = "0.62"
+"""Colour of returns that belong to no regular motion"""
+SIDES = {"unstable": "#D55E00", "stable": "#0072B2"}
+"""Colours of manifolds"""
+SHARE = 0.2
+"""Of a section's points, those on each side may be so few that an end of the picture is left to them: see `_limits`"""
+OUTER = 0.5
+"""Percent of a manifold's points at each end that a picture need not reach"""
+
+
+def draw_section(
+    section: Section | None,
+    path: str | Path,
+    *,
+    orbits: Sequence[Orbit] = (),
+    manifolds: Sequence[Manifold] = (),
+    connections: Sequence[Connection] = (),
+    model: Model | None = None,
+) -> Path:
+    """Draw a section as PNG, with the crossings of orbits, the curves of manifolds and the points of connections in it.
+
+    Regular motions are coloured, each with a colour of its own, chaotic ones grey. Without a section the plane is that
+    of the first manifold or connection. Raises `InputError` where they lie on different planes.
+    """
+    return save_png(section_figure(section, orbits, manifolds, connections, model), Path(path))
+
+
+def section_figure(
+    section: Section | None,
+    orbits: Sequence[Orbit] = (),
+    manifolds: Sequence[Manifold] = (),
+    connections: Sequence[Connection] = (),
+    model: Model | None = None,
+) -> Figure:
+    """The figure that `draw_section` writes."""
+    given: list[Any] = [one for one in (section, *manifolds, *connections) if one is not None]
+    if not given:
+        raise InputError("section: nothing to draw; give a section, a manifold or a connection")
+    first = given[0]
+    for one in given[1:]:
+        if (one.plane.split(",")[0], tuple(one.axes)) != (first.plane.split(",")[0], tuple(first.axes)):
+            raise InputError(
+                f"manifolds: {one.name} lies on {one.plane} with axes {', '.join(one.axes)}, the picture on "
+                f"{first.plane} with {', '.join(first.axes)}; make both with one plane and axes"
+            )
+    model = model or build_model(first.system)
+    level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
+    figure = new_figure(7.2, 6.2, first.name, f"section {first.plane}{level}")
+    axes = figure.subplots()
+    across, up = (model.state_names.index(name) for name in first.axes)
+    if section is not None:
+        _returns(axes, section)
+    for one in manifolds:
+        _curves(axes, one, model, (across, up))
+    for one in connections:
+        axes.plot(*one.states[:, [across, up]].T, "x", color="black", markersize=4, markeredgewidth=0.8)
+        axes.plot(one.state[across], one.state[up], "D", color="black", markersize=5, label=f"{one.kind} point")
+    for orbit in orbits:
+        points = wrapped(pierced(_surface(first, orbit, model), orbit).states, model.angular)
+        axes.plot(points[:, across], points[:, up], "o", color="white", markeredgecolor="black", markersize=6.5,
+                  label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
+    _limits(axes, section, manifolds, connections, (across, up))
+    dress(axes, axis(model, across), axis(model, up))
+    _legend(figure, axes)
+    return figure
+
+
+def _returns(axes: Any, section: Section) -> None:
+    """The returns, chaotic ones below; regular motions in colours that neighbours do not share."""
+    points, regular = section.points, section.digits[section.seeds] >= REGULAR
+    size = float(np.clip(20_000 / max(section.returns, 1), 0.4, 6.0))
+    settled = not np.isfinite(section.digits).any() or not regular.any()
+    if settled and section.digits.max(initial=0.0) == 0.0:  # too few returns to tell, or all has left
+        axes.scatter(points[:, 0], points[:, 1], s=size, c=section.seeds, cmap="viridis", linewidths=0)
+        return
+    axes.scatter(*points[~regular].T, s=size, color=CHAOS, linewidths=0, rasterized=True)
+    seeds = np.unique(section.seeds[regular])
+    order = {int(seed): COLOURS[k % (len(COLOURS) - 1)] for k, seed in enumerate(seeds)}
+    colours = [order[int(seed)] for seed in section.seeds[regular]]
+    axes.scatter(*points[regular].T, s=size, c=colours, linewidths=0, rasterized=True)
+    axes.plot([], [], "o", color=CHAOS, markersize=3, label="chaotic")
+    axes.plot([], [], "o", color=COLOURS[0], markersize=3, label="regular (colours: motions)")
+
+
+def _curves(axes: Any, one: Manifold, model: Model, pair: tuple[int, int]) -> None:
+    """The curves of a manifold on the section."""
+    colour = SIDES[one.which]
+    if one.kind != "curves":
+        raise InputError(f"manifolds: {one.name} is a tube, not curves on a section; grow it without tube")
+    for k, curve in enumerate(one.curves):
+        points = wrapped(curve, model.angular)[:, list(pair)]
+        jumps = np.abs(np.diff(points, axis=0)).max(axis=1) > np.pi
+        points = np.insert(points, np.flatnonzero(jumps & model.angular.any()) + 1, np.nan, axis=0)
+        axes.plot(points[:, 0], points[:, 1], color=colour, linewidth=0.9, label="" if k else f"{one.which} manifold")
+
+
+def _limits(
+    axes: Any, section: Section | None, manifolds: Sequence[Manifold], connections: Sequence[Connection],
+    pair: tuple[int, int],
+) -> None:  # fmt: skip
+    """What is drawn, but for the few points of manifolds that are far out, as those beside a collision."""
+    if section is not None:
+        axes.margins(0.05)
+        axes.autoscale_view()
+        if not manifolds:
+            return
+    states = [one.states[:, list(pair)] for one in manifolds]
+    if not states:
+        return
+    rows = np.vstack(states)
+    low, high = np.percentile(rows, [OUTER, 100 - OUTER], axis=0)
+    middle = np.median(rows, axis=0)
+    wide = 1.2 * np.maximum(high - middle, middle - low)
+    low, high = np.maximum(rows.min(axis=0), middle - wide), np.minimum(rows.max(axis=0), middle + wide)
+    more = [one.state[None, list(pair)] for one in connections]
+    more += [] if section is None else [section.points]
+    for points in more:
+        low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    room = 0.05 * (high - low)
+    axes.set_xlim(low[0] - room[0], high[0] + room[0])
+    axes.set_ylim(low[1] - room[1], high[1] + room[1])
+
+
+def _surface(first: Section | Manifold | Connection, orbit: Orbit, model: Model) -> Surface:
+    """The plane that a record names, for another orbit."""
+    if model.forced or model.hybrid is not None:
+        return surface(model, None, first.axes)
+    where, _, side = first.plane.partition(",")
+    direction = {"growing": 1, "falling": -1}.get(side.strip(), 0)
+    return surface(model, where, first.axes, direction, state=orbit.state)
+
+
+def _legend(figure: Figure, axes: Any) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    seen = dict(zip(labels, handles, strict=True))
+    if seen:
+        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=min(3, len(seen)), frameon=False)
+
+
+def draw_manifolds(
+    manifolds: Sequence[Manifold],
+    path: str | Path,
+    *,
+    axes: Sequence[str] | None = None,
+    orbits: Sequence[Orbit] = (),
+    connections: Sequence[Connection] = (),
+    model: Model | None = None,
+) -> Path:
+    """Draw tubes as PNG in two or three components (`axes`), with orbits and connections; by default the coordinates,
+    and a rate where these are two.
+
+    Raises `InputError`.
+    """
+    if not manifolds:
+        raise InputError("manifolds: none given; grow one with tube=")
+    model = model or build_model(manifolds[0].system)
+    names = tuple(axes) if axes is not None else model.state_names[:3]
+    if len(names) not in (2, 3) or not set(names) <= set(model.state_names):
+        known = ", ".join(model.state_names)
+        raise InputError(f"axes: need two or three components, got {', '.join(names)}; this system has {known}")
+    return save_png(
+        _tubes(manifolds, [model.state_names.index(one) for one in names], orbits, connections, model), Path(path)
+    )
+
+
+def _tubes(
+    manifolds: Sequence[Manifold], chosen: Sequence[int], orbits: Sequence[Orbit], connections: Sequence[Connection],
+    model: Model,
+) -> Figure:  # fmt: skip
+    first, solid = manifolds[0], len(chosen) == 3
+    multiplier = f"multiplier {first.multiplier:.6g}, displaced by {first.displacement:.2g}"
+    figure = new_figure(7.6, 6.6, f"{first.name}: manifolds", multiplier)
+    axes: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
+    for one in manifolds:
+        lines = [wrapped(curve, model.angular)[:, list(chosen)] for curve in one.curves if len(curve) > 1]
+        if solid:
+            for k, line in enumerate(lines):
+                axes.plot(*line.T, color=SIDES[one.which], linewidth=0.45, alpha=0.6, label="" if k else one.which)
+        else:
+            axes.add_collection(LineCollection(lines, colors=SIDES[one.which], linewidths=0.45, alpha=0.6))
+            axes.plot([], [], color=SIDES[one.which], label=one.which)
+            axes.autoscale_view()
+    for known in connections:
+        axes.plot(*known.samples[:, list(chosen)].T, color="black", linewidth=1.4, label=known.kind)
+    for orbit in orbits:
+        axes.plot(*orbit.samples[:, list(chosen)].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
+    _landmarks(axes, model, chosen)
+    labels = [axis(model, i) for i in chosen]
+    if solid:
+        axes.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
+    else:
+        dress(axes, *labels)
+    _legend(figure, axes)
+    return figure
+
+
+def _landmarks(axes: Any, model: Model, chosen: Sequence[int]) -> None:
+    """Bodies and places of rest in the plane of two coordinates."""
+    low, high = axes.get_xlim()
+    if len(chosen) != 2 or max(chosen) >= model.degrees_of_freedom:
+        return
+    for name, place in model.landmarks.items():
+        if low <= place[chosen[0]] <= high:
+            axes.plot(
+                place[chosen[0]], place[chosen[1]], "x" if name.startswith("L") else "o", color="0.3", markersize=5
+            )
+            axes.annotate(name, (place[chosen[0]], place[chosen[1]]), (4, 5), textcoords="offset points", fontsize=8,
+                          color="0.25", parse_math=False)  # fmt: skip
