@@ -26,6 +26,7 @@ from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import maximal_states
+from orbitfinder.mechanics.controls import check_constant
 from orbitfinder.mechanics.hybrid import with_cycle
 from orbitfinder.mechanics.model import Model, counted
 from orbitfinder.mechanics.scales import proportions
@@ -289,6 +290,7 @@ def _check(problem: Problem) -> None:
         )
     for name in problem.free:
         model.parameter_index(name)
+    check_constant(model, problem.free)
     for one in problem.pin:
         check_pin(model, one)
         if one.name in model.state_names[:n] and symmetry.held(n)[model.state_index(one.name)]:

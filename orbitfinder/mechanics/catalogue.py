@@ -15,6 +15,7 @@ from typing import Any
 
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain, chain_dae
+from orbitfinder.mechanics.controls import check_constant, with_controls
 from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
@@ -97,8 +98,17 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         model = replace(model, system=described)
     if not isinstance(scales, Mapping):
         raise InputError("system.scales: must be a table of names and sizes")
-    model = with_scales(model, scales)
+    model = with_scales(_controlled(model, system), scales)
     return with_cycle(model, system["cycle"]) if "cycle" in system else model
+
+
+def _controlled(model: Model, system: Mapping[str, Any]) -> Model:
+    """The Model with the controls and limits that a description gives, its own without."""
+    given = {name: system[name] for name in ("controls", "limits") if name in system}
+    if not given:
+        return model
+    found = with_controls(model, given.get("controls", model.controls), {**model.limits, **given.get("limits", {})})
+    return replace(found, system={**model.system, **given})
 
 
 def module_file(module: str, folder: Path) -> Path | None:
@@ -147,6 +157,7 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     """The same Model with some physical parameters changed, its description included; itself where none is."""
     if not values:
         return model
+    check_constant(model, values)
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value

@@ -19,6 +19,7 @@ import numpy as np
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.first_order import Named, in_symbols
 from orbitfinder.mechanics.model import Model
@@ -181,12 +182,15 @@ def hybrid(
     conserved: Sequence[str] = (),
     system: Mapping[str, Any] | None = None,
     ground: Expression | None = None,
+    controls: Sequence[str] = (),
+    limits: Limits | None = None,
 ) -> Model:
     """The Model of a hybrid system whose orbits go through the transitions of `cycle`; None: through those of the
     guess's motion, which begins in the first mode.
 
     Its parameters are those of the modes and, for each arc but the last, its share of the period (`share_1`, ...),
-    which solvers find. `conserved` names invariants of all modes that the resets keep too. `ground` is drawn only: see
+    which solvers find. Parameters that may vary in time are those of `controls`, within `limits`, and what is a control
+    of a mode. `conserved` names invariants of all modes that the resets keep too. `ground` is drawn only: see
     `Hybrid`. Raises `InputError` where modes differ in states or parameters, or the cycle does not fit together.
     """
     named = tuple(Mode(name, model) for name, model in modes.items()) if isinstance(modes, Mapping) else tuple(modes)
@@ -205,10 +209,13 @@ def hybrid(
         tuple(_mode(one, whole) for one in named), tuple(_transition(one, whole) for one in transitions), cycle,
         (named, tuple(transitions), tuple(conserved)), None if ground is None else _drawn(ground, first),
     )  # fmt: skip
-    return replace(
+    found = replace(
         built.first.model, parameter_names=names, parameter_values=values, hybrid=built,
         system=dict(system or {"kind": "custom"}),
     )  # fmt: skip
+    named_too = dict.fromkeys([*controls, *(name for one in named for name in one.model.controls)])
+    given = {name: pair for one in named for name, pair in one.model.limits.items()}
+    return with_controls(found, tuple(named_too), given | dict(limits or {}))
 
 
 def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
@@ -225,7 +232,8 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
     kept = len(modes[0].model.parameter_names)
     numbers = np.append(model.parameter_values[:kept], made.parameter_values[kept:])
     built = replace(made.hybrid, ground=model.hybrid.ground)
-    return replace(made, parameter_values=numbers, hybrid=at_numbers(built, numbers))
+    controls = {"controls": model.controls, "limits": model.limits}
+    return replace(made, parameter_values=numbers, hybrid=at_numbers(built, numbers), **controls)  # type: ignore[arg-type]
 
 
 def repeated(model: Model, times: int) -> Model:

@@ -47,6 +47,8 @@ PerLink = Annotated[float | list[float], BeforeValidator(_numbers("with one numb
 Energies = Annotated[float | list[float], BeforeValidator(_numbers("of numbers"))]
 Line = Annotated[str, Field(max_length=300), AfterValidator(_printable)]
 Positive = Annotated[float, Field(gt=0)]
+Limits = dict[str, Positive | Annotated[list[float], Field(min_length=2, max_length=2)]]
+LIMITS = "how far controls may go: the greatest magnitude, or [lowest, highest], by name, such as { torque1 = 5.0 }"
 
 
 class Table(BaseModel):
@@ -70,6 +72,11 @@ class ChainSystem(Table):
     )
     gravity: float = Field(9.8, description="gravitational acceleration in m/s^2")
     formulation: str = Field("recursive", description="how the equations are derived; the motion is the same")
+    motors: list[int] | None = Field(
+        None, description="joints with a motor, whose torque (torque1, ... in N m) may vary in time; joint 1 is at the "
+        "ground, joint k turns link k against link k - 1",
+    )  # fmt: skip
+    limits: Limits | None = Field(None, description=LIMITS)
 
 
 class LinkageSystem(Table):
@@ -96,6 +103,11 @@ class LinkageSystem(Table):
         [10.0, 10.0], min_length=2, max_length=2,
         description="stabilisation [alpha, beta] of the constraints in 1/s, both positive",
     )  # fmt: skip
+    motors: list[int] | None = Field(
+        None, description="joints with a motor, whose torque (torque1, ... in N m) may vary in time; 1 is the first "
+        "pivot, n + 1 the last",
+    )  # fmt: skip
+    limits: Limits | None = Field(None, description=LIMITS)
 
 
 class PythonSystem(Table):
@@ -120,6 +132,10 @@ class PythonSystem(Table):
         None, description="sizes to measure in, where the motion does not show them: `length` of all coordinates that "
         "are no angles, coordinates or physical parameters by name, such as `{ length = 2e-6 }`",
     )  # fmt: skip
+    controls: list[Line] | None = Field(
+        None, description="physical parameters that may vary in time; the system's own when left out"
+    )
+    limits: Limits | None = Field(None, description=LIMITS)
 
 
 SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "python": PythonSystem}
