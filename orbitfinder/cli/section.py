@@ -23,8 +23,10 @@ def plane_options(command: Any) -> Any:
     which = click.Choice(list(DIRECTIONS))
     options: tuple[Decorator, ...] = (
         click.option("--plane", default=None, metavar="NAME=VALUE", help="The plane; default: by the system."),
-        click.option("--axes", default="", metavar="NAME,NAME", help="The two components to look at."),
-        click.option("--direction", type=which, default="growing", show_default=True, help="How NAME passes VALUE."),
+        click.option(
+            "--axes", default="", metavar="NAME,NAME", help="The two components to look at (of a tube 2 or 3)."
+        ),
+        click.option("--direction", type=which, default="growing", show_default=True, help="Of the crossings."),
     )
     for option in reversed(options):
         command = option(command)
@@ -43,14 +45,14 @@ def chosen_plane(plane: str | None, axes: str, direction: str) -> dict[str, Any]
 @plane_options
 @click.option("--seeds", default=40, show_default=True, type=int, help="Motions, begun all over the section.")
 @click.option("--returns", default=250, show_default=True, type=int, help="Crossings of each.")
-@click.option("--range", "given", multiple=True, metavar="NAME=LOW:HIGH", help="Where motions begin on an axis.")
+@click.option("--range", "ranges", multiple=True, metavar="NAME=LOW:HIGH", help="Where motions begin on an axis.")
 @click.option("--with", "others", multiple=True, type=FILES, metavar="FILE",
               help="An orbit, manifold or connection to draw in the section.")  # fmt: skip
 @out_option("Folder for DIR/<name>/section.json, .npz and .png.", default="sections", show_default=True)
 @trust_option(MODULES)
 @json_option
 def section(
-    file: Path, energy: float | None, seeds: int, returns: int, given: tuple[str, ...], others: tuple[Path, ...],
+    file: Path, energy: float | None, seeds: int, returns: int, ranges: tuple[str, ...], others: tuple[Path, ...],
     out: Path, trust: bool, **shown: Any,
 ) -> None:  # fmt: skip
     """Draw the Poincare section of the system of a problem FILE or an ORBIT.json, at one energy where it has one.
@@ -64,7 +66,6 @@ def section(
       orbitfinder section orbits/lyapunov/orbit.json --plane y=0 --range x=0.5:0.9 --range xdot=-0.3:0.3
     """
     from orbitfinder.families.branches import Branch
-    from orbitfinder.orbits.section import REGULAR
     from orbitfinder.orbits.section import section as made
     from orbitfinder.records.section import save_section
     from orbitfinder.show.sections import draw_section
@@ -76,7 +77,7 @@ def section(
     folder = out / origin.name
     check_writable(folder)
     found = made(
-        origin, energy, **chosen_plane(**shown), seeds=seeds, returns=returns, ranges=ranges(given), model=model
+        origin, energy, **chosen_plane(**shown), seeds=seeds, returns=returns, ranges=limits(ranges), model=model
     )
     interrupt.check()
     orbits = [*([origin] if isinstance(origin, Orbit) and _level(found.energy, origin) else []), *orbits]
@@ -84,7 +85,7 @@ def section(
     together: dict[str, Any] = {"orbits": orbits, "manifolds": manifolds, "connections": connections}
     model = model or getattr(origin, "model", None)
     written.append(draw_section(found, folder / "section.png", **together, model=model))
-    regular, motions = int((found.digits >= REGULAR).sum()), len(found.starts)
+    regular, motions = int(found.regular.sum()), len(found.starts)
     level = f" at energy {found.energy:.10g}" if found.energy == found.energy else ""
     counts = f"{plural(found.returns, 'return')} of {plural(motions, 'motion')}"
     text(f"{written[0]}: {counts} to {found.plane}{level}, {regular} regular")
@@ -99,13 +100,13 @@ def _level(energy: float, orbit: Orbit) -> bool:
     return energy != energy or abs(energy - orbit.energy) <= 1e-9 * max(abs(energy), 1e-300)
 
 
-def ranges(given: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
+def limits(given: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
     """The ranges of NAME=LOW:HIGH. Raises `InputError`."""
     found = {}
     for one in given:
-        name, equals, limits = one.partition("=")
+        name, equals, words = one.partition("=")
         try:
-            found[name.strip()] = tuple(float(word) for word in limits.split(":"))
+            found[name.strip()] = tuple(float(word) for word in words.split(":"))
         except ValueError as error:
             raise InputError(f"--range: {one[:60]!r} names no range; give NAME=LOW:HIGH") from error
         if not equals:
@@ -135,7 +136,7 @@ def drawn(files: tuple[Path, ...], trust: bool) -> tuple[list[Orbit], list[Any],
 @click.option("--which", type=click.Choice(("unstable", "stable", "both")), default="both", show_default=True,
               help="Which manifold.")  # fmt: skip
 @plane_options
-@click.option("--returns", default=4, show_default=True, type=int, help="Returns grown beyond the local manifold.")
+@click.option("--returns", default=2, show_default=True, type=int, help="Returns grown beyond the orbit's own size.")
 @click.option("--side", type=click.IntRange(-1, 1), default=0, show_default=True, help="1, -1, or 0 for both.")
 @click.option("--number", default=0, show_default=True, type=click.IntRange(0), help="Multiplier, the strongest is 0.")
 @click.option("--tube", type=FINITE, default=None, metavar="SECONDS", help="Motions for this time, not curves.")
@@ -161,8 +162,11 @@ def manifold(file: Path, which: str, out: Path, trust: bool, plane: str | None, 
     folder = out / orbit.name
     check_writable(folder)
     made, written = [], []
+    seen = chosen_plane(plane, axes, direction)
+    if chosen["tube"] is not None:  # looked at from anywhere
+        view, seen["axes"] = seen["axes"], None
     for one in ("unstable", "stable") if which == "both" else (which,):
-        made.append(grown(orbit, one, **chosen_plane(plane, axes, direction), **chosen, model=model))
+        made.append(grown(orbit, one, **seen, **chosen, model=model))
         interrupt.check()
         written.append(save_manifold(made[-1], folder / f"manifold-{one}.json"))
         found = made[-1]
@@ -172,7 +176,7 @@ def manifold(file: Path, which: str, out: Path, trust: bool, plane: str | None, 
     if chosen["tube"] is None:
         picture = draw_section(None, folder / "manifolds.png", orbits=[orbit], manifolds=made, model=model)
     else:
-        picture = draw_manifolds(made, folder / "manifolds.png", orbits=[orbit], model=model)
+        picture = draw_manifolds(made, folder / "manifolds.png", axes=view, orbits=[orbit], model=model)
     entries = [{"which": one.which, "multiplier": one.multiplier, "displacement": one.displacement, "error": one.error,
                 "order": one.order, "points": len(one.states)} for one in made]  # fmt: skip
     finish("manifolds", {"name": orbit.name, "manifolds": entries, "written": [*map(str, written), str(picture)]})
@@ -182,7 +186,7 @@ def manifold(file: Path, which: str, out: Path, trust: bool, plane: str | None, 
 @click.argument("file", type=FILES, metavar="ORBIT.json|FILE#K")
 @click.argument("other", type=FILES, required=False, metavar="[OTHER.json]")
 @plane_options
-@click.option("--returns", default=3, show_default=True, type=int, help="Returns of each manifold that are grown.")
+@click.option("--returns", default=1, show_default=True, type=int, help="Returns grown beyond the orbits' own size.")
 @click.option("--most", default=8, show_default=True, type=click.IntRange(1, 1000), help="Connections, at most.")
 @click.option("--near", default="", metavar="A,B", help="Those nearest to this point of the axes first.")
 @out_option("Folder for DIR/<name>/connection-K.json, .npz and .png.", default="connections", show_default=True)

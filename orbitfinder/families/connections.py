@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import islice, product
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,8 @@ from orbitfinder.orbits.section import Surface, solved_component, surface
 from orbitfinder.records.manifold import Connection, End
 from orbitfinder.records.orbit import Certificate, Check, Orbit
 
-MOST_STEPS = 25
+MOST_STEPS, MOST_WORSE = 25, 4
+"""Steps of Newton's method, and how many in a row may gain less than half"""
 SOLVED, ACCEPTED = 1e-13, 1e-10
 """Gaps of a solved connection, in extents of the orbits: where Newton's method stops, and the most it may leave"""
 LARGEST_STEP = 0.3
@@ -55,6 +56,8 @@ APART = 1e-3
 """A connection's point is at least this far from its orbits, in extents: else it is the orbit itself"""
 SAME_POINT = 1e-5
 """Crossings nearer to each other than this, in extents, are one"""
+TRIED = 12
+"""Crossings of curves that are tried for each connection asked for: manifolds that coincide cross in their round-off"""
 COARSE = ManifoldSettings(spacing=0.03, turning=0.5, halvings=6)
 """How finely curves are grown that are only to be intersected"""
 SAMPLES = 40
@@ -91,7 +94,7 @@ def connect(
     plane: str | None = None,
     axes: Sequence[str] | None = None,
     direction: int = 1,
-    returns: int = 3,
+    returns: int = 1,
     most: int = 8,
     near: Sequence[float] | None = None,
     settings: ManifoldSettings | None = None,
@@ -101,7 +104,7 @@ def connect(
     or those nearest to a point `near` of the axes.
 
     Both orbits have the same energy; `plane`, `axes` and `direction` as in `section`, which both orbits cross.
-    `returns` fundamental domains of each manifold are grown. Raises `InputError`; finds none where the curves do not
+    `returns` fundamental domains of each manifold are grown beyond the orbit's own size. Raises `InputError`; finds none where the curves do not
     cross.
     """
     goal, chosen = other or orbit, settings or COARSE
@@ -117,7 +120,7 @@ def connect(
     point = None if near is None else np.asarray(near, float)
     called = orbit.name if other is None else f"{orbit.name}-{goal.name}"
     connections: list[Connection] = []
-    for guess in _crossings(*ends, here, there, point):
+    for guess in islice(_crossings(*ends, here, there, point), TRIED * most):
         if any(_met(found, guess.states[guess.chosen], one) for one in connections):
             continue
         try:
@@ -245,15 +248,20 @@ def _matrix(chain: Chain, slopes: np.ndarray) -> np.ndarray:
 def solved(chain: Chain) -> Chain:
     """The connection near a guess, by Newton's method. Raises `ConvergenceError` where the manifolds do not meet
     there."""
-    found, best = chain.origin.surface, (np.inf, chain)
+    found, best, worse = chain.origin.surface, (np.inf, chain), 0
     axes = list(found.axes)
     for _ in range(MOST_STEPS):
         linear = _linear(chain)
         units = np.maximum(chain.origin.extents[axes], np.abs(chain.states[1:, axes]))
         size = float(np.abs(linear.gaps / units).max())
+        if not np.isfinite(size):
+            raise ConvergenceError("connection: Newton's method leaves the section")
         if size <= SOLVED or (best[0] <= ACCEPTED and size > 0.5 * best[0]):
             return chain if size <= best[0] else best[1]
+        worse = worse + 1 if size > 0.5 * best[0] else 0
         best = (size, chain) if size < best[0] else best
+        if worse > MOST_WORSE:
+            break
         try:
             step = np.linalg.solve(linear.matrix, -linear.gaps.ravel())
         except np.linalg.LinAlgError as error:

@@ -37,7 +37,7 @@ from orbitfinder.mechanics.model import Model, vector_field, wrapped
 from orbitfinder.orbits.closure import extents_of
 from orbitfinder.orbits.floquet import complement, generated
 from orbitfinder.orbits.section import Surface, nodes_of, pierced, surface
-from orbitfinder.records.manifold import Manifold
+from orbitfinder.records.manifold import Manifold, reach
 from orbitfinder.records.orbit import Orbit
 
 HYPERBOLIC = 1e-3
@@ -234,7 +234,7 @@ def manifold(
     plane: str | None = None,
     axes: Sequence[str] | None = None,
     direction: int = 1,
-    returns: int = 4,
+    returns: int = 2,
     side: int = 0,
     number: int = 0,
     tube: float | None = None,
@@ -244,14 +244,14 @@ def manifold(
     """The unstable or stable manifold of an orbit, as curves on a section or, for `tube` s of motion, as a tube.
 
     `plane` ("y=0", `direction` 1 growing, -1 falling) and `axes` as in `section`; by default the plane through the
-    orbit's first state. `returns` fundamental domains are grown beyond the local one, on one `side` (1 or -1) of the
+    orbit's first state. `returns` fundamental domains are grown beyond the orbit's own size, on one `side` (1 or -1) of the
     orbit or both (0). `number` counts the multipliers from the strongest. Raises `InputError`, `ConvergenceError`.
     """
     chosen = settings or ManifoldSettings()
     if side not in (-1, 0, 1):
         raise InputError(f"side: must be 1, -1 or 0 (both), got {side}")
-    if not 1 <= returns <= 1000:
-        raise InputError(f"returns: must be between 1 and 1000, got {returns}")
+    if not 0 <= returns <= 1000:
+        raise InputError(f"returns: must be between 0 and 1000, got {returns}")
     if tube is not None and not (np.isfinite(tube) and tube > 0):
         raise InputError(f"tube: must be positive and finite, got {tube}; give a time in s")
     found = surface_of(orbit, model, plane, axes, direction)
@@ -305,8 +305,10 @@ def recorded(base: Local, kind: str, measured: tuple[float, float, float], parts
 
 
 def grown(base: Local, place: float, returns: int, chosen: ManifoldSettings) -> list[Part]:
-    """The fundamental domain that ends at a place, and its images, with points where they are wanted."""
-    table, images = _Table(base, place), returns * base.laps
+    """The fundamental domain that ends at a place, and its images until the displacement is as large as the orbit and
+    `returns` more, with points where they are wanted."""
+    away = int(np.ceil(-np.log(abs(place)) / np.log(base.growth)))
+    table, images = _Table(base, place), (away + returns) * base.laps
     table.add(np.linspace(0.0, 1.0, chosen.first))
     for image in range(images + 1):
         _filled(table, image, chosen)
@@ -350,10 +352,12 @@ class _Table:
         return self.base.surface.model.angular
 
     def scale(self) -> np.ndarray:
-        """Extents of all that has been seen on the axes (2)."""
+        """Extents of what has been seen on the axes (2), but for the few points that are far out, beside collisions."""
+        count = self.states.shape[1]
         chart = self.base.surface.chart(self.states.reshape(-1, self.states.shape[2]))
         own = self.base.extents[list(self.base.surface.axes)]
-        return np.asarray(np.maximum(np.nanmax(chart, axis=0) - np.nanmin(chart, axis=0), own))
+        low, high = reach(chart, np.repeat(np.gradient(self.shares), count))
+        return np.asarray(np.maximum(high - low, own))
 
     def gaps(self, image: int) -> np.ndarray:
         """Chords (k - 1 x 2) between neighbours in units of the scale; nan where one of them has left."""

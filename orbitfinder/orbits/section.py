@@ -39,8 +39,6 @@ GROWN, MOST_GROWTHS, BORDER = 1.15, 120, 240
 """How a box of seeds grows until no motion is possible on its border, how often at most, points of its border"""
 TRIED = 400
 """Points of a box tried for each seed, at most"""
-REGULAR = 4.0
-"""Digits of an average's agreement beyond which a motion is called regular"""
 LINKED, SAME = 1e-9, 1e-9
 """Recorded nodes lead to each other this well, and two crossings are one this near to each other, in periods"""
 SETTLED = 20

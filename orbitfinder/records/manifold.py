@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,23 @@ from orbitfinder.records.reading import (
 
 FORMAT, CONNECTION, VERSION = "orbitfinder/manifold", "orbitfinder/connection", 1
 AGAIN = "make it again"
+
+
+def reach(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest values (m each) of points (k x m) that have weights (k), but for what is far out.
+
+    Three times the range of the middle four fifths, no more than all: a manifold that comes by a collision has few
+    points there by its own measure, and they are anywhere.
+    """
+    low, high = (np.empty(points.shape[1]) for _ in range(2))
+    weights = weights if weights.sum() > 0 else np.ones(len(points))
+    for k, column in enumerate(points.T):
+        known = np.isfinite(column)
+        order = np.argsort(column[known])
+        values, share = column[known][order], np.cumsum(weights[known][order])
+        a, b = np.interp(np.array([0.1, 0.9]) * share[-1], share, values)
+        low[k], high[k] = max(values[0], a - (b - a)), min(values[-1], b + (b - a))
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -66,6 +83,12 @@ class Manifold:
     def curves(self) -> tuple[np.ndarray, ...]:
         """The states of each curve (k x d)."""
         return tuple(np.split(self.states, np.flatnonzero(np.diff(self.pieces)) + 1))
+
+    def reach(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest values of components, but for what is far out, as beside collisions: see `reach`."""
+        logs = np.log(np.maximum(np.abs(self.places), 1e-300))
+        steps = np.abs(np.diff(logs, append=logs[-1:])) * (np.diff(self.pieces, append=-1) == 0)
+        return reach(self.states[:, [self.state_names.index(name) for name in names]], steps)
 
     @property
     def order(self) -> float:

@@ -45,6 +45,12 @@ class Section:
         return len(self.states)
 
     @property
+    def regular(self) -> np.ndarray:
+        """Which motions (m) are regular: their averages agree ten times better than those of random numbers would."""
+        halves = np.maximum(np.bincount(self.seeds, minlength=len(self.starts)) / 2, 1.0)
+        return np.asarray((self.digits > 0) & (self.digits >= 1.0 + 0.5 * np.log10(halves)))
+
+    @property
     def points(self) -> np.ndarray:
         """The crossings in the axes (k x 2)."""
         return np.asarray(self.states[:, [self.state_names.index(name) for name in self.axes]])

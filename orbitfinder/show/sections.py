@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.orbits.section import REGULAR, Surface, pierced, surface
-from orbitfinder.records.manifold import Connection, Manifold
+from orbitfinder.orbits.section import Surface, pierced, surface
+from orbitfinder.records.manifold import Connection, Manifold, reach
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section
 from orbitfinder.show.plot import axis
@@ -23,12 +23,10 @@ from orbitfinder.show.svg import COLOURS
 
 CHAOS = "0.62"
 """Colour of returns that belong to no regular motion"""
+MOTIONS = COLOURS[2:6]
+"""Those of regular motions, none of them a manifold's"""
 SIDES = {"unstable": "#D55E00", "stable": "#0072B2"}
 """Colours of manifolds"""
-SHARE = 0.2
-"""Of a section's points, those on each side may be so few that an end of the picture is left to them: see `_limits`"""
-OUTER = 0.5
-"""Percent of a manifold's points at each end that a picture need not reach"""
 
 
 def draw_section(
@@ -82,27 +80,26 @@ def section_figure(
         points = wrapped(pierced(_surface(first, orbit, model), orbit).states, model.angular)
         axes.plot(points[:, across], points[:, up], "o", color="white", markeredgecolor="black", markersize=6.5,
                   label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
-    _limits(axes, section, manifolds, connections, (across, up))
-    dress(axes, axis(model, across), axis(model, up))
+    _limits(axes, first.axes, section, manifolds, connections)
+    dress(axes, _label(model, across), _label(model, up))
     _legend(figure, axes)
     return figure
 
 
 def _returns(axes: Any, section: Section) -> None:
     """The returns, chaotic ones below; regular motions in colours that neighbours do not share."""
-    points, regular = section.points, section.digits[section.seeds] >= REGULAR
+    points, regular = section.points, section.regular[section.seeds]
     size = float(np.clip(20_000 / max(section.returns, 1), 0.4, 6.0))
-    settled = not np.isfinite(section.digits).any() or not regular.any()
-    if settled and section.digits.max(initial=0.0) == 0.0:  # too few returns to tell, or all has left
+    if section.digits.max(initial=0.0) == 0.0:  # too few returns to tell, or all has left
         axes.scatter(points[:, 0], points[:, 1], s=size, c=section.seeds, cmap="viridis", linewidths=0)
         return
     axes.scatter(*points[~regular].T, s=size, color=CHAOS, linewidths=0, rasterized=True)
     seeds = np.unique(section.seeds[regular])
-    order = {int(seed): COLOURS[k % (len(COLOURS) - 1)] for k, seed in enumerate(seeds)}
+    order = {int(seed): MOTIONS[k % len(MOTIONS)] for k, seed in enumerate(seeds)}
     colours = [order[int(seed)] for seed in section.seeds[regular]]
     axes.scatter(*points[regular].T, s=size, c=colours, linewidths=0, rasterized=True)
     axes.plot([], [], "o", color=CHAOS, markersize=3, label="chaotic")
-    axes.plot([], [], "o", color=COLOURS[0], markersize=3, label="regular (colours: motions)")
+    axes.plot([], [], "o", color=MOTIONS[0], markersize=3, label="regular (colours: motions)")
 
 
 def _curves(axes: Any, one: Manifold, model: Model, pair: tuple[int, int]) -> None:
@@ -118,28 +115,17 @@ def _curves(axes: Any, one: Manifold, model: Model, pair: tuple[int, int]) -> No
 
 
 def _limits(
-    axes: Any, section: Section | None, manifolds: Sequence[Manifold], connections: Sequence[Connection],
-    pair: tuple[int, int],
+    axes: Any, names: Sequence[str], section: Section | None, manifolds: Sequence[Manifold],
+    connections: Sequence[Connection],
 ) -> None:  # fmt: skip
-    """What is drawn, but for the few points of manifolds that are far out, as those beside a collision."""
+    """What is drawn, but for what is far out."""
+    ends = [one.reach(names) for one in manifolds]
+    points = [one.state[None, [one.state_names.index(name) for name in names]] for one in connections]
     if section is not None:
-        axes.margins(0.05)
-        axes.autoscale_view()
-        if not manifolds:
-            return
-    states = [one.states[:, list(pair)] for one in manifolds]
-    if not states:
-        return
-    rows = np.vstack(states)
-    low, high = np.percentile(rows, [OUTER, 100 - OUTER], axis=0)
-    middle = np.median(rows, axis=0)
-    wide = 1.2 * np.maximum(high - middle, middle - low)
-    low, high = np.maximum(rows.min(axis=0), middle - wide), np.minimum(rows.max(axis=0), middle + wide)
-    more = [one.state[None, list(pair)] for one in connections]
-    more += [] if section is None else [section.points]
-    for points in more:
-        low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
-    room = 0.05 * (high - low)
+        ends.append(reach(section.points, np.ones(section.returns)))
+    ends += [(one.min(axis=0), one.max(axis=0)) for one in points]
+    low, high = np.min([one[0] for one in ends], axis=0), np.max([one[1] for one in ends], axis=0)
+    room = 0.06 * (high - low) + 1e-12 * np.abs(high)
     axes.set_xlim(low[0] - room[0], high[0] + room[0])
     axes.set_ylim(low[1] - room[1], high[1] + room[1])
 
@@ -151,6 +137,11 @@ def _surface(first: Section | Manifold | Connection, orbit: Orbit, model: Model)
     where, _, side = first.plane.partition(",")
     direction = {"growing": 1, "falling": -1}.get(side.strip(), 0)
     return surface(model, where, first.axes, direction, state=orbit.state)
+
+
+def _label(model: Model, i: int) -> str:
+    """A component's name with its unit, which systems that mark places have none of."""
+    return model.state_names[i] if model.landmarks else axis(model, i)
 
 
 def _legend(figure: Figure, axes: Any) -> None:
@@ -169,15 +160,16 @@ def draw_manifolds(
     connections: Sequence[Connection] = (),
     model: Model | None = None,
 ) -> Path:
-    """Draw tubes as PNG in two or three components (`axes`), with orbits and connections; by default the coordinates,
-    and a rate where these are two.
+    """Draw tubes as PNG in two or three components (`axes`), with orbits and connections; by default those of
+    what marks places in a plane, else the first three.
 
     Raises `InputError`.
     """
     if not manifolds:
         raise InputError("manifolds: none given; grow one with tube=")
     model = model or build_model(manifolds[0].system)
-    names = tuple(axes) if axes is not None else model.state_names[:3]
+    flat = bool(model.landmarks) and model.degrees_of_freedom == 2
+    names = tuple(axes) if axes is not None else model.state_names[: 2 if flat else 3]
     if len(names) not in (2, 3) or not set(names) <= set(model.state_names):
         known = ", ".join(model.state_names)
         raise InputError(f"axes: need two or three components, got {', '.join(names)}; this system has {known}")
@@ -208,11 +200,13 @@ def _tubes(
     for orbit in orbits:
         axes.plot(*orbit.samples[:, list(chosen)].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
     _landmarks(axes, model, chosen)
-    labels = [axis(model, i) for i in chosen]
+    labels = [_label(model, i) for i in chosen]
     if solid:
         axes.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
     else:
         dress(axes, *labels)
+        if max(chosen) < model.degrees_of_freedom and not model.angular.any():
+            axes.set_aspect("equal", adjustable="datalim")
     _legend(figure, axes)
     return figure
 
