@@ -50,6 +50,8 @@ GAP, POINT, TANGENT = 1e-9, 1e-8, 1e-4
 """What a certificate allows: gaps between crossings and error of the point, in extents; the least angle (rad)"""
 LEVEL = 1e-11
 """Difference of the energies of all crossings, relative"""
+CURVED = 0.01
+"""How far along its manifold a start may be from its place, relative to that"""
 LINEAR = 1e-6
 """How far off its manifold a start may be, in extents of the orbit"""
 APART = 1e-3
@@ -104,8 +106,8 @@ def connect(
     or those nearest to a point `near` of the axes.
 
     Both orbits have the same energy; `plane`, `axes` and `direction` as in `section`, which both orbits cross.
-    `returns` fundamental domains of each manifold are grown beyond the orbit's own size. Raises `InputError`; finds none where the curves do not
-    cross.
+    `returns` fundamental domains of each manifold are grown beyond the orbit's own size. Raises `InputError`; finds
+    none where the curves do not cross.
     """
     goal, chosen = other or orbit, settings or COARSE
     found = surface_of(orbit, model, plane, axes, direction)
@@ -491,8 +493,7 @@ def _no_orbit(end: End) -> Orbit:
 
 
 def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> np.ndarray:
-    """How far (d) a start is off the local manifold, not along it and not along the flow: by a period from nearer
-    by."""
+    """How far (d) a start is off the local manifold, but for the flow: by a motion of a period from nearer by."""
     model, turns = independent.model, 1 if end.multiplier > 0 else 2
     growth = max(abs(end.multiplier), 1 / abs(end.multiplier)) ** turns
     gap = wrapped(independent.end(end.point + end.place / growth * end.direction, sense * turns * end.period) - state,
@@ -500,7 +501,9 @@ def _off(independent: _Independent, end: End, state: np.ndarray, sense: int) -> 
     rate = vector_field(model)(0.0, state, [], []).full().ravel() / end.extents
     spanned = [end.direction / end.extents, *([] if model.forced else [rate])]
     along = np.linalg.qr(np.column_stack(spanned))[0]
-    return np.asarray((gap - along @ (along.T @ gap)) * end.extents)
+    own = float(gap @ spanned[0])  # along the manifold only as far as its curvature goes
+    beyond = np.sign(own) * max(abs(own) - CURVED * abs(end.place), 0.0)
+    return np.asarray((gap - along @ (along.T @ gap) + beyond * spanned[0]) * end.extents)
 
 
 def _most(name: str, value: Any, tolerance: float, note: str) -> Check:
@@ -527,10 +530,7 @@ def follow_connection(
     if not model.conservative:
         raise InputError("energies: this system conserves none; connections are followed in energy")
     chain, found = _again(connection, model)[0], list[Connection]()
-    refiners = [
-        Refiner(Problem(model, Guess(one.state, one.period), pin=(Pin("energy", one.energy),), symmetry=one.symmetry))
-        for one in ((orbit,) if other is None else (orbit, other))
-    ]
+    refiners = [_refiner(one, model) for one in ((orbit,) if other is None else (orbit, other))]
     before = connection.energy
     for level in energies:
         if not np.isfinite(level):
@@ -542,6 +542,15 @@ def follow_connection(
         before = float(level)
         found.append(certified_connection(described(chain, f"{connection.name}-{len(found) + 1}"), model))
     return tuple(found)
+
+
+def _refiner(orbit: Orbit, model: Model) -> Refiner:
+    """What refines an orbit at other energies, in its symmetry where the equations have it."""
+    plain = Problem(model, Guess(orbit.state, orbit.period), pin=(Pin("energy", orbit.energy),))
+    try:
+        return Refiner(replace(plain, symmetry=orbit.symmetry))
+    except InputError:
+        return Refiner(plain)
 
 
 def _reached(

@@ -244,8 +244,8 @@ def manifold(
     """The unstable or stable manifold of an orbit, as curves on a section or, for `tube` s of motion, as a tube.
 
     `plane` ("y=0", `direction` 1 growing, -1 falling) and `axes` as in `section`; by default the plane through the
-    orbit's first state. `returns` fundamental domains are grown beyond the orbit's own size, on one `side` (1 or -1) of the
-    orbit or both (0). `number` counts the multipliers from the strongest. Raises `InputError`, `ConvergenceError`.
+    orbit's first state. `returns` fundamental domains are grown beyond the orbit's own size, on one `side` (1 or -1) of
+    the orbit or both (0). `number` counts the multipliers from the strongest. Raises `InputError`, `ConvergenceError`.
     """
     chosen = settings or ManifoldSettings()
     if side not in (-1, 0, 1):

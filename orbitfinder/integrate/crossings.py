@@ -32,12 +32,14 @@ EFFORT = 3.0
 """Seconds of interpreted stepping that a section takes, for `compiled`"""
 SAFETY, LEAST, MOST = 0.8, 0.2, 5.0
 """A step aims at this share of the length that its error allows, and changes by no more than these factors"""
-NEWTON, ROOM = 12, 8 * float(np.finfo(float).eps)
-"""Steps of Newton's method on a crossing, and how near to the plane it must come, relative"""
+NEWTON, ROOM = 50, 8 * float(np.finfo(float).eps)
+"""Steps of Newton's method on a crossing at most, and how near to the plane it must come, relative"""
 ON_IT = 1e-11
 """A start this near to the plane, in units of its motion, is on it"""
 SHORTEST = 1e-13
 """Steps shorter than this share of the longest mean that a motion ends in a singularity"""
+TOUCHING = 0.02
+"""A cubic turns back at the plane where it comes as near as this, relative to how far it came and goes"""
 SHORT = 500
 """Operations of a field up to which a step and its error are one expression"""
 
@@ -215,7 +217,7 @@ class _Run:
         self, here: np.ndarray, h: np.ndarray, begin: tuple[np.ndarray, np.ndarray, np.ndarray],
         end: tuple[np.ndarray, np.ndarray],
     ) -> np.ndarray:  # fmt: skip
-        """Where within steps that end on the side on which they began a cubic has been on the other; else nan."""
+        """Where within steps that end on the side on which they began a cubic comes to the plane; else nan."""
         found = np.full(h.size, np.nan)
         if self.plane.component < 0:
             return found
@@ -232,8 +234,11 @@ class _Run:
             q = -(c2 + np.where(c2 >= 0, root, -root))
             for s in (q / (3 * c3), slope / q):
                 height = a + s * (slope + s * (c2 + s * c3))
-                other = (self.plane.cell(height) != cells) & (self.plane.cell(b) == cells)
-                peak = np.where((s > 1e-3) & (s < 1 - 1e-3) & other, s * h, peak)
+                other = (self.plane.cell(height) != cells) & (s > 1e-3) & (s < 1 - 1e-3)
+                room = TOUCHING * (np.abs(height - a) + np.abs(height - b))
+                away = np.minimum(*(np.abs(self.plane.off(height, cells + k)) for k in (0.0, 1.0)))
+                other |= (away < room) & (s > 0.05) & (s < 0.95)
+                peak = np.where(other & (self.plane.cell(b) == cells), s * h, peak)
         found[turning] = peak
         return found
 

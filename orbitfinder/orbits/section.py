@@ -4,9 +4,8 @@ A section is a plane of one component of the state (of a forced system: whole pe
 what comes after the event that begins its cycle), looked at in two other components, its axes. Where an energy is
 conserved, motions begin on the plane at that energy: of each point of the axes one more rate is found from it.
 
-A motion is regular, on a torus or in an island, where averages along it converge faster than any power of the number
-of returns, and chaotic where they do not. Source: E. Sander, J. D. Meiss, "Birkhoff averages and rotational invariant
-circles for area-preserving maps", Physica D 411 (2020) 132569.
+A motion is regular, on a torus or in an island, where a neighbour parts from it as the number of returns, and chaotic
+where it parts exponentially.
 """
 
 from __future__ import annotations
@@ -35,12 +34,14 @@ TIMES = 300.0
 """A motion that is not back after so many of the system's own times has left"""
 HELD = 1e-13
 """A state is at its energy to this, relative to the sizes of the energy's terms"""
-GROWN, MOST_GROWTHS, BORDER = 1.15, 120, 240
+GROWN, MOST_GROWTHS, BORDER = 1.15, 80, 160
 """How a box of seeds grows until no motion is possible on its border, how often at most, points of its border"""
 TRIED = 400
 """Points of a box tried for each seed, at most"""
 LINKED, SAME = 1e-9, 1e-9
 """Recorded nodes lead to each other this well, and two crossings are one this near to each other, in periods"""
+BESIDE = 1e-9
+"""How far from a motion, in its units, another begins that shows whether neighbours part"""
 SETTLED = 20
 """Returns of a dissipative motion that are left out"""
 
@@ -265,9 +266,11 @@ def section(
     starts = _starts(found, seeds, dict(ranges or {}), state)
     if model.hybrid is not None:
         times, states = _events(model, starts, returns)
+        growth = np.full(len(starts), np.inf)
     else:
         passing = found.passing(starts, returns)
         times, states = passing.times, passing.states
+        growth = _divergence(found, starts, states)
     if not np.isfinite(times).any():
         raise InputError(f"plane: no motion comes to {found.name}; choose another plane, energy or direction")
     if not model.conservative and not model.forced and returns > 2 * SETTLED:
@@ -278,7 +281,7 @@ def section(
     return Section(
         name or own, dict(model.system), names, found.name, (names[found.axes[0]], names[found.axes[1]]), chosen,
         wrapped(states[known], model.angular), times[known], which, starts,
-        regularity(found.chart(states), known),
+        growth,
     )  # fmt: skip
 
 
@@ -442,23 +445,16 @@ def _events(model: Model, starts: np.ndarray, returns: int) -> tuple[np.ndarray,
     return times, states
 
 
-def regularity(points: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Digits (k) to which averages over the two halves of a motion's returns (k x m x 2) agree; 0 where it left.
-
-    The averages are weighted by exp(-1 / t (1 - t)), of the sines and cosines of the axes.
-    """
-    half = points.shape[1] // 2
-    if half < 8:
-        return np.zeros(len(points))
-    t = (np.arange(half) + 0.5) / half
-    weights = np.exp(-1.0 / (t * (1.0 - t)))
-    weights /= weights.sum()
-    sizes = np.nanmax(np.abs(points), axis=(0, 1))
-    scaled = np.nan_to_num(points / np.where(sizes > 0, sizes, 1.0))
-    waves = np.concatenate([np.cos(scaled), np.sin(scaled)], axis=2)
-    first, second = (np.einsum("j,kji->ki", weights, part) for part in (waves[:, :half], waves[:, half : 2 * half]))
-    off = np.abs(first - second).max(axis=1)
-    return np.where(known.all(axis=1), -np.log10(np.maximum(off, 1e-16)), 0.0)
+def _divergence(found: Surface, starts: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """How much farther apart (k) each motion and one that begins `BESIDE` it come, at most, on the section."""
+    beside = starts.copy()
+    beside[:, found.axes[0]] += BESIDE * found.units[found.axes[0]]
+    if found.levels:
+        beside = found.held(beside, along=[solved_component(found)])
+    others = found.passing(beside, states.shape[1]).states
+    units = found.units[list(found.axes)]
+    apart = np.linalg.norm(wrapped(others - states, found.model.angular)[..., list(found.axes)] / units, axis=2)
+    return np.asarray(np.max(np.nan_to_num(apart, nan=0.0), axis=1) / BESIDE)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,8 @@ from orbitfinder.errors import InputError
 from orbitfinder.records.reading import arrays, finite, json_file, read_as, write_json, write_npz
 
 FORMAT, VERSION = "orbitfinder/section", 1
+PARTED = 50.0
+"""Growth of a small distance in one return, at most, where it grows as the number of returns"""
 AGAIN = "make the section again"
 
 
@@ -22,7 +24,7 @@ class Section:
     """Crossings of many motions: `states` (k x d) at `times` (k, s since each began), `seeds` (k) says whose they are.
 
     `plane` in words, `axes` the components that are drawn, `energy` nan where none is held; `starts` (m x d) are where
-    the motions began, `digits` (m) how well averages along each converge (see `orbits.section`).
+    the motions began, `growth` (m) how much neighbours parted (see `orbits.section`), infinite where that is not known.
     """
 
     __repr__ = brief("name", "plane", "energy", "returns")
@@ -37,7 +39,7 @@ class Section:
     times: np.ndarray
     seeds: np.ndarray
     starts: np.ndarray
-    digits: np.ndarray
+    growth: np.ndarray
 
     @property
     def returns(self) -> int:
@@ -46,9 +48,9 @@ class Section:
 
     @property
     def regular(self) -> np.ndarray:
-        """Which motions (m) are regular: their averages agree ten times better than those of random numbers would."""
-        halves = np.maximum(np.bincount(self.seeds, minlength=len(self.starts)) / 2, 1.0)
-        return np.asarray((self.digits > 0) & (self.digits >= 1.0 + 0.5 * np.log10(halves)))
+        """Which motions (m) are regular: neighbours part by no more than `PARTED` in each of their returns."""
+        returns = np.bincount(self.seeds, minlength=len(self.starts))
+        return np.asarray(self.growth <= PARTED * np.maximum(returns, 1))
 
     @property
     def points(self) -> np.ndarray:
@@ -57,7 +59,7 @@ class Section:
 
 
 PLAIN = ("name", "system", "state_names", "plane", "axes", "energy")
-ARRAYS = ("states", "times", "seeds", "starts", "digits")
+ARRAYS = ("states", "times", "seeds", "starts", "growth")
 
 
 @dataclass(frozen=True)

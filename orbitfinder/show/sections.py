@@ -90,7 +90,7 @@ def _returns(axes: Any, section: Section) -> None:
     """The returns, chaotic ones below; regular motions in colours that neighbours do not share."""
     points, regular = section.points, section.regular[section.seeds]
     size = float(np.clip(20_000 / max(section.returns, 1), 0.4, 6.0))
-    if section.digits.max(initial=0.0) == 0.0:  # too few returns to tell, or all has left
+    if not np.isfinite(section.growth).any():  # not told apart
         axes.scatter(points[:, 0], points[:, 1], s=size, c=section.seeds, cmap="viridis", linewidths=0)
         return
     axes.scatter(*points[~regular].T, s=size, color=CHAOS, linewidths=0, rasterized=True)
