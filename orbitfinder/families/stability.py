@@ -122,11 +122,11 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
     turns, form = np.zeros(indices.size, int), None
     if conservative:
         form = _form(curve, place.nodes[0], place, basis)
-        if chain is not None and any(map(_turning, floquet.multipliers)):
+        upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
+        if chain is not None and any(map(_turning, [*floquet.multipliers, *upper])):
             vectors = chain.product.vectors
         both = (values**root, vectors) if root == 1 or chain is not None else np.linalg.eig(whole)
         krein = _krein(form, *both, floquet.multipliers)
-        upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
         on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
         turns = np.where(on_circle, _krein(form, values, vectors, upper), 0)
     return Spectrum(floquet, root, indices, turns, krein, reduced, values, vectors, conservative, form, chain)
