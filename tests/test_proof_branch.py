@@ -27,6 +27,8 @@ from orbitfinder.records.family import load_family
 FAMILIES = Path(__file__).parents[1] / "results" / "families"
 BREAKING = -37.516214081097964
 """Energy (J) at which the reflection of the triple pendulum's second mode breaks, as the family's event has it"""
+DOUBLING = 0.13528591930053516
+"""Energy of the first period doubling of Hénon and Heiles' straight orbits"""
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +47,38 @@ def test_the_symmetry_breaking_of_the_triple_pendulum_is_proved(proved):
     assert proved.proved and proved.pieces[0].low < BREAKING < proved.pieces[-1].high
     (event,) = proved.passages
     assert event.proved and event.level == -2.0 and event.kept == "brake" and event.kind == "branch_point"
-    assert {event.low.strip("[")[0], event.high.strip("[")[0]} != {"-"}
+    assert event.low.startswith("[-") != event.high.startswith("[-")
 
 
-def test_pieces_reach_from_one_end_to_the_other(mode):
-    """Several pieces, each beginning where the last one ended; every recorded orbit between is in their boxes."""
-    loop = load_family(FAMILIES / "henon-heiles-straight" / "family.json")
-    low = loop.points[10].energy
-    found = prove_branch(loop, low, low + 3e-4)
+@pytest.fixture(scope="module")
+def straight():
+    return load_family(FAMILIES / "henon-heiles-straight" / "family.json")
+
+
+@pytest.fixture(scope="module")
+def doubled(straight):
+    """The branch of Hénon and Heiles' straight orbits about the first doubling."""
+    return prove_branch(straight, DOUBLING - 1e-7, DOUBLING + 1e-7)
+
+
+def test_pieces_reach_from_one_end_to_the_other(straight):
+    """Several pieces, each beginning where the last one ended, the recorded orbit among them."""
+    low = straight.points[10].energy
+    found = prove_branch(straight, low, low + 3e-4)
     assert found.proved and len(found.pieces) > 1
     assert found.pieces[0].low == low and found.pieces[-1].high == low + 3e-4
     assert all(a.high == b.low for a, b in zip(found.pieces[:-1], found.pieces[1:], strict=True))
+
+
+@pytest.mark.parametrize(("kind", "order"), [("resonance", 6), ("resonance", 4), ("resonance", 3)])
+def test_resonances_are_proved_where_the_family_has_them(straight, kind, order):
+    """The determinant of K - level changes its sign at the event, and keeps it beside."""
+    event = next(one for one in straight.events if (one.kind, one.order) == (kind, order))
+    found = prove_branch(straight, event.energy - 1e-7, event.energy + 1e-7)
+    assert found.proved and [one.proved for one in found.passages] == [True]
+    beside = replace(event, energy=event.energy + 2e-7)
+    off = prove_branch(replace(straight, events=(beside,)), event.energy + 1e-7, event.energy + 3e-7)
+    assert off.proved and [one.proved for one in off.passages] == [False]
 
 
 def test_a_branch_is_not_proved_where_it_turns_back_or_another_is_mixed_in(proved):
@@ -82,17 +105,17 @@ def test_two_pieces_with_different_orbits_are_not_joined():
     assert not same_orbit(one, Piece(1.0, 2.0, (1.0,), (1.0,), (0.005,)))
 
 
-def test_a_record_is_read_and_replayed_and_a_false_one_is_not(proved, tmp_path):
+def test_a_record_is_read_and_replayed_and_a_false_one_is_not(doubled, tmp_path):
     """Written and read back the same; an event that does not happen there is not borne out."""
     path = tmp_path / "branch-proof.json"
-    path.write_text(json.dumps(branch_document(proved)))
+    path.write_text(json.dumps(branch_document(doubled)))
     back = read_branch(path)
-    assert back.pieces == proved.pieces and back.formulation == proved.formulation
+    assert back.pieces == doubled.pieces and back.formulation == doubled.formulation
     again = replayed(back)
-    assert again.proved and again.passages[0].proved
-    elsewhere = replace(back, passages=(replace(back.passages[0], kind="period_doubling", level=0.0),))
+    assert again.proved and again.passages[0].proved and again.passages[0].kind == "period_doubling"
+    elsewhere = replace(back, passages=(replace(back.passages[0], kind="resonance", level=0.0),))
     assert replayed(elsewhere).proved and not replayed(elsewhere).passages[0].proved
-    spoilt = branch_document(proved)
+    spoilt = branch_document(doubled)
     spoilt["pieces"][0]["radius"] = [1.0]
     path.write_text(json.dumps(spoilt))
     with pytest.raises(InputError, match="do not fit the system"):
@@ -104,14 +127,20 @@ def test_a_record_is_read_and_replayed_and_a_false_one_is_not(proved, tmp_path):
 
 def test_commands_prove_and_replay_a_branch(tmp_path):
     """`prove --from --to` writes the record beside the family, `verify --proof` replays it; bad input is named."""
-    shutil.copy(FAMILIES / "triple-mode-2" / "family.json", tmp_path / "family.json")
+    shutil.copy(FAMILIES / "henon-heiles-straight" / "family.json", tmp_path / "family.json")
     file, run = str(tmp_path / "family.json"), CliRunner()
-    ends = ["--from", repr(BREAKING - 1e-7), "--to", repr(BREAKING + 1e-7)]
+    ends = ["--from", repr(DOUBLING - 1e-7), "--to", repr(DOUBLING + 1e-7)]
     found = run.invoke(cli, ["prove", file, *ends])
     assert found.exit_code == 0, found.output
-    assert "proved; brake orbits branch off" in found.output and "without a gap" in found.output
-    found = run.invoke(cli, ["verify", "--proof", str(tmp_path / "branch-proof.json")])
+    assert "without a gap" in found.output and "period doubling, nu + 1/nu = -2" in found.output
+    record = tmp_path / "branch-proof.json"
+    found = run.invoke(cli, ["verify", "--proof", str(record)])
     assert found.exit_code == 0 and "proof replayed" in found.output
+    document = json.loads(record.read_text())
+    document["passages"][0] |= {"level": 1.0}
+    record.write_text(json.dumps(document))
+    found = run.invoke(cli, ["verify", "--proof", str(record)])
+    assert found.exit_code == 1 and "proof REJECTED: events recorded" in found.output
 
 
 @pytest.mark.parametrize(
