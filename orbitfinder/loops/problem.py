@@ -26,6 +26,7 @@ from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import maximal_states
+from orbitfinder.mechanics.controls import check_constant
 from orbitfinder.mechanics.hybrid import with_cycle
 from orbitfinder.mechanics.model import Model, counted
 from orbitfinder.mechanics.scales import proportions
@@ -289,6 +290,7 @@ def _check(problem: Problem) -> None:
         )
     for name in problem.free:
         model.parameter_index(name)
+    check_constant(model, problem.free)
     for one in problem.pin:
         check_pin(model, one)
         if one.name in model.state_names[:n] and symmetry.held(n)[model.state_index(one.name)]:
@@ -481,19 +483,19 @@ def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.nd
     model, n = problem.model, problem.model.degrees_of_freedom
     if problem.boundary.maps or problem.winding is not None or end is None:
         return boundary_constants(problem, w.nodes, end)
-    turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative)
+    turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative, model.hybrid is not None)
     return np.concatenate([np.zeros(n) if turns is None else 2 * np.pi * turns, np.zeros(w.nodes.shape[1] - n)])
 
 
 def whole_turns(
-    model: Model, start: np.ndarray, end: np.ndarray, relative: Sequence[Sequence[float]] = ()
+    model: Model, start: np.ndarray, end: np.ndarray, relative: Sequence[Sequence[float]] = (), nearest: bool = False
 ) -> np.ndarray | None:
     """Whole turns of each angle (n) between two states beside a shift along `relative` directions; None when they do
-    not come near whole numbers."""
+    not come near whole numbers, unless the `nearest` are wanted (of a clock that is among the states)."""
     turned = np.where(model.angles, (end - start)[: model.degrees_of_freedom] / (2 * np.pi), 0.0)
     turned = beside(turned, relative)
     whole = np.round(turned)
-    return whole if np.all(np.abs(turned - whole) <= WINDING_MARGIN) else None
+    return whole if nearest or np.all(np.abs(turned - whole) <= WINDING_MARGIN) else None
 
 
 def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: float, between: tuple[int, int]) -> int:

@@ -15,21 +15,26 @@ from typing import Any
 
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain, chain_dae
+from orbitfinder.mechanics.controls import check_constant, with_controls
 from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
 from orbitfinder.mechanics.machines import MACHINES
+from orbitfinder.mechanics.mechanism import mechanism, minimal_mechanism
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import with_scales
 from orbitfinder.records.orbit import system_at
 
-REBUILDABLE = ("chain", "linkage")
+REBUILDABLE = ("chain", "linkage", "mechanism")
 """Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
+REMADE = ("chain", "linkage")
+"""Those whose description is read again where a parameter changes"""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
     """The Model that a description stands for; of a linkage the one in maximal coordinates, or (with
-    `independent` bars and `branch`) the minimal one; of a chain with `baumgarte` terms the native DAE.
+    `independent` bars and `branch`) the minimal one; of a mechanism with loops the native DAE, or (with
+    `independent` coordinates) the minimal one; of a chain with `baumgarte` terms the native DAE.
 
     `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
     Raises `InputError` for an unknown or wrong description.
@@ -51,6 +56,9 @@ def _model(system: Mapping[str, Any], trusted: Path | None) -> Model:
         return (
             minimal_linkage(model, system["independent"], system.get("branch", 1)) if "independent" in system else model
         )
+    if system.get("kind") == "mechanism":
+        found = _built(mechanism, {key: value for key, value in system.items() if key != "independent"})
+        return minimal_mechanism(found, system["independent"]) if "independent" in system else found
     if system.get("kind") == "chain" and "baumgarte" in system:
         return _built(chain_dae, {key: value for key, value in system.items() if key != "formulation"})
     return _built(chain, system)
@@ -97,8 +105,17 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         model = replace(model, system=described)
     if not isinstance(scales, Mapping):
         raise InputError("system.scales: must be a table of names and sizes")
-    model = with_scales(model, scales)
+    model = with_scales(_controlled(model, system), scales)
     return with_cycle(model, system["cycle"]) if "cycle" in system else model
+
+
+def _controlled(model: Model, system: Mapping[str, Any]) -> Model:
+    """The Model with the controls and limits that a description gives, its own without."""
+    given = {name: system[name] for name in ("controls", "limits") if name in system}
+    if not given:
+        return model
+    found = with_controls(model, given.get("controls", model.controls), {**model.limits, **given.get("limits", {})})
+    return replace(found, system={**model.system, **given})
 
 
 def module_file(module: str, folder: Path) -> Path | None:
@@ -147,10 +164,11 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     """The same Model with some physical parameters changed, its description included; itself where none is."""
     if not values:
         return model
+    check_constant(model, values)
     numbers = model.parameter_values.copy()
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
     system = system_at(model.system, values)
-    if model.system.get("kind") in REBUILDABLE:
+    if model.system.get("kind") in REMADE:
         return build_model(system)
     return replace(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))

@@ -7,8 +7,8 @@ product r x f = r_x f_y - r_y f_x is positive from e to n.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -16,6 +16,7 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 from orbitfinder.mechanics.constrained import constrained_model
+from orbitfinder.mechanics.controls import TORQUE, Limits, checked_limits, checked_motors, joint_torques
 from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function
 from orbitfinder.mechanics.lagrange import Symbols, Terms, energy_invariant, mass_matrix_and_bias, mechanical_model
 from orbitfinder.mechanics.model import Baumgarte, Invariant, Model, constraint_of
@@ -40,6 +41,14 @@ class ChainSymbols(Symbols):
 
     links: tuple[Link, ...] = ()
     gravity: Any = 0.0
+    torques: tuple[Any, ...] = ()
+    """net torque of the motors on each link (N m), none without motors"""
+    controls: tuple[str, ...] = ()
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def torque(self, link: int) -> Any:
+        """Net torque of the motors on a link, in N m."""
+        return self.torques[link] if self.torques else 0.0
 
 
 def per_link(name: str, value: Numbers, links: int, lowest: float, inclusive: bool = False) -> list[float]:
@@ -69,6 +78,9 @@ def chain_system(
     *,
     gravity: float = 9.8,
     formulation: str = "recursive",
+    motors: Sequence[int] = (),
+    limits: Limits | None = None,
+    joints: int | None = None,
 ) -> dict[str, Any]:
     """The plain description (JSON) that a chain is built from, checked."""
     if isinstance(links, bool) or not isinstance(links, (int, np.integer)) or links < 1:
@@ -85,6 +97,11 @@ def chain_system(
         "gravity": float(gravity),
         "formulation": formulation,
     }
+    if numbers := checked_motors(motors, joints or count):
+        system["motors"] = numbers
+    if limits:
+        known = [f"{TORQUE}{k}" for k in numbers]
+        system["limits"] = {name: list(pair) for name, pair in checked_limits(limits, known).items()}
     if inertia is not None:
         system["inertia"] = per_link("inertia", inertia, count, 0.0, inclusive=True)
         lever = [m * (c * s) ** 2 for m, c, s in zip(system["mass"], system["com"], system["length"], strict=True)]
@@ -100,8 +117,9 @@ def chain_symbols(system: dict[str, Any]) -> ChainSymbols:
     """Symbols and link expressions for a chain; a default inertia follows mass and length."""
     count = system["links"]
     fields = [name for name in ("length", "mass", "inertia", "com") if name in system]
-    names = [f"{name}{i + 1}" for name in fields for i in range(count)] + ["gravity"]
-    values = [value for name in fields for value in system[name]] + [system["gravity"]]
+    controls = [f"{TORQUE}{k}" for k in system.get("motors", ())]
+    names = [*(f"{name}{i + 1}" for name in fields for i in range(count)), *controls, "gravity"]
+    values = [value for name in fields for value in system[name]] + [0.0] * len(controls) + [system["gravity"]]
     parameters = ca.SX.sym("p", len(names))
     columns = {name: parameters[k * count : (k + 1) * count] for k, name in enumerate(fields)}
     links = []
@@ -109,9 +127,12 @@ def chain_symbols(system: dict[str, Any]) -> ChainSymbols:
         length, mass = columns["length"][i], columns["mass"][i]
         inertia = columns["inertia"][i] if "inertia" in columns else mass * length**2 / 12
         links.append(Link(length, mass, inertia, columns["com"][i] * length))
+    moments = {joint: parameters[names.index(f"{TORQUE}{joint}")] for joint in system.get("motors", ())}
     return ChainSymbols(
         ca.SX.sym("theta", count), ca.SX.sym("thetadot", count), parameters,
         tuple(names), tuple(values), links=tuple(links), gravity=parameters[-1],
+        torques=tuple(joint_torques(moments, count)) if moments else (), controls=tuple(controls),
+        limits=checked_limits(system.get("limits", {}), controls),
     )  # fmt: skip
 
 
@@ -173,7 +194,7 @@ def chain_model(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.
     joints, centres, _ = geometry(symbols)
     return mechanical_model(
         acceleration,
-        Terms(kinetic, potential),
+        Terms(kinetic, potential, actuation=ca.vertcat(*symbols.torques) if symbols.torques else None),
         symbols,
         [f"theta{i + 1}" for i in range(len(symbols.links))],
         invariants=chain_invariants(symbols, kinetic, potential),
@@ -181,6 +202,8 @@ def chain_model(symbols: ChainSymbols, system: dict[str, Any], acceleration: ca.
         angles=(True,) * len(symbols.links),
         points=ca.Function("points", [q, p], [joints]),
         centres=ca.Function("centres", [q, p], [centres]),
+        controls=symbols.controls,
+        limits=symbols.limits,
     )
 
 
@@ -211,6 +234,8 @@ def chain_dae(
     *,
     gravity: float = 9.8,
     baumgarte: Baumgarte | Sequence[float] | None = None,
+    motors: Sequence[int] = (),
+    limits: Limits | None = None,
 ) -> Model:
     """The n-link pendulum as a native DAE: 6n states (q, v), q = (x_G, y_G, theta) per link.
 
@@ -218,7 +243,9 @@ def chain_dae(
     Baumgarte terms are off unless given, as in the report (section 2.2). Raises `InputError`.
     """
     stabilisation = baumgarte_of(baumgarte, Baumgarte())
-    system = chain_system(links, length, mass, inertia, com, gravity=gravity, formulation="dae")
+    system = chain_system(
+        links, length, mass, inertia, com, gravity=gravity, formulation="dae", motors=motors, limits=limits
+    )
     system["baumgarte"] = [stabilisation.alpha, stabilisation.beta]
     return maximal_chain(chain_symbols(system), system, stabilisation)
 
@@ -268,10 +295,13 @@ def maximal_chain(
     at_angles = ca.Function("geometry", [angles, p], [points, centres])
     points, q_centres = at_angles(q[2::3], p)
     lifted = ca.vertcat(ca.vec(ca.vertcat(centres, angles.T)), ca.vec(ca.vertcat(velocities, rates.T)))
+    drive = [ca.SX(3 * count, 1)] if symbols.torques else []
+    for i, moment in enumerate(symbols.torques):
+        drive[0][3 * i + 2] = moment
     return constrained_model(
         LinearBalances.of(balances, second, a, reactions),
         position,
-        Terms(kinetic, potential),
+        Terms(kinetic, potential, actuation=ca.densify(drive[0]) if drive else None),
         Symbols(q, v, p, symbols.parameter_names, symbols.parameter_values),
         baumgarte,
         [f"{name}{i + 1}" for i in range(count) for name in ("x", "y", "theta")],
@@ -281,6 +311,8 @@ def maximal_chain(
         centres=ca.Function("centres", [q, p], [q_centres]),
         lift=ca.Function("lift", [angles, rates, p], [lifted]),
         system=system,
+        controls=symbols.controls,
+        limits=symbols.limits,
     )
 
 
@@ -299,7 +331,7 @@ def link_balances(symbols: ChainSymbols, bodies: list[Body], reactions: ca.SX) -
         weight = ca.vertcat(link.mass * symbols.gravity, 0)
         rows.append(link.mass * body.acceleration[:2] - (upper - lower + weight))
         moment = cross(-link.offset * along, upper) - cross((link.length - link.offset) * along, lower)
-        rows.append(link.inertia * body.acceleration[2] - moment)
+        rows.append(link.inertia * body.acceleration[2] - moment - symbols.torque(i))
     return ca.vertcat(*rows)
 
 
@@ -353,6 +385,8 @@ def chain(
     *,
     gravity: float = 9.8,
     formulation: str = "recursive",
+    motors: Sequence[int] = (),
+    limits: Limits | None = None,
 ) -> Model:
     """Model of the n-link pendulum hanging from a fixed joint at the origin.
 
@@ -361,18 +395,23 @@ def chain(
     of the length, from the upper joint) are scalars or one number per link; `gravity` in m/s^2.
     The potential is zero at the fixed joint: V = -sum m g x_G. `formulation` is "recursive" (O(n)
     elimination of the joint forces), "lagrange" (dense mass matrix), "newton-euler" (balances about
-    the joints) or "dae" (maximal coordinates, reduced to the angles). Raises `InputError`.
+    the joints) or "dae" (maximal coordinates, reduced to the angles). `motors` are the joints whose torque (N m,
+    `torque1` is the first joint's) may vary in time within `limits`, joint k turning link k against link k - 1, joint 1
+    against the ground. Raises `InputError`.
     """
     if not isinstance(formulation, str) or formulation not in FORMULATIONS:
         raise InputError(f"formulation: unknown {formulation!r}; use one of {', '.join(FORMULATIONS)}")
-    system = chain_system(links, length, mass, inertia, com, gravity=gravity, formulation=formulation)
+    system = chain_system(
+        links, length, mass, inertia, com, gravity=gravity, formulation=formulation, motors=motors, limits=limits
+    )
     symbols = chain_symbols(system)
     return chain_model(symbols, system, FORMULATIONS[formulation](symbols))
 
 
 def lagrange_chain(symbols: ChainSymbols) -> ca.Function:
     """Accelerations by Lagrange's equations: dense M(q) from the energies."""
-    matrix, bias = mass_matrix_and_bias(*chain_energies(symbols), symbols.coordinates, symbols.velocities)
+    drive = ca.vertcat(*symbols.torques) if symbols.torques else None
+    matrix, bias = mass_matrix_and_bias(*chain_energies(symbols), symbols.coordinates, symbols.velocities, drive)
     return acceleration_function(matrix, bias, symbols.arguments)
 
 
@@ -409,6 +448,7 @@ def recursive_acceleration(symbols: ChainSymbols) -> tuple[ca.SX, ca.SX]:
         moment = lever * symbols.gravity * across[0] + length * (
             rate_squared * ca.dot(across, drag) - ca.dot(across, bias)
         )
+        moment = moment + symbols.torques[i] if symbols.torques else moment
         inertia_matrix = link.mass * ca.SX.eye(2) + inertia_matrix - gain @ gain.T / pivot
         weight = ca.vertcat(link.mass * symbols.gravity, 0)
         bias = bias - weight - rate_squared * (lever * along + drag) + gain * (moment / pivot)
@@ -451,7 +491,7 @@ def outboard_balances(symbols: ChainSymbols, alpha: ca.SX) -> ca.SX:
     for j in reversed(range(len(symbols.links))):
         link = symbols.links[j]
         along, _ = directions(symbols.coordinates[j])
-        own = link.inertia * alpha[j] + cross(link.offset * along, inertial[j])
+        own = link.inertia * alpha[j] + cross(link.offset * along, inertial[j]) - symbols.torque(j)
         outboard_moment = outboard_moment + cross(link.length * along, outboard_force) + own
         outboard_force = outboard_force + inertial[j]
         balances.insert(0, outboard_moment)

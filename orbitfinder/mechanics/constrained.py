@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.controls import Limits, divided
 from orbitfinder.mechanics.factorise import LinearBalances, eliminated
 from orbitfinder.mechanics.lagrange import (
     Symbols,
@@ -56,11 +57,14 @@ def constrained(
     invariants: Sequence[Invariant] | None = None,
     points: ca.SX | None = None,
     system: Mapping[str, Any] | None = None,
+    controls: Sequence[str] = (),
+    limits: Limits | None = None,
 ) -> Model:
     """Model of a system given by energies and holonomic constraints phi(q, p) = 0 (SX, m), with its native DAE.
 
     M a + h = J^T lambda with M = d2T/dv2, J = dphi/dq: Lagrange's equations of the first kind
     (Goldstein, Classical Mechanics, section 2.4). `forces` Q(t, q, v, p) (n) are added to the right.
+    `controls` are parameters that may vary in time, within `limits`, as for `lagrange`.
     SI units. Raises `InputError` for expressions of a wrong shape or in foreign symbols, and when the
     constraints are none or as many as the coordinates. Only forces may depend on time.
     """
@@ -68,10 +72,11 @@ def constrained(
     _check_expressions(kinetic, potential, constraint, forces, symbols)
     matrix, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
     jacobian = ca.jacobian(constraint, q)
+    passive, drive = divided(forces, p, controls, symbols.parameter_names, symbols.parameter_values)
     return constrained_model(
         LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
         ca.SX(constraint),
-        Terms(kinetic, potential, forces=forces),
+        Terms(kinetic, potential, forces=passive, actuation=drive),
         symbols,
         baumgarte or Baumgarte(),
         coordinate_names(names, symbols),
@@ -79,6 +84,8 @@ def constrained(
         invariants=invariants,
         points=polyline("points", points, [q, p]),
         system=system,
+        controls=controls,
+        limits=limits,
     )
 
 
@@ -167,10 +174,15 @@ def tangent_basis(rows: np.ndarray) -> np.ndarray:
 
 def tangent_space(model: Model, state: np.ndarray) -> np.ndarray:
     """Orthonormal basis (2n x 2(n - m)) of the variations of a state (2n) that keep phi = 0 and J v = 0."""
+    return tangent_basis(constraint_rows(model)(state).full())
+
+
+def constraint_rows(model: Model) -> ca.Function:
+    """The gradients (2m x 2n) of phi and J v at a state x, which `tangent_basis` is orthogonal to."""
     n, p, constraint = model.degrees_of_freedom, ca.DM(model.parameter_values), constraint_of(model)
     x = ca.MX.sym("x", 2 * n)
     level = ca.vertcat(constraint.phi(x[:n], p), constraint.rate(x[:n], x[n:], p))
-    return tangent_basis(ca.Function("rows", [x], [ca.jacobian(level, x)])(state).full())
+    return ca.Function("rows", [x], [ca.jacobian(level, x)])
 
 
 def allowed_velocities(model: Model, state: np.ndarray) -> np.ndarray:

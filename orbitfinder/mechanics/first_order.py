@@ -13,6 +13,7 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import checked
 from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.controls import Limits, with_controls
 from orbitfinder.mechanics.model import Invariant, Model
 
 Field = Callable[[Any, "Named", "Named"], Any]
@@ -56,6 +57,8 @@ def in_symbols(name: str) -> Iterator[None]:
     """Where a function of the user's is called with symbols: what goes wrong in it is an `InputError` of that name."""
     try:
         yield
+    except InputError as error:
+        raise InputError(sub("^field(?=: unknown name)", name, str(error))) from error
     except (TypeError, IndexError, NotImplementedError, AttributeError, RuntimeError) as error:
         said = sub(r"^.*\.cpp:\d+: ", "", (str(error).strip() or type(error).__name__).splitlines()[0]).rstrip(".")
         hint = (
@@ -78,6 +81,8 @@ def ode(
     symmetries: Mapping[str, tuple[int, Mapping[str, int]]] | None = None,
     system: Mapping[str, Any] | None = None,
     points: Callable[[Named, Named], Any] | None = None,
+    controls: Sequence[str] = (),
+    limits: Limits | None = None,
 ) -> Model:
     """The Model of a first-order system x' = f(t, x, p).
 
@@ -86,7 +91,8 @@ def ode(
     {name: I(x, p)}, each checked by `find_orbit`; an orbit is unfolded by x' = f + s grad I, and the first of them is
     the energy that files and atlases speak of. `angles` are the components that may turn; `forcing_period(p)`, or a
     number, is the period of an explicit dependence on time; `symmetries` {name: (sense of time, {component: -1})}.
-    `points(x, p)` are positions (down, right; 2 x k, m) that pictures join by lines. Raises `InputError`.
+    `points(x, p)` are positions (down, right; 2 x k, m) that pictures join by lines. `controls` are parameters that may
+    vary in time, each within its `limits` (greatest magnitude, or lowest and highest). Raises `InputError`.
     """
     values = _parameters(parameters)
     symbols = _Symbols(states, values)
@@ -95,7 +101,7 @@ def ode(
     found = invariants
     if isinstance(found, Mapping):
         found = [symbols.invariant(name, _expression(name, one, symbols)) for name, one in found.items()]
-    made = _model(rate, symbols, found, angles, forcing_period, symmetries, system)
+    made = with_controls(_model(rate, symbols, found, angles, forcing_period, symmetries, system), controls, limits)
     return made if points is None else replace(made, points=symbols.positions(points))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -12,6 +12,7 @@ import numpy as np
 from orbitfinder._runtime.arguments import check_fields
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.controls import Limits, checked_controls, checked_limits, divided
 from orbitfinder.mechanics.factorise import acceleration_function
 from orbitfinder.mechanics.model import Invariant, Model
 from orbitfinder.mechanics.scales import with_scales
@@ -69,6 +70,14 @@ class Terms:
     potential: ca.SX
     gyroscopic: ca.SX | None = None
     forces: ca.SX | None = None
+    actuation: ca.SX | None = None
+    """what controls add to the forces"""
+
+    @property
+    def all_forces(self) -> ca.SX | None:
+        """The forces with what controls add."""
+        given = [one for one in (self.forces, self.actuation) if one is not None]
+        return sum(given[1:], given[0]) if given else None
 
 
 def mass_matrix_and_bias(
@@ -122,8 +131,10 @@ def energy_invariant(kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX, p: ca
     )
 
 
-def detected_invariants(terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX]) -> list[Invariant]:
-    """Energy where no force acts, and the momentum dL/dv_i of each coordinate that L does not contain.
+def detected_invariants(
+    terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX], cyclic: Sequence[bool] | None = None
+) -> list[Invariant]:
+    """Energy where no force acts, and the momentum dL/dv_i of each coordinate that L does not contain, or is `cyclic`.
 
     Source: Goldstein, Classical Mechanics, section 2.6. A force on such a coordinate ends it.
     """
@@ -133,7 +144,7 @@ def detected_invariants(terms: Terms, labels: Sequence[str], arguments: Sequence
     momentum = ca.gradient(lagrangian, v)
     for i, label in enumerate(labels):
         acted_on = terms.forces is not None and not ca.SX(terms.forces)[i].is_zero()
-        if ca.depends_on(lagrangian, q[i]) or acted_on:
+        if acted_on or not (cyclic[i] if cyclic is not None else not ca.depends_on(lagrangian, q[i])):
             continue
         along = ca.SX.zeros(q.numel())
         along[i] = 1
@@ -162,6 +173,8 @@ def lagrange(
     system: Mapping[str, Any] | None = None,
     symmetries: Mapping[str, Sequence[int]] | None = None,
     scales: Mapping[str, float] | None = None,
+    controls: Sequence[str] = (),
+    limits: Limits | None = None,
 ) -> Model:
     """Model of a system given by its kinetic and potential energy (CasADi SX expressions).
 
@@ -173,16 +186,18 @@ def lagrange(
     labelled, found over half a period and searched for; the equations are tried when one is asked for.
     `names` are the coordinates' names (rates get a trailing "dot"); `scales` gives sizes to measure in,
     of coordinates and parameters by name or `length` of all coordinates that are no angles, where no
-    motion shows them yet (modes, searches). Raises `InputError` when an energy is not a scalar, depends
-    on a foreign symbol, or T is not quadratic in all velocities.
+    motion shows them yet (modes, searches). `controls` are parameters that may vary in time, each within
+    its `limits` (greatest magnitude, or lowest and highest). Raises `InputError` when an energy is not a scalar,
+    depends on a foreign symbol, or T is not quadratic in all velocities.
     """
     labels, turning = coordinate_names(names, symbols), coordinate_angles(angles, symbols)
     arguments = symbols.arguments
     _, q, v, p = arguments
     _check_energies(kinetic, potential, forces, arguments)
-    terms = take_apart(ca.SX(kinetic), ca.SX(potential), forces, arguments)
+    passive, drive = divided(forces, p, controls, symbols.parameter_names, symbols.parameter_values)
+    terms = replace(take_apart(ca.SX(kinetic), ca.SX(potential), passive, arguments), actuation=drive)
     lagrangian = terms.kinetic if terms.gyroscopic is None else terms.kinetic + terms.gyroscopic
-    matrix, bias = mass_matrix_and_bias(lagrangian, terms.potential, q, v, terms.forces)
+    matrix, bias = mass_matrix_and_bias(lagrangian, terms.potential, q, v, terms.all_forces)
     model = mechanical_model(
         acceleration_function(matrix, bias, arguments),
         terms,
@@ -194,6 +209,8 @@ def lagrange(
         points=polyline("points", points, [q, p]),
         centres=polyline("centres", centres, [q, p]),
         symmetries=_reversals(symmetries or {}, q.numel()),
+        controls=controls,
+        limits=limits,
     )
     return with_scales(model, scales)
 
@@ -219,6 +236,8 @@ def mechanical_model(
     *,
     invariants: Sequence[Invariant],
     system: Mapping[str, Any] | None = None,
+    controls: Sequence[str] = (),
+    limits: Limits | None = None,
     **parts: Any,
 ) -> Model:
     """The Model of accelerations a(t, q, v, p) and of the Lagrangian's terms; other `parts` go in as they are."""
@@ -233,6 +252,9 @@ def mechanical_model(
         kinetic=ca.Function("kinetic", [q, v, p], [terms.kinetic]),
         potential=ca.Function("potential", [q, p], [terms.potential]),
         forces=None if terms.forces is None else ca.Function("forces", arguments, [terms.forces]),
+        actuation=None if terms.actuation is None else ca.Function("actuation", arguments, [terms.actuation]),
+        controls=checked_controls(controls, symbols.parameter_names),
+        limits=checked_limits(limits or {}, controls),
         invariants=tuple(invariants),
         gyroscopic=None if terms.gyroscopic is None else ca.Function("gyroscopic", [q, v, p], [terms.gyroscopic]),
         forcing_period=None if clock is None else ca.Function("forcing_period", [p], [ca.SX(clock)]),

@@ -25,6 +25,7 @@ from orbitfinder.mechanics.chain import (
     maximal_states,
 )
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE
+from orbitfinder.mechanics.controls import Limits
 from orbitfinder.mechanics.lagrange import Symbols, lagrange
 from orbitfinder.mechanics.model import Baumgarte, Model, check_state, constraint_of
 
@@ -46,14 +47,17 @@ def linkage(
     *,
     gravity: float = 9.8,
     baumgarte: Baumgarte | Sequence[float] | None = None,
+    motors: Sequence[int] = (),
+    limits: Limits | None = None,
 ) -> Model:
     """Closed chain from the origin through bars of `length` (n of them, m) to the `ground` pivot (m).
 
     `mass` (kg), `inertia` (kg m^2 about the centre of mass, default m l^2 / 12), `com` (fraction of
     the length from the upper joint), `gravity` (m/s^2) as for `chain`; `baumgarte` (alpha, beta) in
     1/s. q = (x_G, y_G, theta) per link; lambda are the forces (2 per joint, N) on each link at its
-    upper joint, the last pair on the ground at its pivot. Raises `InputError` for a linkage that
-    cannot be assembled. Source: the report, section 3.
+    upper joint, the last pair on the ground at its pivot. `motors` and `limits` as for `chain`; joint n + 1 turns the
+    ground against the last bar. Raises `InputError` for a linkage that cannot be assembled. Source: the report,
+    section 3.
     """
     lengths = np.atleast_1d(np.asarray(length, float))
     if lengths.ndim != 1 or lengths.size < 2:
@@ -61,7 +65,17 @@ def linkage(
     pivot = np.asarray(ground, float)
     if pivot.shape != (2,) or not np.all(np.isfinite(pivot)):
         raise InputError(f"ground: need the two coordinates of the far pivot (x down, y right, m), got {ground!r}")
-    system = chain_system(lengths.size, lengths, mass, inertia, com, gravity=gravity)
+    system = chain_system(
+        lengths.size,
+        lengths,
+        mass,
+        inertia,
+        com,
+        gravity=gravity,
+        motors=motors,
+        limits=limits,
+        joints=lengths.size + 1,
+    )
     for absent in ("links", "formulation"):
         del system[absent]
     stabilisation = baumgarte_of(baumgarte, DEFAULT_BAUMGARTE)
@@ -315,6 +329,9 @@ def minimal_linkage(model: Model, independent: Sequence[int], branch: int = 1) -
     lift = constraint_of(model).lift
     assert lift is not None
     state = lift(theta, ca.jtimes(theta, u, rates), p)
+    drive = None
+    if model.actuation is not None:  # virtual work: J^T Q of the bars' motion
+        drive = ca.jtimes(state[:n], u, model.actuation(0.0, state[:n], state[n:], p), True)
     return lagrange(
         model.kinetic(state[:n], state[n:], p),
         model.potential(state[:n], p),
@@ -322,6 +339,9 @@ def minimal_linkage(model: Model, independent: Sequence[int], branch: int = 1) -
         names=[f"theta{k + 1}" for k in chosen],
         angles=(True,) * len(chosen),
         points=None if model.points is None else model.points(state[:n], p),
+        forces=drive,
+        controls=model.controls,
+        limits=model.limits,
         system={**model.system, "independent": [int(k) for k in independent], "branch": int(branch)},
     )
 

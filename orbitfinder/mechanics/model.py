@@ -128,8 +128,16 @@ class Model:
     """modes, transitions and the cycle of a hybrid system, see `mechanics.hybrid`"""
     rates: ca.Function | None = None
     hamiltonian: bool = False
+    strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    """what is drawn through which of the points: rod, spring, ground, slider, disc (centre, rim); () is a polyline"""
     scales: Mapping[str, float] = field(default_factory=dict)
     """sizes to measure in: of coordinates by name, of all that are no angles by "length", of physical parameters"""
+    controls: tuple[str, ...] = ()
+    """physical parameters that may vary in time; everything else here holds at their own values, 0 unless said"""
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """lowest and highest of controls"""
+    actuation: ca.Function | None = None
+    """(t, q, v, p) -> what controls add to the forces (n); see `mechanics.controls.actuated`"""
 
     @property
     def conservative(self) -> bool:
