@@ -27,6 +27,8 @@ from .families.tori import torus as torus
 from .loops.conditions import Constraint as Constraint
 from .loops.conditions import Variables as Variables
 from .loops.conditions import pin as pin
+from .loops.control import Control as Control
+from .loops.control import Task as Task
 from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem
@@ -56,6 +58,7 @@ from .orbits.basin import recovery as recovery
 from .orbits.certify import certify as certify
 from .orbits.feedback import stabilise as stabilise
 from .orbits.find import find_orbit as find_orbit
+from .orbits.optima import follow_optima as follow_optima
 from .orbits.refine import Refiner as Refiner
 from .orbits.section import section as section
 from .orbits.simulate import simulate as simulate
