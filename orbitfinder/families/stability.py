@@ -100,7 +100,7 @@ class Chain:
 
 def spectrum(curve: Curve, found: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
-    p, place, units = curve.equations, found.place, curve.units
+    p, place = curve.equations, found.place
     reduced, basis, root = reduced_map(curve, found)
     conservative = keeps_pairs(curve, reduced)
     whole = np.linalg.matrix_power(reduced, root)
