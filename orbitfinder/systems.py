@@ -12,6 +12,7 @@ from orbitfinder.mechanics.library import FUNCTIONS as SMOOTH
 from orbitfinder.mechanics.library import (
     brusselator,
     cart_chain,
+    coupled_pendula,
     double_well,
     duffing,
     fitzhugh_nagumo,
@@ -59,6 +60,7 @@ __all__ = [
     "brusselator",
     "cart_chain",
     "compass_gait",
+    "coupled_pendula",
     "double_well",
     "driven_cart_pole",
     "driven_compass",

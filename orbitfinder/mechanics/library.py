@@ -160,6 +160,19 @@ def forced_pendulum(
     )
 
 
+def coupled_pendula(damping: float = 0.1, torque: float = 0.2, coupling: float = 0.175) -> Model:
+    """theta_i'' + damping theta_i' + sin(theta_i) = torque + coupling (theta_j - theta_i): two pendula, or junctions.
+
+    Driven hard enough they run round together. Source: D. G. Aronson, E. J. Doedel, H. G. Othmer, Physica D 25 (1987)
+    20-104; the demo `pen` of AUTO, where damping is eps, torque I and coupling gamma.
+    """
+    made = ingredients(2, signed={"damping": damping, "torque": torque, "coupling": coupling})
+    q, v = made.q, made.v
+    potential = -ca.sum1(ca.cos(q)) + made["coupling"] * (q[0] - q[1]) ** 2 / 2
+    push = made["torque"] - made["damping"] * v
+    return made.model("coupled_pendula", ca.sumsqr(v) / 2, potential, forces=push, angles=[True, True])
+
+
 def vibrated_pendulum(
     length: float = 1.0,
     gravity: float = 9.8,
@@ -531,7 +544,8 @@ def hodgkin_huxley(current: float = 10.0) -> Model:
 FUNCTIONS: dict[str, Callable[..., Model]] = {
     one.__name__: one
     for one in (
-        brusselator, cart_chain, double_well, duffing, fitzhugh_nagumo, forced_duffing, forced_pendulum, henon_heiles,
+        brusselator, cart_chain, coupled_pendula, double_well, duffing, fitzhugh_nagumo, forced_duffing,
+        forced_pendulum, henon_heiles,
         hodgkin_huxley, lorenz, pendulum_on_cart, planar_oscillator, restricted_three_body,
         restricted_three_body_canonical, rossler, rotating_hoop, spherical_pendulum, spring_pendulum, swinging_spring,
         three_bodies, turning_three_bodies, van_der_pol, vibrated_pendulum,

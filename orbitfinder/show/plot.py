@@ -297,7 +297,9 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
 
 MARKERS = {
     "fold": "v", "branch_point": "o", "period_doubling": "s", "torus": "P", "resonance": ".", "collision": "x",
-    "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X",
+    "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X", "cusp": "^", "isola_centre": "h",
+    "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D", "fold_torus": "<",
+    "doubling_torus": ">",
 }  # fmt: skip
 """Marker of each kind of event."""
 SIZES = {"resonance": 3.0, "stability_change": 9.0}
@@ -310,7 +312,9 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
     A forced family has its response in place of frequency and energy, another that dissipates both.
     """
     figures = {} if model.forced else {"frequency_energy": frequency_energy([family])}
-    if not model.conservative:
+    if len(family.parameters) > 1:
+        figures = {"two_parameters": two_parameters([family])}
+    elif not model.conservative:
         figures["response"] = response([family], model)
     if any(point.floquet_multipliers.size for point in family.points):
         figures |= {"multipliers_plane": multipliers_plane(family), "multipliers": multipliers_along(family)}
@@ -382,6 +386,36 @@ def frequency_energy(
         offset = {"xytext": (6, 8), "textcoords": "offset points"}
         axes.annotate(name, (energy, 1.0 / period), fontsize=9, parse_math=False, **offset)
     dress(axes, axis_name(families[0]) if freed else "energy (J)", "frequency (1/s)")
+    return figure
+
+
+def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
+    """Curves of bifurcations in the plane of their two parameters, with a mark at each point of codimension two.
+
+    Curves of the same two parameters are drawn together. Raises `InputError` for families in one parameter.
+    """
+    names = families[0].parameters
+    for one in families:
+        if len(one.parameters) < 2 or set(one.parameters) != set(names):
+            raise InputError(
+                f"{one.name}: varies {', '.join(one.parameters)}; give curves in {' and '.join(names)} alone"
+            )
+    figure = new_figure(8.0, 5.6, title or f"{', '.join(one.name for one in families)}: bifurcations in two parameters")
+    axes, shown = figure.subplots(), dict[str, Any]()
+    for k, one in enumerate(families):
+        colour, test = COLOURS[k % len(COLOURS)], one.curve["test"]
+        at = one.places if one.parameters == names else one.places[:, ::-1]
+        line = axes.plot(*at[: len(one.points)].T, color=colour, linewidth=1.8)[0]
+        shown.setdefault(f"{test['kind']} {test['detail']}".replace("_", " ").strip(), line)
+        for event, place in zip(one.events, at[len(one.points) :], strict=True):
+            style = {"marker": MARKERS[event.kind], "markersize": 7.0, "linestyle": "none", "color": "black"}
+            mark = axes.plot(*place, **style)[0]
+            said = f"{event.kind} {event.detail}".replace("_", " ").strip()
+            shown.setdefault(event.kind.replace("_", " "), mark)
+            axes.annotate(said, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
+    dress(axes, *names)
+    axes.margins(0.08)
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
