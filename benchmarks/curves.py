@@ -2,9 +2,9 @@
 
 Doublings of two coupled pendula (AUTO's demo `pen`) from damping 0.1 to 0.5 and folds of Duffing's oscillator from a
 force of 0.3 to 0.5. Each program starts from one orbit, finds the event, frees the second parameter and goes on with
-its own steps. Time is that of the second run divided by its points: AUTO's from start to end on the coarsest mesh that
-is right to TOLERANCE, with one thread; orbitfinder's `follow` after one run that compiles, first without and then
-with what AUTO has not, the independent closure of every point.
+its own steps. Time is that of the second run divided by its points: AUTO's from its start to its end on the coarsest
+mesh that is right to TOLERANCE, with one thread; orbitfinder's `follow` after one run that compiles, first without and
+then with what AUTO has not, the independent closure of every point.
 
     python benchmarks/curves.py           prints the table
     python benchmarks/curves.py --cpu     processor time for both, for a busy machine

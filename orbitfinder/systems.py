@@ -1,5 +1,13 @@
 """Built-in systems: each function returns a Model, and problem files name them with kind = "python"."""
 
+from orbitfinder.mechanics.driven import (
+    DRIVEN,
+    driven_cart_pole,
+    driven_compass,
+    driven_hopper,
+    driven_oscillator,
+    driven_swing,
+)
 from orbitfinder.mechanics.library import FUNCTIONS as SMOOTH
 from orbitfinder.mechanics.library import (
     brusselator,
@@ -44,7 +52,7 @@ from orbitfinder.mechanics.machines import (
     wall_pendulum,
 )
 
-FUNCTIONS = SMOOTH | MACHINES
+FUNCTIONS = SMOOTH | MACHINES | DRIVEN
 
 __all__ = [
     "FUNCTIONS",
@@ -54,6 +62,11 @@ __all__ = [
     "compass_gait",
     "coupled_pendula",
     "double_well",
+    "driven_cart_pole",
+    "driven_compass",
+    "driven_hopper",
+    "driven_oscillator",
+    "driven_swing",
     "duffing",
     "fitzhugh_nagumo",
     "five_link_walker",

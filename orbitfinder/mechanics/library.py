@@ -30,6 +30,8 @@ class Ingredients:
     t: ca.SX
     values: Mapping[str, float]
     parameters: ca.SX
+    controls: tuple[str, ...] = ()
+    """parameters that are no arguments of the function: what varies in time, 0 without"""
 
     def __getitem__(self, name: str) -> Any:
         """The symbol of one parameter."""
@@ -57,12 +59,15 @@ class Ingredients:
         return hamiltonian(energy, coordinates, momenta, self.values, system=self._described(function), **parts)
 
     def _described(self, function: str, fixed: Any = None) -> dict[str, Any]:
-        arguments = {**(fixed or {}), **self.values}
+        arguments = {**(fixed or {}), **{k: value for k, value in self.values.items() if k not in self.controls}}
         return {"kind": "python", "module": BUILT_IN, "function": function, "arguments": arguments}
 
 
 def ingredients(
-    count: int, positive: Mapping[str, float] | None = None, signed: Mapping[str, float] | None = None
+    count: int,
+    positive: Mapping[str, float] | None = None,
+    signed: Mapping[str, float] | None = None,
+    controls: tuple[str, ...] = (),
 ) -> Ingredients:
     """Symbols for `count` coordinates and these parameters; `InputError` for a number that cannot be meant."""
     values: dict[str, float] = {}
@@ -72,8 +77,9 @@ def ingredients(
         if name in (positive or {}) and value <= 0:
             raise InputError(f"system.arguments.{name}: must be positive, got {value!r}; check the sign and the unit")
         values[name] = float(value)
+    values |= dict.fromkeys(controls, 0.0)
     return Ingredients(
-        ca.SX.sym("q", count), ca.SX.sym("v", count), ca.SX.sym("t"), values, ca.SX.sym("p", len(values))
+        ca.SX.sym("q", count), ca.SX.sym("v", count), ca.SX.sym("t"), values, ca.SX.sym("p", len(values)), controls
     )
 
 

@@ -48,6 +48,8 @@ DENSE = {"nodes": "shooting_nodes", "mesh": "mesh", "tangent": "tangent"}
 """What goes into family.npz instead of family.json, and what it is called here."""
 CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
+METHODS = ("product", "periodic QR")
+"""How multipliers were found: as eigenvalues of the state-transition matrices' product, or factor by factor."""
 SEAL = "digest"
 """The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
 SEAL_DIGITS = 16
@@ -87,6 +89,10 @@ class FamilyPoint(Orbit):
     role: str = "step"
     wall_time: float = 0.0
     defect: float = 0.0
+    multiplier_errors: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """estimated relative error of each multiplier, by errors of the state-transition matrices; none in older files"""
+    multiplier_method: str = ""
+    """one of `METHODS`"""
     certified: bool = False
     """whether it has every check of a certificate and not only those of its closure"""
     curve: Mapping[str, Any] = field(default_factory=dict)

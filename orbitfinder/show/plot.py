@@ -18,6 +18,7 @@ from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.members import Motion, amplitudes, motions, whole
+from orbitfinder.loops.control import history
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.orbits.course import Course, course_of
@@ -51,7 +52,9 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
         "time_histories": time_histories(orbit, model),
         "phase_portraits": phase_portraits(orbit, model),
     }
-    if np.isfinite(orbit.energy) and (model.hybrid is None or model.conservative):
+    if orbit.control is not None:
+        figures["controls"] = controls(orbit)
+    elif np.isfinite(orbit.energy) and (model.hybrid is None or model.conservative):
         figures["energy_error"] = energy_error(orbit, model)
     if has_path(model):
         figures["path"] = path_views(orbit, model)
@@ -131,6 +134,23 @@ def mark_events(panels: Sequence[Any], course: Course) -> None:
                 name, (moment, 1.0), (0, 2), xycoords=("data", "axes fraction"), textcoords="offset points",
                 ha="right" if moment == course.period else "center", fontsize=8, color="0.3",
             )  # fmt: skip
+
+
+def controls(orbit: Orbit) -> Figure:
+    """The controls of a motion over its period, below each other, with their limits dashed."""
+    assert orbit.control is not None
+    times, values = history(orbit.control, orbit.period)
+    names, limits = orbit.control["names"], orbit.control["limits"]
+    figure = new_figure(8.0, 1.6 + 2.0 * len(names), *heading(orbit, "controls"))
+    panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
+    for axes, name, column in zip(panels, names, values.T, strict=True):
+        axes.plot(times, column, color=COLOURS[0], linewidth=1.3)
+        for bound in limits.get(name, ()):
+            if np.isfinite(bound) and abs(bound) <= 3 * max(float(np.abs(column).max()), 1e-300):
+                axes.axhline(bound, color="0.5", linewidth=0.7, linestyle="--")
+        dress(axes, "time (s)" if axes is panels[-1] else "", name)
+    panels[-1].set_xlim(0.0, orbit.period)
+    return figure
 
 
 def _components(figure: Figure, course: Course, model: Model) -> Figure:
