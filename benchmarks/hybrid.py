@@ -1,6 +1,6 @@
 """Walking machines: warm refinement against a script by hand, families against smooth ones, a second program's numbers.
 
-The script by hand is plain NumPy and SciPy (`peers/walkers.py`): `solve_ivp` with events and `least_squares` on the
+The script by hand is plain NumPy and SciPy (`hybrid_gaits.py`): `solve_ivp` with events and `least_squares` on the
 return map. Both start from the same guesses, and the methods take turns; processor time, medians.
 
     python benchmarks/hybrid.py             writes results/benchmarks/hybrid.md, in about two minutes
@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hybrid_gaits import compass, doubling, simplest
 from machine import load, processor, versions
-from peers.walkers import compass, doubling, simplest
 
 import orbitfinder as of
 from orbitfinder.integrate.march import March
@@ -135,7 +135,7 @@ def report(speed: Speed, rows: list[tuple[str, float, float]], repeats: int) -> 
         f"{processor()}; {versions()}; {load()}.", "",
         f"The simplest walker's long gait at slope {SLOPE}, from {repeats} guesses a hundredth off; processor time,",
         "medians, the methods taking turns. By hand: `solve_ivp` (DOP853, 1e-13, events) and `least_squares` on the",
-        "return map, `benchmarks/peers/walkers.py`.", "",
+        "return map, `benchmarks/hybrid_gaits.py`.", "",
         "| | ms |", "|---|---|",
         f"| warm refinement | {1e3 * speed.ours:.2f} |",
         f"| of that in the equations | {1e3 * speed.equations:.2f} |",

@@ -57,6 +57,7 @@ PARTS = (
 ELSEWHERE = {
     "first_order": "First-order systems by Newton's method over DOP853 alone: `python benchmarks/first_order.py`",
     "long_chains": "Normal modes of long chains: `python benchmarks/long_chains.py`, longer than this command runs",
+    "hybrid_search": "Searches of hybrid systems, against a scan by brute force: `python benchmarks/hybrid_search.py`",
     "hybrid": "Walking machines, against a script by hand and a second program: `python benchmarks/hybrid.py`",
 }
 

@@ -10,13 +10,19 @@ from pydantic_core import PydanticUndefined
 
 from orbitfinder.problemfile.schema import (
     SYSTEMS,
+    BodyTable,
+    DamperTable,
     ExpectedNumber,
     ExpectedTable,
     FindTable,
     GuessTable,
+    JointTable,
+    MotionTable,
+    MotorTable,
     ProblemTable,
     SearchTable,
     SimulateTable,
+    SpringTable,
 )
 
 TITLE = """# The problem file
@@ -104,6 +110,10 @@ def schema_markdown() -> str:
     for kind, table in SYSTEMS.items():
         parts.append(_section(f'`[system]` with `kind = "{kind}"`', table, note=f"Kinds: {kinds}."))
     sections: list[tuple[str, type[BaseModel]]] = [
+        ("Each entry of `[system.bodies]`", BodyTable), ("Each entry of `[system.joints]`", JointTable),
+        ("Each entry of `[system.springs]`", SpringTable), ("Each entry of `[system.dampers]`", DamperTable),
+        ("Each entry of `[system.motors]` of a mechanism", MotorTable),
+        ("Each entry of `[system.motions]`", MotionTable),
         ("`[guess]`", GuessTable), ("`[find]`", FindTable), ("`[search]`", SearchTable),
         ("`[simulate]`", SimulateTable), ("`[expected]`", ExpectedTable),
         ("Each entry of `[expected]`", ExpectedNumber),

@@ -20,7 +20,18 @@ FLOORS = (
     ("reproduce",), ("", "systems", "linkages", "flows", "sections"), ("cli",), ("__main__",),
 )  # fmt: skip
 LIBRARIES = {
-    "casadi": ("mechanics", "integrate", "loops", "proof", "exports", "orbits.find", "orbits.objectives"),
+    "casadi": (
+        "mechanics",
+        "integrate",
+        "loops",
+        "proof",
+        "exports",
+        "orbits.find",
+        "orbits.objectives",
+        "orbits.feedback",
+        "orbits.transverse",
+        "orbits.basin",
+    ),
     "click": ("cli",),
     "rich": ("cli",),
     "pydantic": ("records", "problemfile"),

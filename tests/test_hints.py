@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import orbitfinder as of
-from orbitfinder.errors import ConvergenceError, Hint, InputError
+from orbitfinder.errors import ConvergenceError, Hint
 
 
 def spherical_pendulum():
@@ -71,14 +71,3 @@ def test_degrees_in_the_place_of_radians_are_hinted_at():
     with pytest.warns(Hint, match="theta1 = 63 rad is 10 turns; .* 63 degrees are 1.09956 rad"):
         orbit = of.find_orbit(of.Problem(of.chain(1), of.Guess([63.0, 0.0], 1.64), of.pin(theta1=63.0)))
     assert orbit.certificate.passed
-
-
-def test_driven_linkages_are_refused_before_they_are_solved():
-    q, v, t = ca.SX.sym("q", 2), ca.SX.sym("v", 2), ca.SX.sym("t")
-    model = of.constrained(
-        ca.sumsqr(v) / 2, -9.81 * q[0], ca.sumsqr(q) - 1, of.Symbols(q, v, time=t, forcing_period=2.0),
-        forces=ca.vertcat(0, ca.cos(np.pi * t)), baumgarte=of.Baumgarte(10, 10),
-    )  # fmt: skip
-    problem = of.Problem(model, of.Guess([1.0, 0.0, 0.0, 0.1], 2.0))
-    with pytest.raises(InputError, match="only conservative systems are certified.*with_certificate=False"):
-        of.find_orbit(problem, progress=lambda event: pytest.fail("it was solved"))

@@ -1,5 +1,6 @@
 """What is seen of hybrid orbits: problem files, courses, pictures, pages, exports; and each orbit computed again."""
 
+import base64
 import importlib.util
 import json
 import sys
@@ -23,10 +24,11 @@ from orbitfinder.problemfile.write import orbit_text
 from orbitfinder.records.orbit import orbit_to_document
 from orbitfinder.show import plot
 from orbitfinder.show.animate import AnimationSettings, draw_frames, orbit_clip
+from orbitfinder.show.html import motions as moving
 from orbitfinder.show.html import orbit_html
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import gather
-from orbitfinder.site.motion import Simulator, packed
+from orbitfinder.site.motion import Simulator, histories, packed
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "problems" / "hybrid"
@@ -197,6 +199,10 @@ def test_notebooks_show_mechanism_ground_and_portrait(found):
     for name in ("kneed-walker", "bouncing-ball"):
         orbit, _ = found(name)
         assert orbit_html(orbit).count("<svg") == 3 and orbit_html(orbit).count('stroke-opacity=".6"/><polyline') == 1
+    portrait = moving(found("kneed-walker")[0])[1]  # solid through two arcs, dashed across two events
+    assert portrait.count("<polyline") == 4 and portrait.count("dasharray") == 2
+    smooth = of.find_orbit(of.Problem(of.chain(1), of.Guess([0.5, 0.0], 2.0), of.pin(theta1=0.5)))
+    assert moving(smooth)[1].count("<polyline") == 1
 
 
 def test_a_page_jumps_where_the_orbit_does(found, tmp_path):
@@ -207,6 +213,11 @@ def test_a_page_jumps_where_the_orbit_does(found, tmp_path):
     bare = packed(Simulator().orbit(entry.document, None))
     assert data["jumps"] == bare["jumps"] and len(data["jumps"]) == 2 and data["jumps"][-1] == data["count"] - 1
     assert len(data["ground"]) == 1 and data["moving"] == bare["moving"]
+    drawn = histories(Simulator().orbit(entry.document, entry.dense))
+    states = np.frombuffer(base64.b64decode(drawn["data"]), "<f4").reshape(4, -1)
+    leaps = np.flatnonzero(np.abs(np.diff(states[0])) > 0.1)  # where the page breaks its lines, and nowhere else
+    assert drawn["jumps"] == [*leaps, drawn["count"] - 1] and len(leaps) == 1  # and from the end to the beginning
+    assert states[:, -1] == pytest.approx(orbit.samples[-1], abs=1e-6)
     site, summary = build_site(gather([file]), Settings("gaits"))
     assert summary.orbits == 1 and b"certified" in site.files["index.html"]
 

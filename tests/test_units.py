@@ -1,6 +1,7 @@
 """One orbit told in other units is found alike, certified alike, and verified alike from its file."""
 
 import json
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -18,7 +19,7 @@ from orbitfinder.families.start import begin
 from orbitfinder.guesses.modes import equilibrium, normal_modes
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.evidence import ClosureCheck
-from orbitfinder.systems import duffing
+from orbitfinder.systems import bouncing_ball, compass_gait, duffing, impact_oscillator, slip_runner, vertical_hopper
 
 UNITS = {
     "metres and seconds": (1.0, 1.0),
@@ -268,3 +269,84 @@ def test_the_record_says_what_was_measured_in():
     model = duffing(**told(2e-6, 1.6e-7))
     orbit = of.find_orbit(of.Problem(model, of.Guess([2e-6, 0.0], 8e-7), pin=of.pin(x=2e-6)))
     assert orbit.provenance["scales"] == {"x": 256.0**-2, "xdot": 256.0}
+
+
+def oscillator(length, time, mass):
+    """An impact oscillator, whose time is its spring's."""
+    del time, mass
+    model = impact_oscillator(frequency=2.8, force=length, stop=0.05 * length)
+    guess = of.Guess([0.05 * length, -0.17 * length, 3.0], 2.24)
+    return of.Problem(model, guess, winding=(0, 0, 1)), 1.0
+
+
+def ball(length, time, mass):
+    """A ball on a vibrating table: a length, a speed and an angle."""
+    del mass
+    model = bouncing_ball(0.012 * length, 2 * np.pi / time, length / time**2)
+    guess = of.Guess([0.008 * length, 0.49 * length / time, 0.8], time)
+    return of.Problem(model, guess, winding=(0, 0, 1)), time
+
+
+def hopper(length, time, mass):
+    """A hopper at its energy, told two digits of its speed."""
+    model = vertical_hopper(mass, 100 * mass / time**2, 9.81 * length / time**2)
+    guess = of.Guess([0.0, -1.9 * length / time], time)
+    return of.Problem(model, guess, pin=of.pin(energy=2 * mass * (length / time) ** 2)), time
+
+
+def compass(length, time, mass):
+    """A compass gait: plastic impacts."""
+    model = compass_gait(np.deg2rad(3), *[length / 2] * 2, 5 * mass, 10 * mass, 9.81 * length / time**2)
+    return of.Problem(model, of.Guess([0.22, -0.32, -1.09 / time, -0.38 / time], 0.73 * time)), time
+
+
+def runner(length, time, mass):
+    """A runner of three arcs."""
+    model = slip_runner(80 * mass, 20000 * mass / time**2, length, 0.35, 9.81 * length / time**2)
+    guess, energy = of.Guess([0.0, 1.02 * length, 5.0 * length / time, 0.0], 0.8 * time), 80 * 9.81 * 1.02 + 1000
+    return of.Problem(model, guess, pin=of.pin(energy=energy * mass * (length / time) ** 2)), time
+
+
+MACHINES_IN = {
+    "SI": (1.0, 1.0, 1.0), "nanometres": (1e-9, 1.0, 1.0), "gigametres": (1e9, 1.0, 1.0), "all small": (1e-9,) * 3,
+    "nanoseconds": (1.0, 1e-9, 1.0), "gigaseconds": (1.0, 1e9, 1.0), "all large": (1e9,) * 3,
+    "2 um, 160 ns, 1 pg": (2e-6, 1.6e-7, 1e-15),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("machine", "names"),
+    [
+        (oscillator, ["SI", "nanometres"]), (ball, ["SI", "nanoseconds"]), (hopper, ["SI", "gigametres"]),
+        (compass, ["SI", "gigaseconds"]),
+        *(pytest.param(x, MACHINES_IN, marks=pytest.mark.slow) for x in (oscillator, ball, hopper, compass, runner)),
+    ],
+)  # fmt: skip
+def test_a_machine_is_found_and_certified_in_any_units(machine, names):
+    """Hybrid orbits: the same period, multipliers and certificate in units of 1e-9 and 1e9; refined alike."""
+    known = None
+    for name in names:
+        length, time, mass = MACHINES_IN[name]
+        problem, clock = machine(length, time, mass)
+        refiner = of.Refiner(problem)
+        orbit = refiner.orbit(refiner.refine())
+        assert orbit.certificate.passed, (name, orbit.certificate.failures)
+        known = known or orbit
+        assert orbit.period / clock == pytest.approx(known.period, rel=1e-12), name
+        assert np.abs(orbit.floquet_multipliers) == pytest.approx(np.abs(known.floquet_multipliers), abs=1e-7), name
+        again = refiner.refine(of.Guess(orbit.state * (1 + 1e-4), orbit.period))
+        assert again.period / orbit.period == pytest.approx(1.0, abs=1e-12), name
+        wrong = replace(orbit, state=orbit.state * (1 + 1e-8), record=None)
+        assert not of.certify(wrong, problem.model).passed, name
+
+
+@pytest.mark.parametrize("length", [1e-9, pytest.param(1e9, marks=pytest.mark.slow)])
+def test_a_stop_is_grazed_where_it_is_in_any_units(length):
+    """Amplitude of the linear oscillator = stop, to 1e-10 of it, in nanometres as in gigametres."""
+    problem, _ = oscillator(length, 1.0, 1.0)
+    settings = FamilySettings(parameter="stop", directions="forward", points=60)
+    family = of.follow_family(of.find_orbit(problem), "stop", settings=settings)
+    grazing = family.events[-1]
+    assert (grazing.kind, grazing.detail) == ("grazing", "hit")
+    assert grazing.parameter * abs(1 - 2.8**2 + 0.28j) / length == pytest.approx(1.0, abs=1e-10)
+    assert all(of.certify(one).passed for one in family.points)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import compress
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orbitfinder._runtime import __version__
-from orbitfinder.atlas.signature import Numbers, Signature, among, resampled
+from orbitfinder.atlas.signature import Numbers, Signature, among, resampled, signature_of
 from orbitfinder.atlas.solver import Stalled, orbit_in_valley, polished, scaled, solve
 from orbitfinder.atlas.starts import Context, Start, make_start, strategy_of
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
@@ -23,6 +23,7 @@ from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Guess, Problem, segments_needed
 from orbitfinder.loops.symmetry import NONE
+from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified, return_distances
 from orbitfinder.orbits.measure import action, marched, whole_period
 from orbitfinder.records.orbit import VERSION, Orbit, orbit_from_document
@@ -121,13 +122,24 @@ def continuation(context: Context, index: int, source: Mapping[str, Any]) -> Sta
 
 def finished(context: Context, seed: int, start: Start, known: ArrayLike | None) -> Attempt:
     """The attempt that a start becomes; `ConvergenceError` or `IntegrationError` when it leads nowhere."""
+    if context.section is not None:
+        orbit = context.section.orbit(start.state, start.period, start.course)
+        model = context.section.model_of(orbit)
+        return judged(context, seed, start, signature_of(orbit, model), known, lambda: (orbit, model))
     loop = minimal(context, converged(context, start))
-    signature = loop.signature
-    if known is not None and among(known, loop.numbers):
+    return judged(context, seed, start, loop.signature, known, lambda: (measured(context, loop), context.model))
+
+
+def judged(
+    context: Context, seed: int, start: Start, signature: Signature, known: ArrayLike | None,
+    found: Callable[[], tuple[Orbit, Model]],
+) -> Attempt:  # fmt: skip
+    """The attempt with the signature of what was found, and unless that seems to be known its Orbit, certified."""
+    if known is not None and among(known, signature.numbers):
         return Attempt(start.index, start.strategy, signature)
+    orbit, model = found()
     name = f"e{context.target.energy:g}-s{seed}-n{start.index}".replace("+", "")  # unique, and good for a folder
-    orbit = replace(measured(context, loop), provenance=origin(seed, start), name=name)
-    orbit = certified(orbit, context.model)
+    orbit = certified(replace(orbit, provenance=origin(seed, start), name=name), model)
     if orbit.certificate is not None and not orbit.certificate.passed:
         failed = ", ".join(orbit.certificate.failures)
         return Attempt(start.index, start.strategy, reason=f"not certified: {failed}")
@@ -233,6 +245,7 @@ def uncovered(context: Context, loop: ClosedLoop, cover: int) -> ClosedLoop:
 
 def origin(seed: int, start: Start) -> dict[str, Any]:
     """Provenance of an orbit found from a start: enough to find it again."""
+    course = {"course": list(start.course)} if start.course else {}
     return {
         "orbitfinder": __version__,
         "orbit_format": VERSION,
@@ -241,5 +254,5 @@ def origin(seed: int, start: Start) -> dict[str, Any]:
         "index": start.index,
         "strategy": start.strategy,
         "symmetry_imposed": start.symmetry,
-        "start": {"state": [float(x) for x in start.state], "period": start.period},
+        "start": {"state": [float(x) for x in start.state], "period": start.period} | course,
     }

@@ -12,7 +12,7 @@ import itertools
 import json
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -25,8 +25,8 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.attempt import CONTINUATION, Attempt
 from orbitfinder.atlas.report import Summary, summarise
 from orbitfinder.atlas.shard import WHOLE, Shard, shard_from
-from orbitfinder.atlas.starts import METHOD, Context, Target, context_of, strategy_of
-from orbitfinder.atlas.store import Atlas
+from orbitfinder.atlas.starts import CYCLES, METHOD, Context, Target, context_of, strategy_of
+from orbitfinder.atlas.store import Atlas, check_range
 from orbitfinder.atlas.tables import explained, transaction
 from orbitfinder.atlas.workers import Cluster, Inline, Job, Local, Pool, Request, Workers
 from orbitfinder.errors import InputError
@@ -93,7 +93,11 @@ def register(atlas: Atlas, request: Request, context: Context, alone: bool = Fal
     A search is its energy, range of periods, seed and method; whoever asks for the same goes on with it. One that is
     `alone` continues from no orbits of other energies: what other shards know of those is unknown here.
     """
-    method = json.dumps({"method": METHOD, "strategies": context.strategies})
+    how = {"method": METHOD, "strategies": context.strategies}
+    if context.section is not None:
+        target = request.target
+        how |= {"cycle": context.model.hybrid.cycle, "cycles": target.cycles, "section": dict(target.section)}
+    method = json.dumps(how, sort_keys=True)
     key = [request.target.energy, *request.target.periods, request.seed, method]
     with explained(atlas.path), transaction(atlas.connection):
         atlas.connection.execute(
@@ -271,6 +275,8 @@ def search(
     shard: str | tuple[int, int] | None = None,
     folder: str | Path | None = None,
     progress: Callable[[float, Statistics], None] | None = None,
+    section: Mapping[str, Sequence[float]] | None = None,
+    cycles: int = CYCLES,
 ) -> Found:
     """Search for periodic orbits of a Model and keep the distinct certified ones in an atlas file.
 
@@ -281,20 +287,23 @@ def search(
     only, from the k-th, each shard in an atlas of its own for `merge_atlases`; "auto" takes k and n from the Slurm
     array that runs it.
     A search that was stopped, however, goes on when the same is asked again. `folder`: see `Request`.
+    Of a hybrid system orbits of at most `cycles` cycles are looked for, from states right after the event that ends its
+    cycle: `section` gives ranges of their components, by name.
     Raises `InputError`.
     """
     part = shard_from(shard)
-    if model.hybrid is not None:
-        raise InputError("system: hybrid systems are not searched yet; find their orbits from guesses, then families")
     shells = levels(model, energies)
     check_request(shells, starts, budget, seed, workers)
     shells = shells if part is None else tuple(sorted(shells))  # as `merge_atlases` orders them
     budget = DEFAULT_BUDGET if starts is None and budget is None else budget
     limits = Limits(starts, None if budget is None else budget / len(shells), part)
+    for name, pair in (section or {}).items():
+        check_range(f"search.section.{name}", pair)
+    where = {name: (float(pair[0]), float(pair[1])) for name, pair in (section or {}).items()}
     tallies, ids = [], []
     with Atlas(atlas, write=True, model=model) as book:
         for energy in shells:
-            target = Target(energy, (float(periods[0]), float(periods[1])))
+            target = Target(energy, (float(periods[0]), float(periods[1])), where, int(cycles))
             request = Request(dict(model.system), target, int(seed), None if folder is None else str(folder))
             context = context_of(model, target)
             run = Search(book, request, context, limits, None if progress is None else partial(progress, energy))
@@ -307,7 +316,7 @@ def search(
 def levels(model: Model, energies: float | Sequence[float] | None) -> tuple[float, ...]:
     """The energies (J) to search at, 0 alone where none is conserved. Raises `InputError`."""
     if model.invariants or energies is not None:
-        if not model.invariants and model.rates is not None:
+        if not model.invariants and (model.rates is not None or model.hybrid is not None):
             raise InputError("energy: this system conserves none; leave it out")
         given = [] if energies is None else energies
         return tuple(float(one) for one in (given if isinstance(given, Sequence) else [given]))

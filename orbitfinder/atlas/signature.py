@@ -16,8 +16,10 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.loops.symmetry import USUAL
+from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.orbits.closure import alone, between
+from orbitfinder.orbits.course import course, sampled
 from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit, unconserved
 
@@ -25,6 +27,8 @@ Numbers = tuple[float, float, float]
 """Energy (J), minimal period (s) and |action| (J s) of an orbit: what its images share."""
 LOOP_SAMPLES = 512
 """States that a signature keeps of its loop."""
+ARC_SAMPLES = 16
+"""States that it keeps of each arc of a hybrid orbit."""
 AGREEMENT = 1e-7
 """Energy, period and action of one orbit found twice differ by less than this, relative."""
 LEAST = 1e-3
@@ -42,7 +46,8 @@ class Signature:
     """What an orbit is recognised by: energy (J, 0 where none is conserved), minimal period (s), |action| (J s), loop.
 
     `loop` holds `LOOP_SAMPLES` states (k x d) at equal times over the period, without the closing
-    one; `angles` says which coordinates (n, of a first-order system d) count modulo 2 pi.
+    one; `angles` says which coordinates (n, of a first-order system d) count modulo 2 pi. Of a hybrid orbit it holds
+    `ARC_SAMPLES` at equal times in each of its `arcs`, from after one event to before the next.
     """
 
     energy: float
@@ -50,6 +55,7 @@ class Signature:
     action: float
     loop: np.ndarray
     angles: tuple[bool, ...]
+    arcs: int = 0
 
     @property
     def numbers(self) -> Numbers:
@@ -75,6 +81,8 @@ def neighbours(bins: tuple[int, int]) -> tuple[list[int], list[int]]:
 
 def signature_of(orbit: Orbit, model: Model) -> Signature:
     """The signature of an orbit over its minimal period; integrated again when it carries no samples."""
+    if model.hybrid is not None:
+        return _of_arcs(orbit, as_recorded(model, orbit.system))
     times, samples = orbit.times, orbit.samples
     if len(samples) < 2:
         times, samples = dense(build_flow(model, (), model.invariants), orbit.nodes, orbit.period)
@@ -84,6 +92,24 @@ def signature_of(orbit: Orbit, model: Model) -> Signature:
         action=abs(orbit.action),
         loop=resampled(times, samples, model.degrees_of_freedom),
         angles=tuple(map(bool, model.angular)),
+    )
+
+
+def _of_arcs(orbit: Orbit, model: Model) -> Signature:
+    """The signature of a hybrid orbit, from event to event."""
+    times, samples = orbit.times, orbit.samples
+    if len(samples) < 2:
+        times, samples = sampled(model, orbit.state, orbit.period)
+    pieces, moments = course(model, times, samples).pieces, np.linspace(0.0, 1.0, ARC_SAMPLES)
+    loop = [between(one.times, one.states, model.degrees_of_freedom, one.times[0] + moments * np.ptp(one.times))
+            for one in pieces]  # fmt: skip
+    return Signature(
+        energy=orbit.energy if model.invariants else 0.0,
+        period=orbit.period,
+        action=abs(orbit.action),
+        loop=np.vstack(loop),
+        angles=tuple(map(bool, model.angular)),
+        arcs=len(pieces),
     )
 
 
@@ -119,6 +145,9 @@ def distance(first: Signature, second: Signature) -> float:
         return float("inf")
     n = len(first.angles)
     scale = _extents(first.loop, first.angles)
+    if first.arcs:
+        turned = (np.roll(second.loop, ARC_SAMPLES * k, axis=0) for k in range(first.arcs))
+        return min(float(np.abs(wrapped(one - first.loop, first.angles) / scale).max()) for one in turned)
     return min(_aligned(first, image, scale) for image in images(second.loop, n))
 
 
@@ -139,7 +168,7 @@ def _extents(loop: np.ndarray, angles: Sequence[bool]) -> np.ndarray:
     """
     n, turning = len(angles), np.asarray(angles, bool)
     if n == loop.shape[1]:
-        return alone(np.ptp(loop, axis=0))
+        return alone(np.ptp(loop, axis=0), turning)
     sizes = np.concatenate([np.ptp(loop[:, :n], axis=0), np.abs(loop[:, n:]).max(axis=0)])
     lengths = float(np.abs(loop[:, :n])[:, ~turning].max(initial=0.0))
     bent, stretched = (float(sizes[:n][group].max(initial=0.0)) for group in (turning, ~turning))

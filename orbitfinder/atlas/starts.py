@@ -14,6 +14,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.atlas.regions import Region, region_of
+from orbitfinder.atlas.sections import TURNS as TURNED
+from orbitfinder.atlas.sections import Section
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.guesses.modes import normal_modes, resting_place
 from orbitfinder.integrate.cvodes import Flow, build_flow
@@ -39,6 +41,8 @@ from orbitfinder.loops.symmetry import (
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.mechanics.scales import given_lengths, snapped
 
+CYCLES = 3
+"""Cycles of a hybrid system that an orbit goes through at most unless told otherwise."""
 METHOD = 2
 """Raised whenever the same number of a start would lead elsewhere than before; part of what a search is."""
 SAMPLES_PER_PERIOD = 400
@@ -64,10 +68,16 @@ next return to it, and solve half a period."""
 
 @dataclass(frozen=True)
 class Target:
-    """What a search looks for: energy in J, 0 where none is conserved, and the range of minimal periods in s."""
+    """What a search looks for: energy in J, 0 where none is conserved, and the range of minimal periods in s.
+
+    Of a hybrid system besides how many cycles an orbit goes through at most, and where: ranges of the state's
+    components right after the event that ends the cycle.
+    """
 
     energy: float
     periods: tuple[float, float]
+    section: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    cycles: int = CYCLES
 
 
 @dataclass(frozen=True)
@@ -92,6 +102,8 @@ class Context:
     """the system's own reversals, by strategy; of a first-order system all that it may have, forwards too"""
     region: Region | None = None
     """where the states of a first-order system are drawn from"""
+    section: Section | None = None
+    """where those of a hybrid one are, and its orbits found"""
 
     @property
     def units(self) -> np.ndarray:
@@ -116,18 +128,22 @@ class Context:
 
 @dataclass(frozen=True)
 class Start:
-    """One start: its number, strategy, the symmetry imposed, state (2n) and period (s)."""
+    """One start: its number, strategy, the symmetry imposed, state (2n) and period (s), of a hybrid system the events
+    that its motion goes through."""
 
     index: int
     strategy: str
     symmetry: str
     state: np.ndarray
     period: float
+    course: tuple[str, ...] = ()
 
 
 def context_of(model: Model, target: Target) -> Context:
     """The shared part of a search. Raises `InputError` for systems and energies that cannot be searched."""
     check(model, target)
+    if model.hybrid is not None:
+        return _cut(model, target)
     if model.rates is not None:
         return _alone(model, target)
     model = with_mirrors(model)
@@ -175,6 +191,16 @@ def _alone(model: Model, target: Target) -> Context:
         lengths=region.lengths, region=region,
     )  # fmt: skip
     return replace(one, step=calibrated(one))
+
+
+def _cut(model: Model, target: Target) -> Context:
+    """The shared part of a search of a hybrid system."""
+    section = Section.of(model, target.section, target.cycles, target.periods, target.energy)
+    place = section.drawn(np.random.default_rng(0))
+    return Context(
+        model, target, equations={}, flows={}, step=0.0, equilibrium=place, shapes=np.zeros((place.size, 0)),
+        strategies=TURNED, lengths=section.lengths, section=section,
+    )  # fmt: skip
 
 
 def shell_lengths(model: Model, place: np.ndarray, energy: float) -> np.ndarray:
@@ -231,6 +257,15 @@ def calibrated(context: Context) -> float:
 
 def check(model: Model, target: Target) -> None:
     """`InputError` when a model has no energy shells, or when the target makes no sense."""
+    low, high = target.periods
+    if not (np.isfinite(high) and 0 < low < high):
+        raise InputError(f"search.period: must be two increasing positive numbers, got {low:g}, {high:g}; in s")
+    if not np.isfinite(target.energy):
+        raise InputError(f"energy: must be finite, got {target.energy}; give a number in J")
+    if model.hybrid is not None:
+        return
+    if target.section:
+        raise InputError("search.section: is of hybrid systems, this one has no events; leave it out")
     if model.constraint is not None:
         raise InputError(
             "search: works in minimal coordinates, not on systems under constraints; give minimal_linkage(...) from "
@@ -243,17 +278,15 @@ def check(model: Model, target: Target) -> None:
             f"search: works on energy shells of systems that conserve the energy and nothing else; this one "
             f"conserves {', '.join(names) or 'nothing'}; use find with a guess instead"
         )
-    low, high = target.periods
-    if not (np.isfinite(high) and 0 < low < high):
-        raise InputError(f"search.period: must be two increasing positive numbers, got {low:g}, {high:g}; in s")
-    if not np.isfinite(target.energy):
-        raise InputError(f"energy: must be finite, got {target.energy}; give a number in J")
 
 
 def make_start(context: Context, seed: int, index: int) -> Start:
     """The start with this number; `ConvergenceError` when its strategy proposes none."""
     name = strategy_of(context, index)
     random = np.random.default_rng([seed, index])
+    if context.section is not None:
+        found = context.section.returns(name, random)
+        return Start(index, name, NONE.name, found.state, found.period, found.course)
     if name in context.declared:
         one = context.declared[name]
         symmetry, state = one.name, _fixed(context, one, random) if one.sense < 0 else _random_state(context, random)

@@ -30,6 +30,8 @@ RESTORE = "restore a copy of the atlas"
 LOOPS_KEPT = 4096
 """Loops of known orbits held in memory; others are integrated again when a look-up needs them."""
 
+ALIKE = ("formulation", "cycle")
+"""What may differ in the description of one system: all formulations are one motion, all cycles one machine's."""
 CUSTOM = "custom"
 """The kind of a system that was built in Python and that no file describes."""
 UNDESCRIBED = (
@@ -318,11 +320,11 @@ def named_state(document: Mapping[str, Any], names: Sequence[str]) -> dict[str, 
 
 def canonical(system: Mapping[str, Any]) -> str:
     """A description of a system in which 2 and 2.0 are one, keys sorted."""
-    told = {key: value for key, value in system.items() if key != "formulation"}  # all formulations are one motion
+    told = {key: value for key, value in system.items() if key not in ALIKE}
     return json.dumps(walked(told, lambda one: float(one) if is_number(one) else one), sort_keys=True)
 
 
 def described(system: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """A system in a few words: its kind, and what differs from another."""
-    words = [f"{key} = {value}" for key, value in system.items() if key != "formulation" and other.get(key) != value]
+    words = [f"{key} = {value}" for key, value in system.items() if key not in ALIKE and other.get(key) != value]
     return f"{system.get('kind', 'unknown')} ({', '.join(sorted(words, key=len))})"[:200]

@@ -84,7 +84,7 @@ def prepared(text: str) -> Context:
     request = json.loads(text)
     folder, target = request["folder"], request["target"]
     model = build_model(request["system"], None if folder is None else Path(folder))
-    return context_of(model, Target(target["energy"], tuple(target["periods"])))
+    return context_of(model, Target(**target | {"periods": tuple(target["periods"])}))
 
 
 @one_thread()

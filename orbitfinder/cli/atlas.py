@@ -125,6 +125,8 @@ def show(book: Path, number: int, trust: bool) -> None:
         click.echo(f"  {name:<22}{value!r}")
     multipliers = ", ".join(f"{complex(*mu):.6g}" for mu in document["floquet_multipliers"])
     click.echo(f"  {'floquet multipliers':<22}{multipliers}")
+    if "cycle" in document["system"]:
+        click.echo(f"  {'events':<22}{', '.join(document['system']['cycle'])}")
     source = dict(document.get("provenance") or {})
     click.echo(f"  {'found by':<22}{source.get('strategy')}, seed {source.get('seed')}, start {source.get('index')}")
 

@@ -89,7 +89,7 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
             shown.show(progress(energy, tally, limits, bool(loaded.model.invariants)))
 
         found = run(loaded.model, energies, periods, book, starts=starts, budget=budget, folder=folder,
-                    progress=report, **how)  # fmt: skip
+                    progress=report, **how, **sections(loaded))  # fmt: skip
     for energy, tally in found.tallies:
         text(
             f"{level(energy, bool(loaded.model.invariants))}: {plural(tally.done, 'start')} in {tally.elapsed:.1f} s, "
@@ -120,11 +120,17 @@ def wanted(loaded: ProblemFile) -> tuple[list[float] | None, tuple[float, float]
     if loaded.search is None:
         raise InputError(f"{loaded.path}: {MISSING}")
     energy = table.get("energy", (loaded.document.get("find", {}).get("pin") or {}).get("energy"))
-    if energy is None and loaded.model.rates is not None and not loaded.model.invariants:
+    general = loaded.model.rates is not None or loaded.model.hybrid is not None
+    if energy is None and general and not loaded.model.invariants:
         return None, loaded.search
     if energy is None:
         raise InputError(f"{loaded.path}: search.energy: missing; give the energy in J, or find.pin.energy")
     return [float(one) for one in (energy if isinstance(energy, list) else [energy])], loaded.search
+
+
+def sections(loaded: ProblemFile) -> dict[str, Any]:
+    """Where a problem file starts the search of a hybrid system."""
+    return {key: one for key, one in loaded.document.get("search", {}).items() if key in ("section", "cycles")}
 
 
 def progress(energy: float, tally: Statistics, limits: Limits, conserved: bool = True) -> Progress:

@@ -21,11 +21,14 @@ from orbitfinder.cli.options import (
     text,
     trust_option,
 )  # fmt: skip
+from orbitfinder.cli.torus import tori_of
 from orbitfinder.errors import plural
 from orbitfinder.records.orbit import Certificate, certificate_to_document
+from orbitfinder.records.store import member
 
 if TYPE_CHECKING:
     from orbitfinder.proof.theorem import Proof, Refined
+    from orbitfinder.records.torus import Tori
 
 
 @click.command()
@@ -39,7 +42,7 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
     Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
     every file passed; 1: some failed, and are named. The equations of a system that a Python module
     of yours makes are that module's; it is run only with --trust. FILE#K is point K of a family.json,
-    counted from 0, or orbit K of an atlas.
+    counted from 0, or orbit K of an atlas; tori of a tori.json too.
 
     \b
     Examples:
@@ -49,6 +52,9 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
     """
     results = []
     for file in files:
+        if (found := tori_of(file)) is not None:
+            results += verified_tori(file, found, trust)
+            continue
         orbit, certificate = verify_file(file, trust)
         interrupt.check()
         results.append({"file": str(file), "name": orbit.name} | certificate_to_document(certificate))
@@ -58,6 +64,22 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
             text(f"  {results[-1]['proof']['message']}")
     passed = all(result["passed"] and result.get("proof", result)["passed"] for result in results)
     finish("verify", {"passed": passed, "results": results}, passed)
+
+
+def verified_tori(file: Path, found: Tori, trust: bool) -> list[dict[str, Any]]:
+    """The certificates of tori, recomputed."""
+    from orbitfinder.families.tori import certify_torus
+    from orbitfinder.mechanics.catalogue import build_model
+
+    model, results = build_model(found.system, file.parent.resolve() if trust else None), []
+    for k, one in enumerate(found.tori):
+        certificate = certify_torus(one, model).certificate
+        interrupt.check()
+        assert certificate is not None
+        where = f"{member(file)[0]}#{k}" if member(file)[1] is None else str(file)
+        results.append({"file": where, "name": found.name} | certificate_to_document(certificate))
+        _print_certificate(f"{where} ({found.name})", certificate)
+    return results
 
 
 def _print_certificate(heading: str, certificate: Certificate) -> None:

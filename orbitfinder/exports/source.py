@@ -40,8 +40,7 @@ class Source:
     @property
     def identifier(self) -> str:
         """The orbit's name as a word that every language accepts."""
-        word = re.sub(r"\W", "_", self.orbit.name, flags=re.ASCII)
-        return word if word[:1].isalpha() else f"orbit_{word}"
+        return word_of(self.orbit.name)
 
     @property
     def rates(self) -> range:
@@ -60,6 +59,12 @@ class Source:
             + (f", energy {self.orbit.energy!r} J" if np.isfinite(self.orbit.energy) else ""),
             f"written by orbitfinder {__version__}",
         ]
+
+
+def word_of(name: str) -> str:
+    """A name as a word that every language accepts."""
+    word = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return word if word[:1].isalpha() else f"orbit_{word}"
 
 
 def source_of(orbit: Orbit, model: Model | None = None) -> Source:

@@ -19,7 +19,7 @@ from scipy.optimize import brentq
 from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.passages import Test, located
 from orbitfinder.families.run import Interval, Sample
-from orbitfinder.integrate.dop853 import integrate
+from orbitfinder.integrate.dop853 import integrate_in
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.mesh import arc_states
 from orbitfinder.mechanics.hybrid import Hybrid
@@ -151,7 +151,8 @@ class _Arc:
         def field(_: float, x: np.ndarray) -> np.ndarray:
             return np.asarray(self.march.rates(x[None], self.place.tail)[0])
 
-        return np.asarray(integrate(field, self.known[j], np.array([self.mesh[j], moment]), CHECKED)[-1])
+        span = np.array([self.mesh[j], moment])
+        return np.asarray(integrate_in(self.curve.units, field, self.known[j], span, CHECKED)[-1])
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ class _Watched:
         """The height and the moment of the highest place between two looks."""
         times, ends = self.arc.times[i : i + 2], slice(i, i + 2)
         cubic = CubicHermiteSpline(times, self.heights[ends], self.rates[ends])
-        moment = float(brentq(cubic.derivative(), *times))
+        moment = float(brentq(cubic.derivative(), *times, xtol=1e-12 * (times[1] - times[0])))
         top = float(cubic(moment))
         if abs(top) > CLOSE * self.range:
             return top, moment

@@ -77,7 +77,7 @@ def follow_family(
     family.npz, and DIR/<name>/family.jsonl is resumed when the same was asked before. A branch `Start` needs its
     `name` there, and a system that no file describes its `model`. Raises `InputError`, `ConvergenceError`.
     """
-    settings = replace(settings or FamilySettings(), parameter=parameter or parameter_of(origin))
+    settings = replace(settings or FamilySettings(), parameter=_chosen(parameter, settings, origin))
     settings = settings if points is None else replace(settings, points=points)
     if isinstance(origin, Family):
         raise InputError("origin: a Family; give one of its points, or a branch: switch_branch(family, event)")
@@ -109,6 +109,15 @@ def _read(path: str | Path) -> Orbit:
     if Path(path).suffix in (".toml", ".py"):
         raise InputError(f"origin: {path} is a problem file; give its Problem: load_problem({str(path)!r})")
     return load_orbit(path)
+
+
+def _chosen(parameter: str | None, settings: FamilySettings | None, origin: Any) -> str:
+    """The parameter that is asked for, by name or by settings other than usual, else the origin's own."""
+    usual = FamilySettings().parameter
+    told = settings.parameter if settings else usual
+    if parameter and told not in (usual, parameter):
+        raise InputError(f"parameter: {parameter!r} beside settings with {told!r}; give it in one place")
+    return parameter or (told if told != usual else parameter_of(origin))
 
 
 def parameter_of(origin: Any) -> str:

@@ -39,6 +39,7 @@ class Motion:
     point: FamilyPoint
     states: np.ndarray
     joints: np.ndarray | None
+    strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
 
 
 def whole(orbit: Orbit, model: Model) -> Orbit:
@@ -108,7 +109,7 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
         path = course(there, *_period(points[k], there, MOTION))
         moments = np.linspace(0.0, path.period, MOTION + 1)[: -1 if path.jumps else None]
         joints = None if model.points is None else path.positions(moments)
-        found.append(Motion(points[k], path.samples, joints))
+        found.append(Motion(points[k], path.samples, joints, model.strokes))
     return found
 
 

@@ -16,11 +16,19 @@ import numpy as np
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import ReferenceSettings, integrate, vector_field
+from orbitfinder.integrate.idas import SEGMENT_SETTINGS, simulate_dae
 from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.linkage import bar_angles, linkage_state, minimal_linkage
-from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.mechanism import (
+    all_coordinates,
+    coordinate_units,
+    joint_of,
+    mechanism_state,
+    minimal_mechanism,
+)
+from orbitfinder.mechanics.model import Model, constraint_of, energy, wrapped
 from orbitfinder.mechanics.model import vector_field as equations
 
 LEAST_SINE = 0.05
@@ -39,10 +47,12 @@ def minimal_problem(problem: Problem) -> Problem:
     native = problem.model
     if native.constraint is None:
         return problem
+    if native.system.get("kind") == "mechanism":
+        return _minimal_mechanism(problem)
     if native.system.get("kind") != "linkage":
         raise InputError(
-            "system: families of constrained systems are followed for linkages only; describe this one in minimal "
-            "coordinates (lagrange)"
+            "system: families of constrained systems are followed for linkages and mechanisms only; describe this one "
+            "as a mechanism, or in minimal coordinates (lagrange)"
         )
     theta, rates = _bars(np.asarray(problem.guess.state, float))
     chosen = _best(native, theta, rates, float(problem.guess.period))
@@ -54,10 +64,51 @@ def minimal_problem(problem: Problem) -> Problem:
     model, picked = chosen
     state = np.concatenate([theta[picked], rates[picked]])
     turns = None if problem.winding is None else tuple(problem.turns[3 * k + 2] for k in picked)
-    pins = tuple(one for one in problem.pin if one.name in ("energy", "period"))
-    pins = pins or (Pin("energy", energy(model, state)),)
+    return _described(problem, model, state, turns)
+
+
+def _described(problem: Problem, model: Model, state: np.ndarray, turns: tuple[int, ...] | None) -> Problem:
+    """A Problem in minimal coordinates: its energy or period are held, no symmetry is asked for yet."""
+    pins = tuple(one for one in problem.pin if one.name in ("energy", "period") or one.name in model.state_names)
+    if model.conservative:
+        pins = pins or (Pin("energy", energy(model, state)),)
     guess = Guess(state, problem.guess.period)
     return replace(problem, model=model, guess=guess, winding=turns, symmetry="none", pin=pins)
+
+
+def _minimal_mechanism(problem: Problem) -> Problem:
+    """A mechanism's Problem in those coordinates that say best, all along the guess's motion, how the others move."""
+    native, n = problem.model, problem.model.degrees_of_freedom
+    state = np.asarray(problem.guess.state, float)
+    states = simulate_dae(native, state, problem.guess.period, SAMPLES, SEGMENT_SETTINGS).states
+    slopes = _slopes(native, states[:, :n])
+    freedom = n - slopes.shape[1]
+    margins = {chosen: _margin(slopes, chosen) for chosen in combinations(range(n), freedom)}
+    chosen = max(margins, key=lambda one: margins[one])
+    if margins[chosen] < LEAST_SINE:
+        raise InputError(
+            "system: whichever coordinates are taken as independent, a loop comes to a dead point of them on the way, "
+            "so that no choice of minimal coordinates covers this motion and its family cannot be followed"
+        )
+    picked = list(chosen)
+    middle = (states[:, picked].max(axis=0) + states[:, picked].min(axis=0)) / 2
+    near = states[np.abs(wrapped(states[:, picked] - middle, native.angular[picked])).max(axis=1).argmin(), :n]
+    model = minimal_mechanism(native, [native.state_names[k] for k in picked], near)
+    turns = None if problem.winding is None else tuple(problem.turns[k] for k in picked)
+    return _described(problem, model, np.concatenate([state[:n][picked], state[n:][picked]]), turns)
+
+
+def _slopes(native: Model, places: np.ndarray) -> np.ndarray:
+    """J at configurations (k x n), columns in units of their own (k x m x n)."""
+    rows = native.along(constraint_of(native).jacobian, places.T)
+    return np.asarray(rows.reshape(rows.shape[0], len(places), -1).transpose(1, 0, 2) * coordinate_units(native))
+
+
+def _margin(slopes: np.ndarray, chosen: tuple[int, ...]) -> float:
+    """How well the other coordinates follow from the chosen ones: the least singular value over the largest."""
+    rest = [k for k in range(slopes.shape[2]) if k not in chosen]
+    values = np.linalg.svd(slopes[:, :, rest], compute_uv=False)
+    return float((values[:, -1] / values[:, 0]).min())
 
 
 def _bars(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,6 +168,8 @@ def dead_point(system: Mapping[str, Any], states: np.ndarray, free: Mapping[str,
     if "independent" not in system:
         return ""
     states = states[np.all(np.isfinite(states), axis=1)]
+    if system["kind"] == "mechanism":
+        return _mechanism_dead_point(_native(system, free), system, states)
     bars = len(system["independent"]) + 2
     i, j = (k for k in range(bars) if k + 1 not in system["independent"])
     theta = bar_states(system, states, free)[:, :bars]
@@ -124,8 +177,29 @@ def dead_point(system: Mapping[str, Any], states: np.ndarray, free: Mapping[str,
     return f"bars {i + 1} and {j + 1} come into line (a dead point)" if sine < LEAST_SINE else ""
 
 
+def _mechanism_dead_point(native: Model, system: Mapping[str, Any], states: np.ndarray) -> str:
+    u, names = states[:, : len(system["independent"])], native.state_names
+    slopes = _slopes(native, all_coordinates(native, system).map(len(u))(u.T).full().T)
+    picked = [k for k in range(slopes.shape[2]) if names[k] in system["independent"]]
+    rest = [k for k in range(slopes.shape[2]) if k not in picked]
+    values = np.linalg.svd(slopes[:, :, rest], compute_uv=False)
+    worst = int((values[:, -1] / values[:, 0]).argmin())
+    if values[worst, -1] > LEAST_SINE * values[worst, 0]:
+        return ""
+    row = int(np.abs(np.linalg.svd(slopes[worst][:, rest])[0][:, -1]).argmax())
+    return (
+        f"{joint_of(native, row)} no longer says how {', '.join(names[k] for k in rest)} follow from "
+        f"{', '.join(system['independent'])} (a dead point)"
+    )
+
+
 def native_state(system: Mapping[str, Any], state: np.ndarray, free: Mapping[str, float] | None = None) -> np.ndarray:
     """The state of the linkage as a native DAE (6 a bar) that a minimal state of a family stands for."""
+    if system.get("kind") == "mechanism":
+        native, n = _native(system, free), len(system["independent"])
+        place = all_coordinates(native, system)(state[:n]).full().ravel()
+        return mechanism_state(native, rates=dict(zip((f"{one}dot" for one in system["independent"]), state[n:],
+                                                      strict=True)), near=place)  # fmt: skip
     angles, rates = np.split(bar_states(system, state, free)[0], 2)
     return linkage_state(_native(system, free), angles, rates)
 

@@ -23,6 +23,8 @@ from orbitfinder.records.orbit import system_at
 
 LEAST = 1e-3
 """Share of a motion's distance from the origin that its extent counts as at least: it is known to round-off of that."""
+STEPPED = 1e-13
+"""A last step of Newton's that is shorter than this leaves the action as it is"""
 PIECEWISE = 1e3
 """Growth of errors beyond which an orbit is checked piece by piece as well."""
 
@@ -100,7 +102,7 @@ def make_point(
         state=place.nodes[0],
         period=place.period,
         energy=parameter_value(curve, place, "energy"),
-        action=found.march.integral / p.symmetry.fraction,
+        action=action_at(curve, found) / p.symmetry.fraction,
         closure=closure,
         defect=defect,
         scale=grown,
@@ -117,6 +119,17 @@ def make_point(
         tangent=along,
         **where,
     )
+
+
+def action_at(curve: Curve, found: Solution) -> float:
+    """The action over the horizon (J s). Where it is not stationary, it is that of the place after Newton's last step.
+
+    At one energy of a smooth conservative system it is: there an error of the state counts squared.
+    """
+    p = curve.equations
+    if found.stepped < STEPPED or (p.model.conservative and not p.links):
+        return found.march.integral
+    return p.varied(found.place).integral
 
 
 def checked_pieces(curve: Curve, found: Solution, check: ClosureCheck, free: Mapping[str, float]) -> float:
@@ -172,14 +185,14 @@ def length(model: Model, states: np.ndarray) -> np.ndarray:
     """What coordinates (n) are measured in (see `mechanics.scales.lengths`); of a first-order state each by itself."""
     if model.rates is None:
         return lengths(model, states)
-    return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0)))
+    return np.where(model.angular, 1.0, alone(np.ptp(states, axis=0), model.angular))
 
 
 def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     """The scale (2n) of every component of a motion (k x 2n): the largest extent of coordinates, and of rates."""
-    n = curve.shares.size
+    n, angular = curve.shares.size, curve.equations.model.angular
     if n == states.shape[1]:
-        return np.asarray(np.maximum(alone(np.ptp(states, axis=0)), LEAST * np.abs(states).max(axis=0)))
+        return np.asarray(np.maximum(alone(np.ptp(states, axis=0), angular), LEAST * np.abs(states).max(axis=0)))
     parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
     sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
     return np.concatenate([size * curve.shares for size in sizes])

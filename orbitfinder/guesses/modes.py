@@ -27,6 +27,7 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import QUARTER, declared
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.linkage import assemble, check_regular, dimensions, linkage_state
+from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model, counted, vector_field, wrapped
 from orbitfinder.mechanics.scales import given_lengths, masses_of, snapped
 
@@ -90,24 +91,28 @@ def sizes(model: Model) -> np.ndarray:
 
 
 def equilibrium(model: Model) -> np.ndarray:
-    """Coordinates (n) of the minimum of the potential nearest to q = 0."""
+    """Coordinates (n) of the minimum of the potential nearest to q = 0, of a mechanism to its pose."""
     n, units = model.degrees_of_freedom, sizes(model)
+    pose = model.system.get("pose", {})
+    from_here = np.array([pose.get(name, 0.0) for name in model.state_names[:n]])
 
     def potential(q: np.ndarray) -> float:
-        return float(model.potential(units * q, model.parameter_values))
+        return float(model.potential(from_here + units * q, model.parameter_values))
 
     zero = np.zeros(n)
     work = _work(potential, n)
     slopes = [potential(1e-6 * unit) - potential(-1e-6 * unit) for unit in np.eye(n)]
     if np.abs(slopes).max() < 1e-11 * max(work, abs(potential(zero))):
-        return zero
+        return from_here
     found = minimize(lambda q: potential(q) / work, zero, method="BFGS", options={"gtol": 1e-11}).x
-    pace = work / masses_of(model.kinetic, np.concatenate([units * found, zero]), model).max() / units.max()
+    pace = work / masses_of(model.kinetic, np.concatenate([from_here + units * found, zero]), model).max() / units.max()
 
     def force(q: np.ndarray) -> np.ndarray:
-        return np.asarray(model.acceleration(0.0, units * q, zero, model.parameter_values).full().ravel() / pace)
+        return np.asarray(
+            model.acceleration(0.0, from_here + units * q, zero, model.parameter_values).full().ravel() / pace
+        )
 
-    return np.asarray(units * np.asarray(root(force, found, tol=1e-15).x))
+    return np.asarray(from_here + units * np.asarray(root(force, found, tol=1e-15).x))
 
 
 def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
@@ -119,11 +124,14 @@ def _work(potential: Callable[[np.ndarray], float], n: int) -> float:
 def linkage_equilibrium(model: Model, guess: Sequence[float] | np.ndarray | None = None) -> np.ndarray:
     """Link angles (n, rad) of an equilibrium: the stationary point near `guess`, or the lowest one found.
 
-    Without a guess the potential is minimised on the constraint from some two dozen assemblies. Raises
-    `InputError` when Newton's method finds none.
+    Without a guess the potential is minimised on the constraint from some two dozen assemblies. Of a mechanism with
+    loops they are its coordinates, and it is minimised from the pose alone. Raises `InputError` when Newton's method
+    finds none.
     """
     if guess is not None:
         return _stationary(model, np.asarray(guess, float))
+    if model.system.get("kind") != "linkage":
+        return _stationary(model, _descended(model, mechanism_state(model)[: model.degrees_of_freedom]))
     lengths, ground = dimensions(model)
     random = np.random.default_rng(0)
     found = []
@@ -161,9 +169,11 @@ def _stationary(model: Model, start: np.ndarray) -> np.ndarray:
         step = step[: theta.size]
         theta = theta + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-300))
         if np.abs(step).max() < 1e-13:
-            check_regular(dimensions(model)[0], theta)
+            if model.system.get("kind") == "linkage":
+                check_regular(dimensions(model)[0], theta)
             return theta
-    raise InputError(f"linkage: no equilibrium found near {np.array2string(start, precision=4)}; give other angles")
+    kind, near = model.system.get("kind"), np.array2string(start, precision=4)
+    raise InputError(f"{kind}: no equilibrium found near {near}; give other angles")
 
 
 def _descended(model: Model, start: np.ndarray) -> np.ndarray:
@@ -190,7 +200,8 @@ def normal_modes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared angular frequencies (n, rad^2/s^2, slowest first) and shapes (n x n, one per column).
 
-    K u = w^2 M u with M = d2T/dv2 and K = d2V/dq2 at the equilibrium (default: q = 0, hanging).
+    K u = w^2 M u with M = d2T/dv2 and K = d2V/dq2 at the equilibrium (default: q = 0, hanging; of a mechanism the one
+    nearest to its pose).
     Source: Goldstein, Classical Mechanics, section 6.2.
     """
     n = model.degrees_of_freedom
@@ -198,7 +209,7 @@ def normal_modes(
         raise InputError(
             "a first-order system has no masses; give mode, amplitude and equilibrium, or a state and a period"
         )
-    place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
+    place = _place(model, equilibrium)
     if place.shape != (n,):
         raise InputError(f"equilibrium: shape {place.shape} for {n} coordinates; give one number each, without rates")
     column, columns = at_rest(model), []
@@ -220,6 +231,13 @@ def normal_modes(
     except np.linalg.LinAlgError as error:
         raise InputError(f"guess.mode: no modes at {place.tolist()} ({error}); give a state and a period") from error
     return np.asarray(squared), np.asarray(shapes)
+
+
+def _place(model: Model, given: Sequence[float] | np.ndarray | None) -> np.ndarray:
+    """The equilibrium given; without one q = 0, of a mechanism the nearest to its pose."""
+    if given is not None:
+        return np.asarray(given, float)
+    return equilibrium(model) if model.system.get("kind") == "mechanism" else np.zeros(model.degrees_of_freedom)
 
 
 def normal_mode(
@@ -252,7 +270,7 @@ def normal_mode(
         )
     shape = shapes[:, mode - 1]
     largest = shape[np.abs(shape).argmax()]
-    place = np.zeros(n) if equilibrium is None else np.asarray(equilibrium, float)
+    place = _place(model, equilibrium)
     return Guess(np.concatenate([place + amplitude * shape / largest, np.zeros(n)]), 2 * np.pi / np.sqrt(chosen))
 
 
@@ -416,5 +434,8 @@ def linkage_mode(
         raise InputError(f"guess.mode: mode {mode} does not oscillate (squared frequency {squared[mode - 1]:.3g})")
     shape = shapes[:, mode - 1]
     moved = theta + amplitude * shape / shape[np.abs(shape).argmax()]
-    state = linkage_state(model, assemble(model, {}, guess=moved))
+    if model.system.get("kind") == "linkage":
+        state = linkage_state(model, assemble(model, {}, guess=moved))
+    else:
+        state = mechanism_state(model, near=moved)
     return Guess(state, 2 * np.pi / float(np.sqrt(squared[mode - 1])))

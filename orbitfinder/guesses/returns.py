@@ -89,24 +89,37 @@ def recurrences(
     return [_on_the_beat(one, times, states, float(model.forcing_period(model.parameter_values))) for one in found]
 
 
-def first_return(model: Model, state: np.ndarray, longest: float = 20.0) -> float:
+def first_return(model: Model, state: np.ndarray, longest: float | None = None) -> float:
     """Time (s) at which the motion from a state (2n) is first back near its start, angles modulo 2 pi.
 
-    Of a linkage of one degree of freedom that is its period, to the sampling. Raises `InputError` when it
-    does not come back.
+    Of a linkage of one degree of freedom that is its period, to the sampling. Without a `longest` time (s) it is looked
+    for in 20 s, of a mechanism in 400 times of its own pace. Raises `InputError` when it does not come back.
     """
-    count = int(200 * longest) + 1
-    motion = simulate_dae(model, state, longest, count)
-    n, away = model.degrees_of_freedom, wrapped(motion.states - motion.states[0], model.angles)
-    clock = np.ptp(motion.states[:, n:]) or 1.0
+    pace = float(model.system["baumgarte"][0]) if model.system.get("kind") == "mechanism" else 20.0
+    longest = 400.0 / pace if longest is None else longest
+    for share in (1 / 16, 1 / 4, 1.0):
+        found = _returned(model, state, share * longest, 10 * pace)
+        if found is not None:
+            return found
+    raise InputError(f"guess.period: the motion does not come back within {longest:g} s; give a period")
+
+
+def _returned(model: Model, state: np.ndarray, longest: float, often: float) -> float | None:
+    """The first return within a time (s), looked for so many times a second."""
+    count = int(often * longest) + 1
+    if model.constraint is None:
+        times, states = np.linspace(0.0, longest, count), sample(build_flow(model), state, longest, count)
+    else:
+        motion = simulate_dae(model, state, longest, count)
+        times, states = motion.times, motion.states
+    n, away = model.degrees_of_freedom, wrapped(states - states[0], model.angles)
+    clock = np.ptp(states[:, n:]) or 1.0
     distance = np.maximum(np.abs(away[:, :n]).max(axis=1), np.abs(away[:, n:]).max(axis=1) / clock)
     near = NEAR_RETURN * float(distance.max())
     left = int(np.argmax(distance > near))
     lowest = (distance[1:-1] < near) & (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])
     back = [k for k in np.flatnonzero(lowest) + 1 if k > left]
-    if not left or not back:
-        raise InputError(f"guess.period: the motion does not come back within {longest:g} s; give a period")
-    return float(motion.times[back[0]])
+    return float(times[back[0]]) if left and back else None
 
 
 def normal_mode_sum(

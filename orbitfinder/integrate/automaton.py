@@ -18,11 +18,21 @@ from scipy.optimize import brentq
 
 from orbitfinder._runtime import limit
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, VectorField, integrate, vector_field
+from orbitfinder.integrate.dop853 import (
+    SECOND,
+    TIGHTEST,
+    ReferenceSettings,
+    VectorField,
+    integrate,
+    integrate_in,
+    scaled,
+    vector_field,
+)
 from orbitfinder.integrate.evaluate import Buffered
 from orbitfinder.mechanics.hybrid import Transition, gradient
 from orbitfinder.mechanics.model import Model, wrapped
 from orbitfinder.mechanics.model import vector_field as field_of
+from orbitfinder.mechanics.scales import units_of
 
 LOOKS = 8
 """Times at which guards are looked at within a step, at least"""
@@ -71,10 +81,16 @@ class Arc:
 
 
 class Automaton:
-    """The simulator of one hybrid Model at its parameters' values, in steps of at most `longest` s."""
+    """The simulator of one hybrid Model at its parameters' values, in steps of at most `longest` s.
 
-    def __init__(self, model: Model, settings: ReferenceSettings = TIGHTEST, longest: float = np.inf) -> None:
+    States are integrated in `units` (d), () is 1.
+    """
+
+    def __init__(
+        self, model: Model, settings: ReferenceSettings = TIGHTEST, longest: float = np.inf, units: Sequence[float] = ()
+    ) -> None:
         assert model.hybrid is not None
+        self.units = np.asarray(units) if len(units) else np.ones(len(model.state_names))
         self.model, self.hybrid, self.settings, self.longest = model, model.hybrid, settings, longest
         self._fields: dict[str, VectorField] = {}
         self._buffered: dict[int, Buffered] = {}
@@ -88,6 +104,25 @@ class Automaton:
             t, x = ca.MX.sym("t"), ca.MX.sym("x", flow.size1_in(1))
             self._fields[mode] = vector_field(ca.Function("f", [t, x], [flow(t, x, [], [])]))
         return self._fields[mode]
+
+    @classmethod
+    def about(
+        cls, model: Model, state: np.ndarray, period: float, settings: ReferenceSettings = TIGHTEST,
+        longest: float = np.inf,
+    ) -> Automaton:  # fmt: skip
+        """The one in the units of a motion from a state that takes about this time (s)."""
+        units = units_of(model, np.asarray(state, float)[None], period) if np.isfinite(period) else ()
+        return cls(model, settings, longest, units)
+
+    def path(
+        self, mode: str, x: np.ndarray, times: np.ndarray, settings: ReferenceSettings | None = None,
+        units: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """States (k x d) at times (k) from x in a mode, whatever its guards say."""
+        chosen, units = settings or self.settings, self.units if units is None else units
+        if np.all(units == 1.0):
+            return integrate(self.field(mode), x, times, chosen)
+        return integrate_in(units, self.field(mode), x, times, chosen)
 
     def varied(self, mode: str) -> VectorField:
         """The field of (x, vec Y, S) in a mode: the motion, its variations, its action."""
@@ -146,10 +181,10 @@ class Automaton:
     @np.errstate(over="ignore", invalid="ignore")
     def _arc(self, x: np.ndarray, t: float, until: float, mode: str, by: str) -> Arc:
         """One arc: steps until a guard is crossed or the time is over; an arc begun `by` an event lies on its guard."""
-        field, leaving, settings = self.field(mode), self.hybrid.leaving(mode), self.settings
+        field, leaving, settings, units = self.field(mode), self.hybrid.leaving(mode), self.settings, self.units
         solver = DOP853(
-            field, 0.0, x, until - t, rtol=settings.relative_tolerance, atol=settings.absolute_tolerance,
-            max_step=max(self.longest, 1e-300),
+            scaled(field, units), 0.0, x / units, until - t, rtol=settings.relative_tolerance,
+            atol=settings.absolute_tolerance, max_step=max(self.longest, 1e-300),
         )  # fmt: skip
         self._asked = []
         guards = [self._watch(one.guard, one.direction, field, x, by in ("", one.name)) for one in leaving]
@@ -161,9 +196,9 @@ class Automaton:
             solver.step()
             if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
                 raise IntegrationError("DOP853 fails: the motion is singular there", time=solver.t, state=x)
-            dense, looks = solver.dense_output(), np.linspace(solver.t_old, solver.t, LOOKS)[1:]
+            dense, looks = self._told(solver.dense_output()), np.linspace(solver.t_old, solver.t, LOOKS)[1:]
             within = dense(looks).T
-            within[-1] = solver.y
+            within[-1] = solver.y * units
             found = self._crossing(guards, leaving, looks, within, dense, field, (solver.t_old, states[-1][-1]))
             if found is not None:
                 moment, end, which = found
@@ -181,6 +216,10 @@ class Automaton:
                 return Arc(mode, t + spent, path, None, path[-1], 0.0, margins)
             return self._ended(mode, leaving[which], t, spent, path, guards[which].range, margins)
         raise IntegrationError(f"no event ends mode {mode} within {MOST_STEPS} steps", time=solver.t, state=solver.y)
+
+    def _told(self, dense: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
+        """Dense output (d, or d x k) in the model's own units."""
+        return lambda times: np.asarray((dense(times).T * self.units).T)
 
     def _watch(
         self, function: ca.Function, direction: int, field: VectorField, x: np.ndarray, own: bool = False
@@ -237,7 +276,7 @@ class Automaton:
         """Newton's method on the event's time, with the integrator itself instead of its dense output."""
         start, x = begin
         for _ in range(3):
-            state = integrate(field, x, np.array([start, moment]), self.settings) if moment > start else x[None]
+            state = self.path(one.source, x, np.array([start, moment])) if moment > start else x[None]
             state = state[-1]
             rate = self._rate(one, field, moment, state)
             if rate == 0.0:
@@ -283,7 +322,7 @@ def _root(rising: Callable[[float], float], before: float, after: float) -> floa
     ends = rising(before), rising(after)
     if not ends[0] < 0 <= ends[1]:
         return before if ends[0] >= 0 else after
-    return float(brentq(rising, before, after, xtol=1e-15, rtol=1e-14))
+    return float(brentq(rising, before, after, xtol=1e-15 * max(abs(before), abs(after)), rtol=1e-14))
 
 
 def recognised(model: Model, state: np.ndarray, period: float) -> tuple[str, ...]:
@@ -293,7 +332,8 @@ def recognised(model: Model, state: np.ndarray, period: float) -> tuple[str, ...
     """
     hybrid = model.hybrid
     found, nearest = list[Arc](), (RETURN, 0)
-    simulated = Automaton(model, SECOND, period / 16).arcs(state, hybrid.first.name, (1 + RETURN) * period)
+    automaton = Automaton.about(model, state, period, SECOND, period / 16)
+    simulated = automaton.arcs(state, hybrid.first.name, (1 + RETURN) * period)
     for arc in simulated:
         if arc.ended_by is None:
             break

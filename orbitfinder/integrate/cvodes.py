@@ -295,8 +295,8 @@ def integration_error(
     found = re.search(r"[Aa]t t = ([-+0-9.eE]+)", text)
     time = start + (float(found.group(1)) if found else 0.0) * duration
     causes = {
-        r"NaN detected": "the equations of motion are not finite there (0 / 0, the root of a negative number, or a "
-        "motion that has run off to infinity); write them so that they are smooth along the motion",
+        r"NaN detected|RHSFUNC": "the equations of motion are not finite there (0 / 0, the root of a negative number, "
+        "or a motion that has run off to infinity); write them so that they are smooth along the motion",
         r"mxstep|TOO_MUCH_WORK": f"too many internal steps in {duration:.4g} s; that is too long for one segment, or "
         "the motion too fast: take more segments or a shorter period",
         r"not finite|nan|NaN": "the equations of motion are not finite there",
@@ -304,9 +304,12 @@ def integration_error(
         r"CONV_FAILURE|convergence test": "the corrector does not converge; the motion is singular there",
         r"too much accuracy|TOO_MUCH_ACC": "the tolerance asked for is below round-off; loosen it",
         r"tout too close|TOO_CLOSE": "the time span is too short to integrate",
+        r"ILL_INPUT": f"{duration:.4g} s cannot be told in steps that the motion needs; take a shorter time",
     }
     reason = next((said for pattern, said in causes.items() if re.search(pattern, text)), None)
     last = text.strip().splitlines()[-1][:200] if text.strip() else "no message"
+    if flag := re.search(r'returned "(\w+)"', last):
+        last = f"SUNDIALS gives up ({flag.group(1)}); start elsewhere, or take a shorter time"
     return IntegrationError(reason or last, segment=segment, time=time, state=np.asarray(state))
 
 

@@ -72,9 +72,14 @@ class March(Refining):
     """
 
     def __init__(
-        self, field: ca.Function, forced: bool = False, integrand: ca.Function | None = None, alone: bool = False
+        self,
+        field: ca.Function,
+        forced: bool = False,
+        integrand: ca.Function | None = None,
+        alone: bool = False,
+        effort: float = EFFORT,
     ) -> None:
-        self.field, self.forced, self.integrand = field, forced, integrand
+        self.field, self.forced, self.integrand, self._effort = field, forced, integrand, effort
         self.size, self.unfolding, self.free = (int(field.size1_in(k)) for k in (1, 2, 3))
         self._lanes = Lanes(alone)
 
@@ -92,25 +97,25 @@ class March(Refining):
     def _varied(self) -> ca.Function:
         """The field of (x, vec Y, S); in another form where it is interpreted."""
         whole = variational_field(self.field, self.integrand)
-        if compiled(step_of(whole), effort=EFFORT).is_a("External"):
+        if compiled(step_of(whole), effort=self._effort).is_a("External"):
             return whole
         return variational_field(self.field, self.integrand, products=True)
 
     @cached_property
     def _step(self) -> ca.Function:
-        return compiled(step_of(self.field), effort=EFFORT)
+        return compiled(step_of(self.field), effort=self._effort)
 
     @cached_property
     def _varied_step(self) -> ca.Function:
-        return compiled(step_of(self._varied), effort=EFFORT)
+        return compiled(step_of(self._varied), effort=self._effort)
 
     @cached_property
     def _error(self) -> ca.Function:
-        return compiled(step_of(self.field, True), effort=EFFORT)
+        return compiled(step_of(self.field, True), effort=self._effort)
 
     @cached_property
     def _varied_error(self) -> ca.Function:
-        return compiled(step_of(self._varied, True), effort=EFFORT)
+        return compiled(step_of(self._varied, True), effort=self._effort)
 
     def build(self) -> None:
         """Derive and compile now what integrates states and derivatives, not at first use."""

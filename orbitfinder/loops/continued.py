@@ -75,6 +75,8 @@ class Solution:
     march: Varied
     jacobian: np.ndarray
     residual: float
+    stepped: float = 0.0
+    """how far, in the family's metric, the place is from where `march` was made: Newton's last step"""
 
 
 def make_curve(
@@ -175,7 +177,7 @@ def correct(
             step = np.linalg.lstsq(whole, -rows, rcond=1e-12)[0]
         moved = w.moved(step)
         if ready:
-            return Solution(moved, path, jacobian, largest)
+            return Solution(moved, path, jacobian, largest, distance(curve, moved.head, w.head))
         if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:

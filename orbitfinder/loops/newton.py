@@ -48,11 +48,12 @@ EVEN = WIDE**0.5
 
 @dataclass(frozen=True)
 class Units:
-    """What a loop is measured in: states (d), the tail (T, s, free), and the closing rows."""
+    """What a loop is measured in: states (d), the tail (T, s, free), the closing rows, and after those the guards."""
 
     state: np.ndarray
     tail: np.ndarray
     closing: np.ndarray
+    guards: int = 0
 
     @classmethod
     def of(cls, loop: Loop, w: Unknowns, state: Sequence[float]) -> Units | None:
@@ -60,8 +61,6 @@ class Units:
 
         A condition is measured in what a unit of the unknowns changes in it, if that is far from 1.
         """
-        if loop.equations.links:
-            return None  # a machine's arcs are of its own units
         if not len(state):
             changes = np.linalg.norm(loop.slopes(w, loop.conditions), axis=1)
             if np.all((changes > 1 / EVEN) & (changes < EVEN)):
@@ -71,8 +70,12 @@ class Units:
         clock = float(snapped(w.period / (2 * np.pi))) if known.size else 1.0
         head = np.concatenate([node, [clock], snapped(free)])
         rows = loop.row_units(w, head)[(len(w.nodes) - 1) * size :]
-        rows = np.append(snapped(rows[: size + len(loop.normals)]), snapped(rows[size + len(loop.normals) :], WIDE))
-        return cls(node, np.concatenate([[clock], np.full(w.unfolding.size, 1.0 / clock), snapped(free)]), rows)
+        guards = loop.equations.links.count if loop.equations.links else 0
+        closing, named = np.split(rows, [size + len(loop.normals)])
+        rows = np.append(
+            snapped(closing), snapped(named, 2.0 if guards else WIDE)
+        )  # a machine's steps are damped by all
+        return cls(node, np.concatenate([[clock], np.full(w.unfolding.size, 1.0 / clock), snapped(free)]), rows, guards)
 
     def rows(self, segments: int) -> np.ndarray:
         """Those of all rows."""
@@ -80,13 +83,17 @@ class Units:
 
     def measured(self, system: Linearised) -> Linearised:
         """A linearised loop in these units."""
-        state, closing = self.state, self.closing[:, None]
+        state, cut, inner = self.state, self.closing.size - self.guards, system.inner
+        closing, guards = self.closing[:cut, None], self.closing[cut:, None]
+        if inner is not None:
+            inner = inner[0], inner[1] * state / guards, inner[2] * self.tail / guards
         return Linearised(
             system.transitions * state / state[:, None],
             system.columns * self.tail / state[:, None],
             system.first * state / closing,
             system.last * state / closing,
             system.tail * self.tail / closing,
+            inner,
         )
 
 

@@ -483,19 +483,19 @@ def displacement(problem: Problem, w: Unknowns, end: np.ndarray | None) -> np.nd
     model, n = problem.model, problem.model.degrees_of_freedom
     if problem.boundary.maps or problem.winding is not None or end is None:
         return boundary_constants(problem, w.nodes, end)
-    turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative)
+    turns = whole_turns(model, w.nodes[0], end, problem.boundary.relative, model.hybrid is not None)
     return np.concatenate([np.zeros(n) if turns is None else 2 * np.pi * turns, np.zeros(w.nodes.shape[1] - n)])
 
 
 def whole_turns(
-    model: Model, start: np.ndarray, end: np.ndarray, relative: Sequence[Sequence[float]] = ()
+    model: Model, start: np.ndarray, end: np.ndarray, relative: Sequence[Sequence[float]] = (), nearest: bool = False
 ) -> np.ndarray | None:
     """Whole turns of each angle (n) between two states beside a shift along `relative` directions; None when they do
-    not come near whole numbers."""
+    not come near whole numbers, unless the `nearest` are wanted (of a clock that is among the states)."""
     turned = np.where(model.angles, (end - start)[: model.degrees_of_freedom] / (2 * np.pi), 0.0)
     turned = beside(turned, relative)
     whole = np.round(turned)
-    return whole if np.all(np.abs(turned - whole) <= WINDING_MARGIN) else None
+    return whole if nearest or np.all(np.abs(turned - whole) <= WINDING_MARGIN) else None
 
 
 def segments_needed(equations: Equations, w: Unknowns, clock: float, growth: float, between: tuple[int, int]) -> int:

@@ -107,10 +107,9 @@ def canonical(model: Model) -> Canonical:
         velocity = solve_positive_definite(matrix, y[k:] - offset)
     else:
         velocity = ca.solve(matrix, y[k:] - offset, "ldl")
-    slope = ca.gradient(kinetic - potential, q) + _reaction(kinetic, potential, phi, q, v)
-    force = ca.Function("slope", [q, v], [slope])(y[:k], velocity)
-    if model.forces is not None:
-        force += model.forces(t, y[:k], velocity, values)
+    pushed = None if model.forces is None else model.forces(t, q, v, values)
+    slope = ca.gradient(kinetic - potential, q) + _reaction(kinetic, potential, phi, q, v, pushed)
+    force = ca.Function("slope", [t, q, v], [slope if pushed is None else slope + pushed])(t, y[:k], velocity)
     rate = ca.vertcat(velocity, force)
     lower = ca.horzcat(ca.jacobian(momentum, q), ca.jacobian(momentum, v))
     upper = ca.horzcat(type(y).eye(k), type(y)(k, k))
@@ -125,11 +124,11 @@ def canonical(model: Model) -> Canonical:
     )
 
 
-def _reaction(kinetic: Any, potential: Any, phi: Any, q: Any, v: Any) -> Any:
+def _reaction(kinetic: Any, potential: Any, phi: Any, q: Any, v: Any, forces: Any = None) -> Any:
     """J^T lambda: with M a + h = J^T lambda and J a + Jdot v = 0, lambda = (J M^-1 J^T)^-1 (J M^-1 h - Jdot v)."""
     if not phi.numel():
         return 0.0
-    mass, bias = mass_matrix_and_bias(kinetic, potential, q, v)
+    mass, bias = mass_matrix_and_bias(kinetic, potential, q, v, forces)
     jacobian = ca.jacobian(phi, q)
     weighted, free = solve_positive_definite(mass, jacobian.T), solve_positive_definite(mass, bias)
     right = jacobian @ free - ca.jtimes(jacobian @ v, q, v)

@@ -20,17 +20,21 @@ from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
 from orbitfinder.mechanics.machines import MACHINES
+from orbitfinder.mechanics.mechanism import mechanism, minimal_mechanism
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import with_scales
 from orbitfinder.records.orbit import system_at
 
-REBUILDABLE = ("chain", "linkage")
+REBUILDABLE = ("chain", "linkage", "mechanism")
 """Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
+REMADE = ("chain", "linkage")
+"""Those whose description is read again where a parameter changes"""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
     """The Model that a description stands for; of a linkage the one in maximal coordinates, or (with
-    `independent` bars and `branch`) the minimal one; of a chain with `baumgarte` terms the native DAE.
+    `independent` bars and `branch`) the minimal one; of a mechanism with loops the native DAE, or (with
+    `independent` coordinates) the minimal one; of a chain with `baumgarte` terms the native DAE.
 
     `trusted` is the folder of a file whose Python functions may be imported (see `python_model`).
     Raises `InputError` for an unknown or wrong description.
@@ -52,6 +56,9 @@ def _model(system: Mapping[str, Any], trusted: Path | None) -> Model:
         return (
             minimal_linkage(model, system["independent"], system.get("branch", 1)) if "independent" in system else model
         )
+    if system.get("kind") == "mechanism":
+        found = _built(mechanism, {key: value for key, value in system.items() if key != "independent"})
+        return minimal_mechanism(found, system["independent"]) if "independent" in system else found
     if system.get("kind") == "chain" and "baumgarte" in system:
         return _built(chain_dae, {key: value for key, value in system.items() if key != "formulation"})
     return _built(chain, system)
@@ -162,6 +169,6 @@ def with_parameters(model: Model, values: Mapping[str, float]) -> Model:
     for name, value in values.items():
         numbers[model.parameter_index(name)] = value
     system = system_at(model.system, values)
-    if model.system.get("kind") in REBUILDABLE:
+    if model.system.get("kind") in REMADE:
         return build_model(system)
     return replace(model, parameter_values=numbers, system=system, hybrid=at_numbers(model.hybrid, numbers))

@@ -174,10 +174,15 @@ def tangent_basis(rows: np.ndarray) -> np.ndarray:
 
 def tangent_space(model: Model, state: np.ndarray) -> np.ndarray:
     """Orthonormal basis (2n x 2(n - m)) of the variations of a state (2n) that keep phi = 0 and J v = 0."""
+    return tangent_basis(constraint_rows(model)(state).full())
+
+
+def constraint_rows(model: Model) -> ca.Function:
+    """The gradients (2m x 2n) of phi and J v at a state x, which `tangent_basis` is orthogonal to."""
     n, p, constraint = model.degrees_of_freedom, ca.DM(model.parameter_values), constraint_of(model)
     x = ca.MX.sym("x", 2 * n)
     level = ca.vertcat(constraint.phi(x[:n], p), constraint.rate(x[:n], x[n:], p))
-    return tangent_basis(ca.Function("rows", [x], [ca.jacobian(level, x)])(state).full())
+    return ca.Function("rows", [x], [ca.jacobian(level, x)])
 
 
 def allowed_velocities(model: Model, state: np.ndarray) -> np.ndarray:

@@ -57,6 +57,8 @@ def in_symbols(name: str) -> Iterator[None]:
     """Where a function of the user's is called with symbols: what goes wrong in it is an `InputError` of that name."""
     try:
         yield
+    except InputError as error:
+        raise InputError(sub("^field(?=: unknown name)", name, str(error))) from error
     except (TypeError, IndexError, NotImplementedError, AttributeError, RuntimeError) as error:
         said = sub(r"^.*\.cpp:\d+: ", "", (str(error).strip() or type(error).__name__).splitlines()[0]).rstrip(".")
         hint = (

@@ -159,6 +159,10 @@ def impact(model: Model, contact: Expression, restitution: float | Expression | 
         gaps = ca.vertcat(*_listed(contact(*here)))
     wanted = restitution(*here) if callable(restitution) else restitution
     e = ca.vertcat(*wanted) if isinstance(wanted, Sequence) else ca.repmat(ca.SX(wanted), gaps.numel(), 1)
+    if e.is_constant() and not np.all(np.isfinite(ca.DM(e).full())):
+        raise InputError(f"restitution: must be finite, got {restitution}; 0 is plastic, 1 elastic")
+    if ca.which_depends(gaps, x[n:]) != [False] * n or not ca.jacobian(gaps, x[:n]).nnz():
+        raise InputError("contact: gaps are functions of the coordinates, and of no velocity; give the distance in m")
     if e.numel() != gaps.numel():
         raise InputError(f"restitution: {e.numel()} numbers for {gaps.numel()} contacts; give one, or one each")
     mass = ca.hessian(model.kinetic(x[:n], velocity, p), velocity)[0]
@@ -197,6 +201,8 @@ def hybrid(
     _check_modes(named)
     named = tuple(replace(one, model=_conserving(one, conserved)) for one in named)
     first = named[0].model
+    for name in (one for one in first.parameter_names if one.startswith(SHARE)):
+        raise InputError(f"modes: a parameter {name!r} is the share of an arc in the period; choose another name")
     cycle = tuple(cycle or ())
     parts = Hybrid(named, tuple(transitions), cycle)
     _check_cycle(parts)
@@ -234,6 +240,22 @@ def with_cycle(model: Model, cycle: Sequence[str]) -> Model:
     built = replace(made.hybrid, ground=model.hybrid.ground)
     controls = {"controls": model.controls, "limits": model.limits}
     return replace(made, parameter_values=numbers, hybrid=at_numbers(built, numbers), **controls)  # type: ignore[arg-type]
+
+
+def as_recorded(model: Model, system: Mapping[str, Any]) -> Model:
+    """The same system, a hybrid one with the cycle that the description of an orbit names."""
+    return with_cycle(model, system["cycle"]) if model.hybrid is not None and "cycle" in system else model
+
+
+def section_of(model: Model, one: Transition) -> ca.Function:
+    """(x-, p) -> x+ after a transition; what must be as it is there, its guard and what is conserved at x+; and the
+    derivatives of both by x-."""
+    symbol = ca.SX.sym if all(each.is_a("SXFunction") for each in (one.guard, one.reset)) else ca.MX.sym
+    x, p, n = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names)), model.degrees_of_freedom
+    after = one.reset(x, p)
+    held = ca.vertcat(one.guard(x, p), *(each.value(after[:n], after[n:], p) for each in model.invariants))
+    slopes = [ca.densify(ca.jacobian(each, x)) for each in (after, held)]
+    return ca.Function("section", [x, p], [after, held, *slopes])
 
 
 def repeated(model: Model, times: int) -> Model:
@@ -285,7 +307,9 @@ def _mode(mode: Mode, whole: Model) -> Mode:
         parameter_names=whole.parameter_names,
         parameter_values=whole.parameter_values,
     )
-    return Mode(mode.name, model, {name: _function("holds", one, model) for name, one in (mode.holds or {}).items()})
+    told = f"mode {mode.name}: holds"
+    held = {name: _function("holds", one, model, f"{told} {name!r}") for name, one in (mode.holds or {}).items()}
+    return Mode(mode.name, model, held)
 
 
 def widened(model: Model, count: int, kept: int) -> Model:
@@ -309,14 +333,22 @@ def widened(model: Model, count: int, kept: int) -> Model:
 
 
 def _transition(one: Transition, model: Model) -> Transition:
-    guard, reset = _function("guard", one.guard, model), _function("reset", one.reset or _unchanged, model)
+    given = {"guard": one.guard, "reset": one.reset or _unchanged}
+    guard, reset = (_function(name, value, model, f"transition {one.name}: {name}") for name, value in given.items())
     if guard.numel_out(0) != 1:
         raise InputError(f"transition {one.name}: guard gives {guard.numel_out(0)} numbers; give one")
+    if not guard.jac_sparsity(0, 0).nnz():
+        raise InputError(
+            f"transition {one.name}: guard does not change with the state and is never crossed; name a state"
+        )
     size = len(model.state_names)
     if reset.size_out(0) != (size, 1):
         raise InputError(f"transition {one.name}: reset gives {reset.numel_out(0)} numbers for {size} states; give all")
     others = {name: getattr(one, name) for name in ("allowed", "impulse", "lost", "advance")}
-    made = {name: None if value is None else _function(name, value, model) for name, value in others.items()}
+    made = {
+        name: None if value is None else _function(name, value, model, f"transition {one.name}: {name}")
+        for name, value in others.items()
+    }
     return replace(one, guard=guard, reset=reset, slope=gradient(guard), **made)  # type: ignore[arg-type]
 
 
@@ -330,8 +362,8 @@ def _unchanged(x: Named, _: Named) -> Any:
     return ca.vertcat(*x)
 
 
-def _function(name: str, expression: Expression, model: Model) -> ca.Function:
-    """A CasADi function of (x, p), of SX where it can be: its derivatives are then cheapest."""
+def _function(name: str, expression: Expression, model: Model, told: str) -> ca.Function:
+    """A CasADi function of (x, p), of SX where it can be: its derivatives are then cheapest; `told` to the user."""
 
     def made(symbol: Any) -> ca.Function:
         x, p = symbol("x", len(model.state_names)), symbol("p", len(model.parameter_names))
@@ -341,7 +373,7 @@ def _function(name: str, expression: Expression, model: Model) -> ca.Function:
 
     if isinstance(expression, ca.Function):
         return expression
-    with in_symbols(name):
+    with in_symbols(told):
         try:
             return made(ca.SX.sym if model.scalar else ca.MX.sym)
         except NotImplementedError:  # it calls functions of matrices

@@ -131,8 +131,10 @@ def energy_invariant(kinetic: ca.SX, potential: ca.SX, q: ca.SX, v: ca.SX, p: ca
     )
 
 
-def detected_invariants(terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX]) -> list[Invariant]:
-    """Energy where no force acts, and the momentum dL/dv_i of each coordinate that L does not contain.
+def detected_invariants(
+    terms: Terms, labels: Sequence[str], arguments: Sequence[ca.SX], cyclic: Sequence[bool] | None = None
+) -> list[Invariant]:
+    """Energy where no force acts, and the momentum dL/dv_i of each coordinate that L does not contain, or is `cyclic`.
 
     Source: Goldstein, Classical Mechanics, section 2.6. A force on such a coordinate ends it.
     """
@@ -142,7 +144,7 @@ def detected_invariants(terms: Terms, labels: Sequence[str], arguments: Sequence
     momentum = ca.gradient(lagrangian, v)
     for i, label in enumerate(labels):
         acted_on = terms.forces is not None and not ca.SX(terms.forces)[i].is_zero()
-        if ca.depends_on(lagrangian, q[i]) or acted_on:
+        if acted_on or not (cyclic[i] if cyclic is not None else not ca.depends_on(lagrangian, q[i])):
             continue
         along = ca.SX.zeros(q.numel())
         along[i] = 1

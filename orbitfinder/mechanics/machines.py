@@ -127,10 +127,10 @@ class _Compass(_Legs):
 
 
 class _Kneed(_Legs):
-    """A straight stance leg, a hip, and a swing leg with a knee."""
+    """A straight stance leg, a hip, a swing leg with a knee, and perhaps a torso half-way between the thighs."""
 
-    def __init__(self, made: Ingredients) -> None:
-        super().__init__("kneed_walker", made, 3)
+    def __init__(self, function: str, made: Ingredients) -> None:
+        super().__init__(function, made, 3)
         shank, thigh = made["a1"] + made["b1"], made["a2"] + made["b2"]
         self.hip = self.foot + (shank + thigh) * self.along[0]
         self.knee = self.hip - thigh * self.along[1]
@@ -141,6 +141,11 @@ class _Kneed(_Legs):
             (made["hip_mass"], self.hip), (heavy, self.hip - made["b2"] * self.along[1]),
             (light, self.knee - made["b1"] * self.along[2]),
         ]  # fmt: skip
+        self.corners = [self.foot, self.hip, self.knee, self.tip]
+        if function == "five_link_walker":
+            head = self.hip + made["torso"] * _along((self.legs[0] + self.legs[1]) / 2)
+            self.masses.append((made["torso_mass"], head))
+            self.corners[2:2] = [head, self.hip]
 
 
 def _struck(lifted: Model, foot: ca.Function, *held: str) -> tuple[Impact, Callable[[Named], Named]]:
@@ -215,10 +220,40 @@ def kneed_walker(
     Source: V. F. Hsu Chen, Passive dynamic walking with knees: a point foot model, MIT (2007).
     """
     numbers = {"a1": a1, "b1": b1, "a2": a2, "b2": b2, "thigh_mass": thigh_mass, "shank_mass": shank_mass}
-    parameters = numbers | {"hip_mass": hip_mass, "gravity": gravity}, {"slope": slope}
-    fixed, floating = (_Kneed(ingredients(count, *parameters)) for count in (3, 5))
-    names, corners = ["stance", "thigh", "shank"], (fixed.foot, fixed.hip, fixed.knee, fixed.tip)
-    drawn = {"names": names, "angles": [True] * 3, "points": ca.horzcat(*map(_downwards, corners))}
+    return _on_knees("kneed_walker", numbers | {"hip_mass": hip_mass, "gravity": gravity}, {"slope": slope})
+
+
+def five_link_walker(
+    slope: float = 0.0504,
+    torso: float = 0.25,
+    torso_mass: float = 0.2,
+    a1: float = 0.375,
+    b1: float = 0.125,
+    a2: float = 0.175,
+    b2: float = 0.325,
+    thigh_mass: float = 0.5,
+    shank_mass: float = 0.05,
+    hip_mass: float = 0.5,
+    gravity: float = 9.81,
+) -> Model:
+    """Two thighs, two shanks and a torso on a slope (rad): the kneed walker with a mass at `torso` (m) above the hip.
+
+    A gear in the hip keeps the torso in the middle between the thighs, so that it needs no motor to stay upright.
+    Source: M. Wisse, D. Hobbelen, A. Schwab, "Adding an upper body to passive dynamic walking robots by means of a
+    bisecting hip mechanism", IEEE Transactions on Robotics 23 (2007) 112-123.
+    """
+    numbers = {"torso": torso, "a1": a1, "b1": b1, "a2": a2, "b2": b2, "thigh_mass": thigh_mass}
+    positive = numbers | {"shank_mass": shank_mass, "hip_mass": hip_mass, "gravity": gravity}
+    if not torso_mass >= 0:
+        raise InputError(f"system.arguments.torso_mass: must not be negative, got {torso_mass!r}; check the value")
+    return _on_knees("five_link_walker", positive, {"slope": slope, "torso_mass": torso_mass})
+
+
+def _on_knees(function: str, positive: dict[str, float], signed: dict[str, float]) -> Model:
+    """A walker whose swing leg has a knee that locks."""
+    fixed, floating = (_Kneed(function, ingredients(count, positive, signed)) for count in (3, 5))
+    names = ["stance", "thigh", "shank"]
+    drawn = {"names": names, "angles": [True] * 3, "points": ca.horzcat(*map(_downwards, fixed.corners))}
     free = fixed.model(**drawn)
     locked = fixed.model(**drawn, forces=_locking(free, fixed.made))
     lifted = floating.model(names=["x", "y", *names], angles=[False] * 2 + [True] * 3)
@@ -596,7 +631,7 @@ def impact_oscillator(
 MACHINES: dict[str, Callable[..., Model]] = {
     one.__name__: one
     for one in (
-        bouncing_ball, compass_gait, gravity_wedge, impact_oscillator, kneed_walker, rimless_wheel, rocking_block,
-        simplest_walker, slip_runner, slip_walker, vertical_hopper, wall_pendulum,
+        bouncing_ball, compass_gait, five_link_walker, gravity_wedge, impact_oscillator, kneed_walker, rimless_wheel,
+        rocking_block, simplest_walker, slip_runner, slip_walker, vertical_hopper, wall_pendulum,
     )
 }  # fmt: skip

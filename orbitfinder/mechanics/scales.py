@@ -24,6 +24,9 @@ from orbitfinder.mechanics.model import Model
 ALIKE = 16.0
 """Lengths that differ by less than this factor are measured alike."""
 
+STILL = 1e-12
+"""A component of a first-order state that is less than this share of another is its round-off, not of smaller units."""
+
 WIDE = 2.0**16
 """Conditions that change by less than 256 with the unknowns, such as energies in J, are rows as they are."""
 
@@ -114,9 +117,10 @@ def _pushed(model: Model, state: np.ndarray, n: int) -> np.ndarray:
     return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
 
 
-def _alone(sizes: np.ndarray) -> tuple[float, ...]:
-    """The units of a first-order state (d): each component by itself, that at 0 as the largest."""
-    units = snapped(np.where(sizes > 1e-9 * sizes.max(), sizes, sizes.max()))
+def _alone(sizes: np.ndarray, angular: np.ndarray) -> tuple[float, ...]:
+    """The units of a first-order state (d): each component by itself, that at 0 as the largest, of angles or others."""
+    largest = np.where(angular, sizes[angular].max(initial=0.0), sizes[~angular].max(initial=0.0))
+    units = snapped(np.where(sizes > STILL * largest, sizes, largest))
     return () if np.all(units == 1.0) else tuple(float(one) for one in units)
 
 
@@ -127,11 +131,11 @@ def units_of(model: Model, states: np.ndarray, period: float) -> tuple[float, ..
     that is 0.
     """
     clock, n = period / (2 * np.pi), model.degrees_of_freedom
-    if model.constraint is not None or model.hybrid is not None:  # integrated by IDAS; arc by arc, in its own units
+    if model.constraint is not None:  # integrated by IDAS
         return ()
     largest = np.abs(states).max(axis=0)
     if model.rates is not None:
-        return _alone(np.maximum(largest, clock * np.abs(_pushed(model, states[0], n))))
+        return _alone(np.maximum(largest, clock * np.abs(_pushed(model, states[0], n))), model.angular)
     parts, turning = proportions(model, states[0]), model.angular
     found = np.maximum(largest[:n], largest[n:] * clock) / parts
     if turning.all() and 1 / ALIKE < clock < ALIKE and 1 / ALIKE < found.max() < ALIKE:

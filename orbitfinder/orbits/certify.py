@@ -13,7 +13,7 @@ from orbitfinder.integrate.automaton import Arc
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.symmetry import NONE, beside, knowing, recognise, shifts_of, symmetries_of, symplectic, turned
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.hybrid import with_cycle
+from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents, shift_along
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
@@ -141,10 +141,7 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
 
 def _model_of(orbit: Orbit, model: Model | None) -> Model:
     """The orbit's Model, of a hybrid one without a cycle that with the record's."""
-    model = model or build_model(orbit.system)
-    if model.hybrid is not None and not model.hybrid.cycle:
-        return with_cycle(model, orbit.system.get("cycle", ()))
-    return model
+    return as_recorded(model or build_model(orbit.system), orbit.system)
 
 
 def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances) -> Certificate:
@@ -375,7 +372,7 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
     """
     there = between(times, states, angles.size, times[-1] / np.asarray(covers, float))
     moved, n = np.ptp(states, axis=0), angles.size
-    units = alone(moved)
+    units = alone(moved, angles)
     if n < moved.size:
         units = np.concatenate(extents(moved[:n], moved[n:], np.ones(n), float(times[-1])))
     return [float(one) for one in np.abs(wrapped(there - states[0], angles) / units).max(axis=1)]

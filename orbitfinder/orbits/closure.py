@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from orbitfinder.loops.symmetry import STILL, shifts_of
+from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import masses_of
+from orbitfinder.mechanics.scales import STILL, masses_of
 
 EPSILON = float(np.finfo(float).eps)
 LEAST_SHARE = 0.1
@@ -57,11 +57,16 @@ def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: f
     return np.maximum(moved, lengths), np.maximum(rushed, lengths / clock)
 
 
-def alone(moved: np.ndarray) -> np.ndarray:
+def alone(moved: np.ndarray, angular: np.ndarray | None = None) -> np.ndarray:
     """Extents (d) of a first-order motion from how far its components moved, none of them 0.
 
-    Each may have a unit of its own; what hardly moves at all is measured in a tenth of what the others do.
+    Each may have a unit of its own; what hardly moves at all is measured in a tenth of what the others do, `angular`
+    ones by themselves: a clock of 2 pi says nothing of what a nanometre is.
     """
+    if angular is not None and 0 < angular.sum() < angular.size:
+        found = np.ones(moved.shape)
+        found[angular], found[~angular] = alone(moved[angular]), alone(moved[~angular])
+        return found
     largest = float(moved.max(initial=0.0))
     if not (np.isfinite(largest) and largest > 0.0):
         return np.ones(moved.shape)
@@ -104,7 +109,7 @@ def _distance(gap: np.ndarray, monodromy: np.ndarray, rate: np.ndarray | None, r
 def extents_of(model: Model, states: np.ndarray, period: float) -> np.ndarray:
     """Extents (2n) of a motion of a Model (k x 2n) over its period."""
     if model.rates is not None:
-        return alone(np.ptp(states, axis=0))
+        return alone(np.ptp(states, axis=0), model.angular)
     moved, rushed = np.split(np.ptp(states, axis=0), 2)
     return np.concatenate(extents(moved, rushed, masses_of(model.kinetic, states[0], model), period))
 

@@ -88,10 +88,6 @@ class Hamiltonian:
     """Hamilton's equations of a Model in y = (q, p) (m numbers), under constraints in as few as it offers."""
 
     def __init__(self, model: Model) -> None:
-        if model.constraint is not None and model.forces is not None:
-            raise InputError(
-                "certify: systems under constraints are certified when they are conservative, and this is not"
-            )
         self.model, self.equations = model, hamilton(model)
         self.coordinates = self.equations.coordinates
         self.field = vector_field(self.equations.field)
@@ -149,7 +145,7 @@ def canonical_motion(
     chosen, start = equations.coordinates.chosen, equations.start(state)
     first_order = model.rates is not None
     masses = np.zeros(0) if first_order else masses_of(equations.coordinates.kinetic, state[chosen])
-    units = units_of(equations.field, start, masses, period)
+    units = units_of(equations.field, start, masses, period, model.angular)
     path = integrate_in(units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD)
     half = start.size // 2
     work = float(units @ units) / period if model.rates is not None else float(units[:half] @ units[half:]) or 1.0
@@ -165,7 +161,9 @@ def canonical_motion(
     )  # fmt: skip
 
 
-def units_of(field: VectorField, start: np.ndarray, masses: np.ndarray, period: float) -> np.ndarray:
+def units_of(
+    field: VectorField, start: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None
+) -> np.ndarray:
     """Extents (m) of the motion in y = (q, p) from a start, by a quick integration.
 
     That one is measured in a first guess of them, |y| + T |y'| + T^2 |y''| at the start.
@@ -175,15 +173,15 @@ def units_of(field: VectorField, start: np.ndarray, masses: np.ndarray, period: 
     first = np.abs(start) + period * np.abs(rate) + period * np.where(np.isfinite(turned), turned, 0.0)
     if not np.all(np.isfinite(first) & (first < 1e100)):
         return np.ones(start.size)
-    units = in_momenta(first, masses, period)
+    units = in_momenta(first, masses, period, angular)
     path = integrate_in(units, field, start, np.linspace(0.0, period, 65), ROUGH)
-    return in_momenta(np.ptp(path, axis=0), masses, period)
+    return in_momenta(np.ptp(path, axis=0), masses, period, angular)
 
 
-def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float) -> np.ndarray:
+def in_momenta(moved: np.ndarray, masses: np.ndarray, period: float, angular: np.ndarray | None = None) -> np.ndarray:
     """`extents` in (q, p) of what moved so far in (q, p); without masses, of a first-order system, `alone`."""
     if not masses.size:
-        return alone(moved)
+        return alone(moved, angular)
     places, momenta = np.split(moved, 2)
     lengths, speeds = extents(places, momenta / np.maximum(masses, 1e-300), masses, period)
     return np.concatenate([lengths, np.where(masses > 0, masses, 1.0) * speeds])

@@ -57,7 +57,7 @@ SECTION = 1e-3
 """Coordinates this near to where an odd motion starts are left to the solver."""
 NEAR_ONE = 1e-3
 """A multiplier this near to +1 may be one of an invariant: a double one is known to the root of its matrix's error."""
-DERIVED = ("chain", "linkage")
+DERIVED = ("chain", "linkage", "mechanism")
 """Systems whose invariants this library derives; those of all others are tried on a simulation."""
 
 
@@ -205,8 +205,6 @@ def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress
 def _found(problem: Problem, settings: SolveSettings, progress: Callback | None) -> Orbit:
     began = time.perf_counter()
     problem.check_count()
-    if settings.with_certificate:
-        _certifiable(problem.model)
     hint(degrees_taken_for_radians(problem))
     if problem.model.hybrid is not None:
         return _found_hybrid(problem, settings, began)
@@ -249,15 +247,6 @@ def _found_hybrid(problem: Problem, settings: SolveSettings, began: float) -> Or
     orbit, model = refiner.measured(refiner.refine())
     orbit = replace(orbit, provenance=provenance(problem, settings, began) | _choice(problem, model))
     return certified(orbit, model) if settings.with_certificate else orbit
-
-
-def _certifiable(model: Model) -> None:
-    """`InputError` for what no certificate is made of, before anything is solved."""
-    if model.constraint is not None and not model.conservative:
-        raise InputError(
-            "system: under constraints only conservative systems are certified, and forces or time act on this one; "
-            "describe it in minimal coordinates (lagrange), or solve it with SolveSettings(with_certificate=False)"
-        )
 
 
 def acting(flow: Flow, nodes: np.ndarray, unfolding: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.automaton import Arc, Automaton
-from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate_in
 from orbitfinder.integrate.equations import invariant_gradients
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.newton import Refined
@@ -24,6 +24,7 @@ from orbitfinder.loops.symmetry import NONE
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.hybrid import Hybrid
 from orbitfinder.mechanics.model import Model, energy
+from orbitfinder.mechanics.scales import snapped
 from orbitfinder.orbits.closure import Closure, closes, extents_of, gap, shift
 from orbitfinder.orbits.evidence import CHECKED, ClosureCheck
 from orbitfinder.orbits.floquet import AREA, Floquet, analyse, reduce_monodromy
@@ -51,16 +52,28 @@ def cycle_from(
     Raises `ConvergenceError` where its events are not the cycle's.
     """
     hybrid: Hybrid = model.hybrid
-    automaton = Automaton(model, settings, longest / (PATIENCE * STEPS))
+    automaton = Automaton.about(model, state, longest / PATIENCE, settings, longest / (PATIENCE * STEPS))
     found = list(automaton.arcs(state, hybrid.arcs[0][0].name, longest, len(hybrid.cycle), hybrid.cycle[-1]))
     events = tuple(arc.ended_by for arc in found)
     if events != hybrid.cycle:
-        named = ", ".join(one or "no event" for one in events)
+        named = ", ".join(one or "no event" for one in events) + _crossed(automaton, found[-1])
         raise ConvergenceError(
             f"the motion from the guess goes through {named} where the cycle asks for {', '.join(hybrid.cycle)}; start "
             "nearer, or ask for the cycle that it goes through"
         )
     return found
+
+
+def _crossed(automaton: Automaton, arc: Arc) -> str:
+    """Which guards are beyond 0 already where an arc begins that no event ends, in words."""
+    if arc.ended_by is not None:
+        return ""
+    leaving = automaton.hybrid.leaving(arc.mode)
+    heights = {one.name: one.direction * float(automaton.value(one.guard, arc.states[0])[0]) for one in leaving}
+    beyond = [name for name, height in heights.items() if not height <= 0]
+    return f" (in mode {arc.mode} the guard of {', '.join(beyond)} is crossed from the start, or no number)" * bool(
+        beyond
+    )
 
 
 def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int) -> Unknowns:
@@ -78,11 +91,14 @@ def first_unknowns(equations: Equations, guess: Guess, segments: int, steps: int
 
 
 def carried(equations: Equations, like: Unknowns, guess: Guess) -> Unknowns:
-    """The unknowns of a guess whose arcs last as long, in shares of its period, as those of unknowns nearby."""
+    """The unknowns of a guess whose arcs last as long, in shares of its period, as those of unknowns nearby, or as it
+    says; its states are the nodes, where it has as many."""
     free, steps, x = like.free.copy(), like.steps, np.asarray(guess.state, float)
     for name, value in guess.free.items():
         free[equations.free.index(name)] = value
     w, nodes = replace(like, period=float(guess.period), free=free), list[np.ndarray]()
+    if guess.states is not None and np.shape(guess.states) == like.nodes.shape:
+        return replace(w, nodes=np.asarray(guess.states, float))
     ends = equations.links.ends(len(like.nodes))
     for k in range(len(like.nodes)):
         nodes.append(x)
@@ -144,12 +160,12 @@ def gather_hybrid(model: Model, state: np.ndarray, period: float, turns: np.ndar
     states = np.vstack([arc.states for arc in arcs])
     units = extents_of(model, states, period)
     sizes = np.maximum(np.abs(states).max(axis=0) / units, 1.0)
-    pieces, action = _variations(model, arcs)
+    automaton = Automaton.about(model, state, period)
+    pieces, action = _variations(automaton, arcs)
     scaled = [piece * units / units[:, None] for piece in pieces]
     whole = np.eye(units.size)
     for piece in scaled:
         whole = piece @ whole
-    automaton = Automaton(model)
     rate = automaton.field(arcs[0].mode)(0.0, np.asarray(state, float)) / units
     slopes = invariant_gradients(model)(state).full().reshape(-1, units.size) * units
     found = closes((end - state - shift(turns, units.size)) / units, scaled, sizes, rate * period)
@@ -222,16 +238,21 @@ def _off(found: np.ndarray, wanted: np.ndarray) -> float:
     return float(np.abs(found - wanted).max() / max(float(np.abs(wanted).max()), 1e-300))
 
 
-def _variations(model: Model, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
+def _variations(automaton: Automaton, arcs: Sequence[Arc]) -> tuple[list[np.ndarray], float]:
     """State-transition matrices of pieces of all arcs, the last of each through its event; and the action."""
-    automaton, found, action = Automaton(model), list[np.ndarray](), 0.0
-    modes = [one.mode for one in arcs]
+    found, action, units = list[np.ndarray](), 0.0, automaton.units
+    modes, matrix = [one.mode for one in arcs], (units[:, None] / units).ravel("F")
     for arc, following in zip(arcs, [*modes[1:], modes[0]], strict=True):
         field, x, size = automaton.varied(arc.mode), arc.states[0], arc.states.shape[1]
-        edges = np.linspace(0.0, arc.duration, PIECES + 1)
+        edges, unit = np.linspace(0.0, arc.duration, PIECES + 1), np.eye(size).ravel()
+        rates = [
+            field(0.0, np.concatenate([one, unit, [0.0]]))[-1] for one in arc.states[:: max(1, len(arc.states) // 4)]
+        ]
+        work = float(snapped(np.abs(rates).max() * arc.duration))
         for begin, finish in pairwise(edges):
-            start = np.concatenate([x, np.eye(size).ravel(), [0.0]])
-            end = integrate(field, start, np.array([begin, finish]), TIGHTEST)[-1]
+            start = np.concatenate([x, unit, [0.0]])
+            measures = np.concatenate([units, matrix, [work]])
+            end = integrate_in(measures, field, start, np.array([begin, finish]), TIGHTEST)[-1]
             x = end[:size]
             found.append(end[size:-1].reshape(size, size).T)
             action += float(end[-1])
@@ -299,13 +320,13 @@ def off_motion(model: Model, arcs: Sequence[Arc], times: np.ndarray, samples: np
         return float("inf")
     if times.size < 2 or times[0] != 0.0 or abs(times[-1] - period) > edge:
         return float("inf")
-    automaton, far = Automaton(model), np.full(times.size, np.inf)
+    automaton, far = Automaton.about(model, arcs[0].states[0], period), np.full(times.size, np.inf)
     for arc in arcs:
         own = (times >= arc.times[0] - edge) & (times <= arc.times[-1] + edge)
         within = np.clip(times[own] - arc.times[0], 0.0, arc.duration)
         moments = np.unique(np.append(within, 0.0))
         places = np.searchsorted(moments, within)
-        states = integrate(automaton.field(arc.mode), arc.states[0], moments, TIGHTEST)[places]
+        states = automaton.path(arc.mode, arc.states[0], moments)[places]
         far[own] = np.minimum(far[own], np.abs((states - samples[own]) / units).max(axis=1))
     return float(far.max())
 
@@ -331,10 +352,10 @@ class HybridCheck(ClosureCheck):
         """The largest gap round the loop in `units` (d), or miss of a guard in periods."""
         del allowed
         self._set(free)
-        parts = self._automaton.hybrid
+        parts, measures = self._automaton.hybrid, self._measures(units)
         found, x, shares = 0.0, np.asarray(state, float), shares_of(self._automaton.model)
         for (mode, one), share in zip(parts.arcs, shares, strict=True):
-            x = integrate(self._automaton.field(mode.name), x, np.array([0.0, share * period]), CHECKED)[-1]
+            x = self._automaton.path(mode.name, x, np.array([0.0, share * period]), CHECKED, measures)[-1]
             rate = self._automaton.rate(one, x)
             miss = float(self._automaton.value(one.guard, x)[0])
             found = max(found, abs(miss / (rate * period)) if rate else np.inf)
@@ -351,16 +372,19 @@ class HybridCheck(ClosureCheck):
         units: np.ndarray | float = 1.0,
     ) -> np.ndarray:
         """Where each piece of an orbit ends (N x d), through the event that it ends with if it does."""
-        del units
         self._set(free)
-        arcs = self._automaton.hybrid.arcs
+        arcs, measures = self._automaton.hybrid.arcs, self._measures(units)
         each, found = len(nodes) // len(arcs), []
         for k, (node, duration) in enumerate(zip(nodes, durations, strict=True)):
             mode, one = arcs[k // each]
-            field, share = self._automaton.field(mode.name), shares_of(self._automaton.model)[k // each]
-            x = integrate(field, node, np.array([0.0, duration * share * len(arcs)]), CHECKED)[-1]
+            lasts = duration * shares_of(self._automaton.model)[k // each] * len(arcs)
+            x = self._automaton.path(mode.name, node, np.array([0.0, lasts]), CHECKED, measures)[-1]
             found.append(x if (k + 1) % each else self._automaton.value(one.reset, x))
         return np.stack(found)
+
+    def _measures(self, units: np.ndarray | float) -> np.ndarray:
+        """What states (d) are integrated in."""
+        return snapped(np.broadcast_to(units, len(self._model.state_names)))
 
     def _set(self, free: Mapping[str, float] | None) -> None:
         if self._at != dict(free or {}):

@@ -77,20 +77,23 @@ class Refiner:
         self._steps = max(4, -(-whole // (arcs * self.segments)))
         self._first = self._simulated(problem.guess) if hybrid else None
 
-    def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None) -> Refined:
+    def refine(self, guess: Guess | None = None, pin: Sequence[Pin] | None = None, simulated: bool = False) -> Refined:
         """The orbit near a guess (default: the problem's) at the pins (default: the problem's). A physical parameter
-        that is freed and pinned is changed by its pin.
+        that is freed and pinned is changed by its pin. Of a hybrid system the arcs of a guess last as long as those of
+        the problem's own where that converges, else, or where `simulated` is asked for, as a simulation says.
 
         Raises `ConvergenceError` when Newton's method does not converge from there (find_orbit reaches farther),
         `IntegrationError` when the motion cannot be integrated. Threads that share a Refiner take turns.
         """
         with self._alone:
-            return self._refined(guess, pin)
+            return self._refined(guess, pin, simulated)
 
-    def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None) -> Refined:
-        pins, given = _pins(self.problem, pin), _checked(guess or self.problem.guess, self.problem)
+    def _refined(self, guess: Guess | None, pin: Sequence[Pin] | None, simulated: bool) -> Refined:
+        pins, given = _pins(self.problem, pin), _checked(guess or self.problem.guess, self.problem, self.equations.free)
         if self._first is None or given is self.problem.guess:
             return self._solved(self._start(given, pins), pins)
+        if simulated:
+            return self._solved(self._simulated(given), pins)
         try:
             return self._solved(carried(self.equations, self._first, given), pins)
         except (ConvergenceError, IntegrationError):
@@ -222,9 +225,10 @@ def _check_square(problem: Problem) -> None:
         raise CountError(f"pin: {count} leave {count.freedom} to choose; {who} needs as many pins")
 
 
-def _checked(guess: Guess, problem: Problem) -> Guess:
+def _checked(guess: Guess, problem: Problem, free: tuple[str, ...]) -> Guess:
+    """The guess, whose values are those of parameters that are free, durations of arcs among them."""
     size = len(problem.model.state_names)
-    check_guessed(guess, problem.free)
+    check_guessed(guess, free)
     state = np.asarray(guess.state, float)
     if state.shape != (size,) or not np.all(np.isfinite(state)):
         raise InputError(f"guess.state: need {size} finite numbers, got {state.tolist()}")

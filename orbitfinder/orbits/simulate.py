@@ -8,14 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import InputError, plural
-from orbitfinder.integrate.automaton import Automaton
+from orbitfinder.errors import InputError, IntegrationError, plural
+from orbitfinder.integrate.automaton import MOST_EVENTS, Automaton
 from orbitfinder.integrate.cvodes import build_flow, sample
 from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.mechanics.model import Model, energies
 
 SAMPLES_PER_SECOND = 100
 MOST_SAMPLES = 100_000
+FAR_MORE = 10.0
+"""Times the events that are allowed, which a simulation that has only begun must promise to be given up"""
+LONGEST = 1e100
+"""s; beyond it the squares of what is integrated overflow"""
 LEAST_STEPS = 64
 """Steps of a simulation of a hybrid system, at least"""
 
@@ -71,8 +75,8 @@ def simulate(
     A hybrid one begins in the first mode of its cycle and goes through its events; a sample at one is after it. Raises
     `InputError` or `IntegrationError`, also where events accumulate (Zeno) or coincide.
     """
-    if not (np.isfinite(duration) and duration > 0):
-        raise InputError(f"duration: must be positive and finite, got {duration}; give a time in s")
+    if not 0 < duration < LONGEST:
+        raise InputError(f"duration: must be positive and below {LONGEST:g} s, got {duration}; give a time in s")
     count = samples or int(min(max(duration * SAMPLES_PER_SECOND, 100), MOST_SAMPLES)) + 1
     if model.hybrid is not None:
         return _simulated(model, checked_state(model, state), np.linspace(0.0, duration, count))
@@ -90,6 +94,16 @@ def checked_state(model: Model, state: Sequence[float] | np.ndarray) -> np.ndarr
     return found
 
 
+def _check_events(events: Sequence[tuple[float, str]], duration: float) -> None:
+    """`IntegrationError` where there are, or at this pace will be, more events than a simulation goes through."""
+    count, last = len(events), events[-1][0]
+    if count >= MOST_EVENTS or (count >= LEAST_STEPS and count * duration > FAR_MORE * MOST_EVENTS * last):
+        raise IntegrationError(
+            f"more than {MOST_EVENTS} events in {duration:.4g} s, {count} of them in the first {last:.4g} s; give a "
+            "shorter duration", time=last,
+        )  # fmt: skip
+
+
 def _simulated(model: Model, state: np.ndarray, times: np.ndarray) -> Simulation:
     """The motion of a hybrid Model at equal times, arc by arc."""
     automaton = Automaton(model, longest=float(times[-1]) / LEAST_STEPS)
@@ -102,6 +116,7 @@ def _simulated(model: Model, state: np.ndarray, times: np.ndarray) -> Simulation
             parts.append(np.array(energies(automaton.hybrid.mode(arc.mode).model, rows[-1])))
         if arc.ended_by is not None:
             events.append((float(arc.times[-1]), arc.ended_by))
+            _check_events(events, float(times[-1]))
     kinetic, potential = np.hstack(parts)
     return Simulation(
         model.state_names, times, np.vstack(rows), kinetic + potential, float(np.ptp(kinetic)), model.conservative,

@@ -36,7 +36,7 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.orbits.refine import Refiner
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.orbit import SHARE, Orbit
 
 LIMIT = 3600.0
 """Seconds after which a sweep stops unless told otherwise."""
@@ -144,9 +144,10 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
         raise InputError("values: missing; name a parameter and its values, such as sweep(problem, stiffness=[20, 30])")
     found = {}
     pinned = [one.name for one in problem.pin]
+    physical = [name for name in problem.model.parameter_names if not name.startswith(SHARE)]
     for name, numbers in given.items():
-        known = [*pinned, *problem.model.parameter_names]
-        if name not in pinned and not is_parameter(problem.model, name):
+        known = [*pinned, *physical]
+        if name not in pinned and (name not in physical or not is_parameter(problem.model, name)):
             raise InputError(
                 f"{name}: neither a physical parameter of this system nor pinned by the problem"
                 f"{closest(name, known)}; use one of {', '.join(known)}"
@@ -255,7 +256,7 @@ class _Study:
                 nodes = nodes + share * (nodes - before.nodes)
                 period, free = period + share * (period - before.period), free + share * (free - before.free)
         times = np.arange(len(nodes)) * (period * self.base.boundary.fraction / len(nodes))
-        return Guess(nodes[0], period, times, nodes, dict(zip(self.refiner.problem.free, free, strict=True)))
+        return Guess(nodes[0], period, times, nodes, dict(zip(self.refiner.equations.free, free, strict=True)))
 
     def _at(self, values: np.ndarray, guess: Guess | None) -> Refined:
         """The orbit at values near a guess; `ConvergenceError` for another one."""

@@ -27,7 +27,9 @@ from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
+from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.robot import robot
 from orbitfinder.problemfile.schema import SYSTEMS, FindTable, GuessTable, ProblemTable, Table, check_name, sentence
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
@@ -132,7 +134,10 @@ def _located(source: Path) -> Iterator[None]:
 
 def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust: bool) -> ProblemFile:
     name = table.name or checked_name(source.stem)
-    model = build_model(table.system.model_dump(exclude_none=True), source.parent if trust else None)
+    system = table.system.model_dump(exclude_none=True)
+    model = (
+        robot_of(system, source.parent) if "file" in system else build_model(system, source.parent if trust else None)
+    )
     problem = None
     if table.guess is not None:
         guess = replace(guess_from_table(table.guess, model, source.parent), free=table.guess.free)
@@ -150,6 +155,12 @@ def _build(source: Path, document: Mapping[str, Any], table: ProblemTable, trust
         starts=table.find.starts,
         seed=table.find.seed,
     )
+
+
+def robot_of(system: Mapping[str, Any], folder: Path) -> Model:
+    """The Model of a robot whose file lies in a folder."""
+    options = {key: value for key, value in system.items() if key not in ("kind", "file")}
+    return robot(folder / system["file"], **options)
 
 
 def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Problem:
@@ -239,11 +250,14 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
 
 def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
     """The starting point that a table stands for; `folder` is where its CSV file may be."""
-    if model.constraint is not None and model.system.get("kind") == "linkage":
+    drawn = model.system.get("kind") == "mechanism" and (model.constraint is not None or given.angles is not None)
+    if drawn or (model.constraint is not None and model.system.get("kind") == "linkage"):
         return _linkage_guess(given, model, folder)
     linkage_keys = [key for key in ("angles", "branch", "rates") if getattr(given, key) is not None]
     if linkage_keys:
-        raise InputError(f"guess.{linkage_keys[0]}: is for linkages only; give state and period, mode or csv")
+        raise InputError(
+            f"guess.{linkage_keys[0]}: is for linkages and mechanisms only; give state and period, mode or csv"
+        )
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names))
     if given.mode is not None and given.amplitude is not None:
@@ -266,7 +280,7 @@ def guess_from_table(given: GuessTable, model: Model, folder: Path) -> Guess:
 
 
 def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
-    """The starting point of a linkage that a table stands for; a period left out is the first return."""
+    """The starting point of a linkage or mechanism that a table stands for; a period left out is the first return."""
     if given.csv is not None:
         return read_trajectory(folder, given.csv, len(model.state_names))
     if given.mode is not None:
@@ -278,7 +292,11 @@ def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
         found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
         return found if given.period is None else Guess(found.state, given.period)
     state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
-    return Guess(state, given.period or first_return(model, state, given.duration or 20.0))
+    if given.period is None and (model.forced or "baumgarte" not in model.system):
+        if model.forcing_period is None:
+            raise InputError("guess.period: missing; give one in s with the angles of a mechanism without loops")
+        return Guess(state, float(model.forcing_period(model.parameter_values)))
+    return Guess(state, given.period or first_return(model, state, given.duration))
 
 
 def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
@@ -292,6 +310,8 @@ def _rest(model: Model, named: list[float] | str | None) -> np.ndarray | None:
 
 
 def _angles(model: Model, angles: list[float]) -> np.ndarray:
+    if model.system.get("kind") == "mechanism":
+        return mechanism_state(model, near=np.asarray(angles, float))[: model.degrees_of_freedom]
     bars = dimensions(model)[0].size
     if len(angles) != bars:
         raise InputError(f"guess.equilibrium: {plural(len(angles), 'angle')} for {bars} bars; give one per bar")
@@ -299,6 +319,8 @@ def _angles(model: Model, angles: list[float]) -> np.ndarray:
 
 
 def _assembled(given: GuessTable, model: Model) -> np.ndarray:
+    if model.system.get("kind") == "mechanism":
+        return mechanism_state(model, given.angles, given.rates)
     theta = assemble(model, given.angles or {}, branch=given.branch)
     return linkage_state(model, theta, linkage_rates(model, theta, given.rates) if given.rates else None)
 
@@ -306,6 +328,8 @@ def _assembled(given: GuessTable, model: Model) -> np.ndarray:
 def _state(model: Model, state: list[float]) -> np.ndarray:
     """A state as given, or lifted from link angles and rates."""
     numbers = np.asarray(state, float)
+    if model.system.get("kind") == "mechanism":
+        return numbers
     return maximal_states(model, numbers) if numbers.size == 2 * (model.degrees_of_freedom // 3) else numbers
 
 

@@ -110,6 +110,140 @@ class LinkageSystem(Table):
     limits: Limits | None = Field(None, description=LIMITS)
 
 
+Entry = Annotated[float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) else value)]
+Entries = list[Entry]
+TWO_POINTS = "the two points in m, one in each body's own axes, at their origins when left out"
+
+
+class BodyTable(Table):
+    """A body of a mechanism. Numbers may be text that uses a shared parameter, such as "-length / 2"."""
+
+    mass: Entry = Field(description="mass in kg, positive")
+    inertia: Entry | Entries = Field(
+        0.0, description="about the centre of mass in kg m^2: a number in the plane, xx yy zz (xy xz yz) in space"
+    )
+    com: Entries | None = Field(None, description="centre of mass in the body's axes in m, its origin when left out")
+    shape: list[list[float]] | None = Field(None, description="points of a line that pictures draw, in m")
+    disc: Positive | None = Field(None, description="radius in m of a disc that pictures draw about the centre of mass")
+
+
+class JointTable(Table):
+    """A joint between two bodies, or a body and the ground."""
+
+    kind: str = Field(
+        description="in the plane revolute, prismatic, slot (a pin in a straight slot of the first body), fixed, free; "
+        "in space revolute, prismatic, cylindrical, universal, spherical, fixed, free; rod, a bar without mass, in both"
+    )
+    between: list[str] = Field(min_length=2, max_length=2, description="the two bodies; one may be 'ground'")
+    at: list[Entries] | None = Field(None, description=TWO_POINTS)
+    axis: list[float] | Entry | None = Field(
+        None, description="of a turn (space) or a slide, in the first body's axes; in the plane also an angle in rad"
+    )
+    axes: list[list[float]] | str | None = Field(
+        None, description="of a universal joint (two) or a spherical one (three), directions or letters; 'xyz' usually"
+    )
+    turned: Entry | Entries | None = Field(
+        None, description="the second body's axes in the first's where the joint is at 0: an angle, or roll pitch yaw"
+    )
+    length: Entry | None = Field(None, description="of a rod, in m")
+
+
+class SpringTable(Table):
+    """A spring between two points, or in a joint."""
+
+    stiffness: Entry = Field(description="in N/m, in a joint that turns N m/rad")
+    between: list[str] | None = Field(None, description="the two bodies; one may be 'ground'")
+    at: list[Entries] | None = Field(None, description=TWO_POINTS)
+    length: Entry = Field(0.0, description="length at which it pulls nothing, in m")
+    joint: str | None = Field(None, description="instead of between: the coordinate it acts in")
+    rest: Entry = Field(0.0, description="value of that coordinate at which it pulls nothing, in rad or m")
+
+
+class DamperTable(Table):
+    """A damper between two points, or in a joint."""
+
+    damping: Entry = Field(description="in N s/m, in a joint that turns N m s/rad")
+    between: list[str] | None = Field(None, description="the two bodies; one may be 'ground'")
+    at: list[Entries] | None = Field(None, description=TWO_POINTS)
+    joint: str | None = Field(None, description="instead of between: the coordinate it acts in")
+
+
+class MotorTable(Table):
+    """A motor in a joint, torque + amplitude cos(frequency t + phase); its torque is the parameter of its name, and a
+    control where neither is given.
+    """
+
+    joint: str = Field(description="the coordinate it acts in")
+    torque: float = Field(0.0, description="steady torque in N m, or force in N")
+    amplitude: Entry = Field(0.0, description="amplitude of what varies, in N m or N")
+    phase: Entry = Field(0.0, description="in rad")
+    limit: Positive | Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        None, description="how far a motor that is a control (without torque and amplitude) may go, in N m or N"
+    )
+
+
+class MotionTable(Table):
+    """A prescribed motion of a joint, offset + turns frequency t + amplitude cos(frequency t + phase)."""
+
+    joint: str = Field(description="the coordinate that is moved, and is none any more")
+    offset: Entry = Field(0.0, description="in rad or m")
+    amplitude: Entry = Field(0.0, description="in rad or m")
+    phase: Entry = Field(0.0, description="in rad")
+    turns: float = Field(0.0, description="whole turns in a period of the forcing")
+
+
+class MechanismSystem(Table):
+    """Bodies, joints, springs, dampers and motors as drawn, in the plane or in space; loops are native DAEs.
+
+    Joints that reach a new body from the ground outwards have coordinates of their name (`ball1`, `ball2`, `ball3` of
+    a joint `ball` with three); the others close loops. Each number that is not 0 is a physical parameter: `crank_mass`,
+    `crank_inertia`, `crank_com_x`, `pin_1_x` (first point of joint `pin`), `k_stiffness`, `k_length`, `gravity_x`.
+    """
+
+    kind: Literal["mechanism"] = Field(description="which system this is")
+    dimension: Literal[2, 3] = Field(2, description="2 in the plane (x down, y right), 3 in space (z towards the eye)")
+    gravity: list[float] | None = Field(None, description="acceleration in m/s^2, 9.8 down when left out")
+    bodies: dict[str, BodyTable] = Field(description="bodies by name")
+    joints: dict[str, JointTable] = Field(description="joints by name")
+    springs: dict[str, SpringTable] | None = Field(None, description="springs by name")
+    dampers: dict[str, DamperTable] | None = Field(None, description="dampers by name")
+    motors: dict[str, MotorTable] | None = Field(None, description="motors by name")
+    motions: dict[str, MotionTable] | None = Field(None, description="prescribed motions by name")
+    frequency: Positive | None = Field(None, description="of what varies in time, in rad/s")
+    parameters: dict[str, float] | None = Field(
+        None, description="shared numbers by name, for text such as '-length / 2'"
+    )
+    pose: dict[str, float] | None = Field(None, description="coordinates near which loops are assembled, 0 otherwise")
+    independent: list[str] | None = Field(
+        None, description="solve in these coordinates, as many as degrees of freedom, instead of as a native DAE"
+    )
+    redundant: Literal["refuse", "drop"] = Field("refuse", description="what to do with equations that repeat others")
+    baumgarte: list[Positive] | None = Field(
+        None, min_length=2, max_length=2, description="stabilisation [alpha, beta] of the loops in 1/s; its own pace"
+    )
+
+
+class RobotSystem(Table):
+    """A robot in a URDF or MJCF file, read into a mechanism; needs the extra [robot]."""
+
+    kind: Literal["robot"] = Field(description="which system this is")
+    file: Line = Field(description="the URDF or MJCF file, beside the problem file unless the path says otherwise")
+    locked: dict[str, float] | list[Line] = Field([], description="joints that stay at 0, or at the angles given")
+    stiffness: float | dict[str, float] | None = Field(
+        None, description="springs in all joints, or in each by name (N m/rad, N/m); the file's own when left out"
+    )
+    rest: dict[str, float] = Field({}, description="where springs are at ease, by joint, 0 otherwise")
+    damping: float | dict[str, float] | None = Field(
+        None, description="dampers in all joints, or in each by name; the file's own when left out"
+    )
+    motors: list[Line] | Literal["all"] = Field(
+        [], description="joints with a control torque, within the file's effort"
+    )
+    floating: bool = Field(False, description="the base moves freely instead of being fixed to the ground")
+    gravity: float = Field(9.80665, description="m/s^2, along the file's -z")
+    values: dict[str, float] = Field({}, description="physical parameters that replace the file's, such as link3_mass")
+
+
 class PythonSystem(Table):
     """A system made by a Python function: a built-in one, or with `--trust` any installed or neighbouring module's."""
 
@@ -138,7 +272,8 @@ class PythonSystem(Table):
     limits: Limits | None = Field(None, description=LIMITS)
 
 
-SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "python": PythonSystem}
+SYSTEMS: dict[str, type[Table]] = {"chain": ChainSystem, "linkage": LinkageSystem, "mechanism": MechanismSystem,
+                                    "robot": RobotSystem, "python": PythonSystem}  # fmt: skip
 """The `[system]` table of each `kind`; a new kind is added here and in `mechanics.catalogue`."""
 
 MOST_SEGMENTS = 1000
@@ -214,13 +349,15 @@ class GuessTable(Table):
     angles: dict[str, float] | None = Field(
         None,
         description="linkages: some link angles at t = 0 in rad, such as { theta1 = 0.6 }, as many as degrees of "
-        "freedom; the rest follows by assembly",
+        "freedom; the rest follows by assembly; mechanisms: coordinates in rad or m; period is the first return when "
+        "left out",
     )
     branch: Literal[1, -1] | None = Field(
         None, description="linkages: which of the two assemblies, the sign of sin(theta_j - theta_i) of the other bars"
     )
     rates: dict[str, float] | None = Field(
-        None, description="linkages: some rates at t = 0 in rad/s, such as { theta1dot = 2.0 }; at rest when left out"
+        None,
+        description="linkages, mechanisms: some rates at t = 0, such as { theta1dot = 2.0 }; at rest when left out",
     )
     equilibrium: list[float] | str | None = Field(
         None,
@@ -242,6 +379,8 @@ class GuessTable(Table):
             raise PydanticCustomError("guess", "duration goes with state and takes the place of period")
         timed = "period" if self.duration is None else "duration"
         for name, partner in (("state", timed), ("mode", "amplitude")):
+            if partner == "period" and self.angles is not None:
+                continue
             if (getattr(self, name) is None) != (getattr(self, partner) is None):
                 raise PydanticCustomError("guess", "{a} goes with {b}; give both or neither", {"a": name, "b": partner})
         return self
@@ -323,6 +462,11 @@ class SearchTable(Table):
     energy: Energies | None = Field(
         None, description="energy of the orbits wanted in J, one number or a list; find.pin.energy when left out"
     )
+    section: dict[str, list[float]] = Field(
+        {}, description="hybrid systems: ranges of the state right after the event that ends the cycle, by component, "
+        "such as `{ v = [-1.5, 0.0], phase = [0.0, 6.2832] }`; others follow from the event"
+    )  # fmt: skip
+    cycles: int = Field(3, ge=1, le=64, description="hybrid systems: how many cycles an orbit goes through at most")
 
     @model_validator(mode="after")
     def _ordered(self) -> SearchTable:
@@ -331,6 +475,12 @@ class SearchTable(Table):
                 "period", "period: must be [smallest, largest] with smallest below largest, got {v}",
                 {"v": str(self.period)},
             )  # fmt: skip
+        for name, ends in self.section.items():
+            if len(ends) != 2 or not ends[0] < ends[1]:
+                raise PydanticCustomError(
+                    "section", "section.{n}: must be [smallest, largest] with smallest below largest, got {v}",
+                    {"n": name, "v": str(ends)[:60]},
+                )  # fmt: skip
         return self
 
 

@@ -95,7 +95,10 @@ def check_provable(model: Model) -> None:
     if model.hybrid is not None:
         raise InputError("system: orbits with events cannot be proved yet; the theorem is about smooth flows")
     if model.constraint is not None:
-        raise InputError("system: linkages (systems under constraints) cannot be proved yet; prove a chain")
+        raise InputError(
+            "system: systems under constraints cannot be proved yet; of a mechanism give independent = [...], "
+            "or prove a chain"
+        )
     if model.forced:
         raise InputError(
             "system: forced systems cannot be proved yet, the theorem is about fields that do not depend on time; "

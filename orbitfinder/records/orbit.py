@@ -177,6 +177,8 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
         return system
     if "function" in system:
         return {**system, "arguments": {**system.get("arguments", {}), **physical}}
+    if system.get("kind") == "mechanism":
+        return {**system, "values": {**system.get("values", {}), **physical}}
     found = dict(system)
     for name, value in physical.items():
         entry = name.rstrip("0123456789")

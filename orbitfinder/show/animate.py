@@ -23,6 +23,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
+from orbitfinder.show.strokes import Strokes, outlines
 from orbitfinder.show.svg import COLOURS
 
 
@@ -61,6 +62,8 @@ class Clip:
     """(frames x 2 x g) what the machine stands on or hits"""
     cuts: tuple[int, ...] = ()
     """frames before which the path of the last point is broken"""
+    strokes: Strokes = ()
+    """what is drawn through which points; () is one line through all"""
 
 
 def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
@@ -98,7 +101,8 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
     title, ground = orbit.title or orbit.name, course.grounds(moments) if model.points is not None else None
     ends = [moment + k * orbit.period for k in range(periods) for moment, _ in course.events]
     cuts = tuple(int(k) for k in np.searchsorted(moments, ends))
-    return Clip(shown, settings.rate, title, trace, loops=not course.walks, ground=ground, cuts=cuts)
+    return Clip(shown, settings.rate, title, trace, loops=not course.walks, ground=ground, cuts=cuts,
+                strokes=model.strokes)  # fmt: skip
 
 
 def portrait(model: Model, states: np.ndarray) -> np.ndarray:
@@ -200,18 +204,33 @@ def _draw(clip: Clip, frame: int, trails: list[np.ndarray], view: _View) -> Any:
         pen.line(view.place(clip.ground[frame]), fill="#000000", width=2 * view.factor, joint="curve")
     for trail in [] if clip.closed else trails:
         pen.line(view.place(trail.T), fill=TRACE, width=2 * view.factor, joint="curve")
-    pen.line(where, fill=COLOURS[0], width=(2 if many else 4) * view.factor, joint="curve")
-    if not many:
-        for x, y in where[1:]:
-            _dot(pen, x, y, 4 * view.factor, COLOURS[1])
-    for x, y in [where[0], *([where[-1]] if clip.closed else [])]:
-        _dot(pen, x, y, 5 * view.factor, "black")
+    if clip.strokes:
+        _strokes(pen, clip, frame, view)
+    else:
+        pen.line(where, fill=COLOURS[0], width=(2 if many else 4) * view.factor, joint="curve")
+        if not many:
+            for x, y in where[1:]:
+                _dot(pen, x, y, 4 * view.factor, COLOURS[1])
+        for x, y in [where[0], *([where[-1]] if clip.closed else [])]:
+            _dot(pen, x, y, 5 * view.factor, "black")
     image = image.resize(size, Image.Resampling.LANCZOS)
     pen = ImageDraw.Draw(image)
     font = ImageFont.load_default(12)
     pen.text((8, 6), _fitted(clip.title, pen, font, view.pixels - 70), fill="black", font=font)
     pen.text((view.pixels - 8, 6), f"{frame / clip.rate:.2f} s", fill="#555555", font=font, anchor="ra")
     return image
+
+
+def _strokes(pen: Any, clip: Clip, frame: int, view: _View) -> None:
+    """Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled."""
+    for kind, line in outlines(clip.points[frame], clip.strokes, 0.88 * view.pixels / view.scale):
+        where = view.place(line)
+        if kind in ("ground", "slider"):
+            pen.polygon(where, fill="#000000" if kind == "ground" else COLOURS[1])
+            continue
+        pen.line(where, fill=COLOURS[0], width=(4 if kind == "rod" else 2) * view.factor, joint="curve")
+        for x, y in where if kind == "rod" else []:
+            _dot(pen, x, y, 3 * view.factor, COLOURS[1])
 
 
 def _fitted(title: str, pen: Any, font: Any, room: int) -> str:

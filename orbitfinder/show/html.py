@@ -92,7 +92,10 @@ def motions(orbit: Orbit) -> list[str]:
     across, up = model.planes[0] if jumping else max(model.planes, key=lambda pair: moved[pair[0]])
     name = model.state_names[across]
     against = f"rate of {name}" if model.rates is None else model.state_names[up]
-    parts = [moving_portrait(states[:, across], states[:, up], period, f"{against} against {name}")]
+    after = np.searchsorted(moments, [at for at, _ in seen.events])
+    most = len(moments) - bool(seen.turned[[across, up]].any())  # after a turn the first is somewhere else
+    cuts = [int(k) for k in dict.fromkeys(after) if 0 < k <= most]
+    parts = [moving_portrait(states[:, across], states[:, up], period, f"{against} against {name}", cuts)]
     if model.points is not None:
         shown = seen.positions(moments) if seen.jumps else positions(model, states)
         lines = seen.grounds(moments[:1])

@@ -24,7 +24,7 @@ from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.paths import family_paths, has_path, path_views
-from orbitfinder.show.style import dress, line_style, new_figure, plane, save_png, sweep, trail
+from orbitfinder.show.style import configuration, dress, line_style, new_figure, plane, save_png, sweep, trail
 from orbitfinder.show.svg import COLOURS, runs
 
 SNAPSHOTS = 48
@@ -211,13 +211,16 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     else:
         _, states = orbit.times, orbit.samples
         joints, paths = positions(model, states[:: max(1, (len(states) - 1) // SNAPSHOTS)]), positions(model, states)
-    sweep(axes, joints)
+    sweep(axes, joints, strokes=model.strokes)
     trail(axes, paths[:, :, -1], 1.4, label="path of the tip")
     down, right = joints[0]
     marks = "o" if right.size <= 12 else None
-    axes.plot(right, -down, color="black", marker=marks, linewidth=2.0, markersize=4.5, label="t = 0")
-    if not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0:
-        axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
+    if model.strokes:
+        configuration(axes, joints, model.strokes, "t = 0")
+    else:
+        axes.plot(right, -down, color="black", marker=marks, linewidth=2.0, markersize=4.5, label="t = 0")
+        if not course.jumps or np.ptp(joints[:, :, 0], axis=0).max() == 0:
+            axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
     plane(axes)
     axes.margins(0.06)
     draw_ground(axes, course)
@@ -323,7 +326,11 @@ def _draw(axes: Any, motion: Motion) -> None:
     if motion.joints is None:
         axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
         return
-    sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8)
+    sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8, strokes=motion.strokes)
+    if motion.strokes:
+        trail(axes, motion.joints[:, :, -1], 1.1)
+        configuration(axes, motion.joints, motion.strokes, width=1.6)
+        return
     down, right = motion.joints[0]
     # the last joint of a linkage is a pivot on the ground
     fixed = motion.joints.shape[2] > 1 and np.ptp(motion.joints[:, :, -1], axis=0).max() < 1e-9

@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from orbitfinder.records.reading import write_atomically
+from orbitfinder.show.strokes import Strokes, extent, outlines
 from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")
@@ -39,10 +40,25 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def sweep(axes: Any, joints: np.ndarray, faint: float = 0.10, more: float = 0.45, width: float = 1.0) -> None:
-    """Configurations of a mechanism (k x 2 x m; x down, y right), early ones faint."""
-    for k, (down, right) in enumerate(joints):
-        axes.plot(right, -down, color=COLOURS[0], alpha=faint + more * k / len(joints), linewidth=width)
+def sweep(
+    axes: Any, joints: np.ndarray, faint: float = 0.10, more: float = 0.45, width: float = 1.0, strokes: Strokes = ()
+) -> None:
+    """Configurations of a mechanism (k x 2 x m; x down, y right), early ones faint; of one with strokes only rods."""
+    rods = [one for one in strokes if one[0] == "rod"]
+    for k, points in enumerate(joints):
+        for _, (down, right) in outlines(points, rods, 1.0):
+            axes.plot(right, -down, color=COLOURS[0], alpha=faint + more * k / len(joints), linewidth=width)
+
+
+def configuration(
+    axes: Any, joints: np.ndarray, strokes: Strokes, label: str | None = None, width: float = 2.0
+) -> None:
+    """The first of the configurations (k x 2 x m) in black, springs thin, the ground filled."""
+    for kind, (down, right) in outlines(joints[0], strokes, extent(joints)):
+        draw, thin = (axes.fill, 0.5) if kind in ("ground", "slider") else (axes.plot, 1.0 if kind == "rod" else 0.5)
+        draw(right, -down, color="0.4" if kind == "spring" else "black", linewidth=thin * width,
+             label=label if kind == "rod" else None)  # fmt: skip
+        label = None if kind == "rod" else label
 
 
 def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:

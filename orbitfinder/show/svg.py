@@ -94,14 +94,24 @@ def moving_mechanism(positions: np.ndarray, duration: float, label: str, ground:
     )
 
 
-def moving_portrait(coordinate: np.ndarray, rate: np.ndarray, duration: float, label: str) -> str:
-    """Rate against coordinate over one period (k each), with a dot that moves in time."""
+def moving_portrait(
+    coordinate: np.ndarray, rate: np.ndarray, duration: float, label: str, cuts: Sequence[int] = ()
+) -> str:
+    """Rate against coordinate over one period (k each), with a dot that moves in time; dashed across the `cuts`, the
+    samples that come right after a jump (k: from the last to the first)."""
     places = stretched(np.column_stack([coordinate, rate]))
-    line = places[np.unique(np.linspace(0, len(places) - 1, 240).round().astype(int))]
+    beside = [j % len(places) for k in cuts for j in (k - 1, k)]
+    kept = np.unique([*np.linspace(0, len(places) - 1, 240).round().astype(int), *beside])
+    whole = np.split(kept, np.searchsorted(kept, cuts))
+    drawn = [(places[one], "") for one in whole if one.size]
+    drawn += [(places[[k - 1, k % len(places)]], ' stroke-opacity=".6" stroke-dasharray="3 3"') for k in cuts]
     words = f'<text x="{SIZE / 2}" y="{SIZE - 3}" text-anchor="middle" font-size="10" fill="currentColor">'
+    lines = "".join(
+        f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"{dashed}/>'
+        for line, dashed in drawn
+    )
     return picture(
-        f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"/>'
-        f"{dot(places[frames_of(places, 1)], duration)}{words}{escape(label)}</text>",
+        f"{lines}{dot(places[frames_of(places, 1)], duration)}{words}{escape(label)}</text>",
         label,
     )
 

@@ -56,6 +56,8 @@ class Motion:
     drawn: str
     course: Course | None = None
     """of a hybrid orbit, whose motion jumps"""
+    strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    """what is drawn through which points; () is one line through all"""
 
     @property
     def partners(self) -> list[int]:
@@ -66,8 +68,10 @@ class Motion:
     def at(self, count: int, endpoint: bool = False) -> np.ndarray:
         """States at `count` equal times over the period."""
         if self.course is not None:
-            moments = np.linspace(0.0, self.period, count, endpoint=endpoint)
-            return self.course.states(np.minimum(moments, np.nextafter(self.period, 0.0)))
+            states = self.course.states(np.linspace(0.0, self.period, count, endpoint=endpoint))
+            if endpoint:
+                states[-1] = self.course.pieces[-1].states[-1]  # before the event
+            return states
         return resampled(self.times, self.states, self.period, count, len(self.angles), endpoint)
 
 
@@ -186,7 +190,9 @@ def _jumping(
     n, moments = model.degrees_of_freedom, np.arange(JUMPING) * period / JUMPING
     shown = path.positions(moments) if model.points is not None else _plane(path.states(moments), n)
     drawn = "mechanism" if model.points is not None else "plane"
-    return Motion(period, times, states, model.state_names, model.angles or (True,) * n, shown, drawn, path)
+    return Motion(
+        period, times, states, model.state_names, model.angles or (True,) * n, shown, drawn, path, model.strokes
+    )
 
 
 def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) -> Motion:
@@ -198,7 +204,7 @@ def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) 
         return positions(model, chosen) if model.points is not None else _plane(chosen, n)
 
     drawn = "mechanism" if model.points is not None else "plane"
-    return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn)
+    return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn, strokes=model.strokes)
 
 
 def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.ndarray) -> Motion:
@@ -247,17 +253,22 @@ def packed(motion: Motion) -> dict[str, Any]:
     middle = np.repeat(centre, many)
     numbers = np.rint((channels - middle[:, None]) / half * LEVELS)
     still = {str(c): float(round(channels[c, 0], 9)) for c in range(2 * many) if c not in moving}
-    return _landscape(motion) | {
-        "count": count,
-        "points": many,
-        "period": motion.period,
-        "centre": [float(x) for x in centre],
-        "half": half,
-        "moving": moving,
-        "still": still,
-        "data": base64.b64encode(numbers[moving].astype("<i2").tobytes()).decode(),
-        "drawn": motion.drawn,
-    }
+    strokes = {"strokes": [[kind, list(chosen)] for kind, chosen in motion.strokes]} if motion.strokes else {}
+    return (
+        _landscape(motion)
+        | strokes
+        | {
+            "count": count,
+            "points": many,
+            "period": motion.period,
+            "centre": [float(x) for x in centre],
+            "half": half,
+            "moving": moving,
+            "still": still,
+            "data": base64.b64encode(numbers[moving].astype("<i2").tobytes()).decode(),
+            "drawn": motion.drawn,
+        }
+    )
 
 
 def _landscape(motion: Motion) -> dict[str, Any]:
@@ -265,9 +276,7 @@ def _landscape(motion: Motion) -> dict[str, Any]:
     if motion.course is None:
         return {}
     count = len(motion.points)
-    step = motion.period / count
-    jumps = sorted({min(int(np.ceil(at / step - 1e-6)), count) - 1 for at, _ in motion.course.events})
-    lines = motion.course.grounds(np.arange(count) * step)
+    jumps, lines = _jumps(motion, count), motion.course.grounds(np.arange(count) * (motion.period / count))
     if lines is None:
         return {"jumps": jumps}
     if motion.course.walks or np.ptp(lines, axis=0).max() == 0:
@@ -275,15 +284,24 @@ def _landscape(motion: Motion) -> dict[str, Any]:
     return {"jumps": jumps, "ground": [[[float(f"{x:.6g}") for x in row] for row in line] for line in lines.tolist()]}
 
 
+def _jumps(motion: Motion, count: int) -> list[int]:
+    """The numbers of the samples, so many a period, after which the motion jumps."""
+    events = () if motion.course is None else motion.course.events
+    return sorted({min(int(np.ceil(at * count / motion.period - 1e-6)), count) - 1 for at, _ in events})
+
+
 def histories(motion: Motion) -> dict[str, Any]:
     """States at equal times, end included, as little-endian float32 in base64, component by component.
 
-    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960.
+    As many samples as the page's curves through them need to be good to SMOOTH of the extent, at most 960. Of a
+    hybrid motion `jumps` are the samples after which it jumps; after the last, where nothing turns, to the first.
     """
     n, size = len(motion.angles), motion.states.shape[1]
     extent = np.ptp(motion.states, axis=0)
     # a component that stands still must not have its round-off sampled
-    among = np.repeat([extent[:n].max(), extent[n:].max()], n) if n < size else alone(extent)
+    among = alone(extent, np.asarray(motion.angles, bool))
+    if n < size:
+        among = np.repeat([extent[:n].max(), extent[n:].max()], n)
     extent = np.maximum(extent, 1e-3 * among + 1e-12)
     for count in (240, 360, 480, 960) if motion.course is None else (960,):
         states = motion.at(2 * count + 1, endpoint=True)
@@ -293,4 +311,7 @@ def histories(motion: Motion) -> dict[str, Any]:
         if np.all(np.abs(curved - states[1::2]).max(axis=0) <= SMOOTH * extent):
             break
     data = base64.b64encode(states[::2].T.astype("<f4").tobytes()).decode()
-    return {"count": count + 1, "data": data}
+    if motion.course is None:
+        return {"count": count + 1, "data": data}
+    jumps = [*_jumps(motion, count)[:-1], *([] if motion.course.turned.any() else [count])]
+    return {"count": count + 1, "data": data, "jumps": jumps}

@@ -78,6 +78,8 @@ def mechanism(system: Mapping[str, Any]) -> str:
         lengths = system.get("length")
         bars = len(lengths) + 1 if isinstance(lengths, list) else 0
         return f"{BARS.get(bars, f'{bars}-bar')} linkage"
+    if kind == "mechanism":
+        return f"{'spatial' if system.get('dimension') == 3 else 'planar'} mechanism"
     if kind == "python":
         name = str(system.get("function", "python"))
         return NAMES.get(name, name.replace("_", " "))

@@ -22,6 +22,7 @@ var orbitfinder = (function () {
     this.drawn = packed.drawn;
     this.jumps = new Set(packed.jumps || []);
     this.ground = packed.ground || null;
+    this.strokes = packed.strokes || null;
     this.broken = false;
     this.now = new Float32Array(2 * packed.points);
     this.fixed = [];
@@ -128,6 +129,7 @@ var orbitfinder = (function () {
       this.tail(time, line);
     }
     var now = m.at(time), p;
+    if (m.strokes) { this.mechanism(now, line); return; }
     pen.strokeStyle = c.link;
     pen.lineWidth = line;
     pen.beginPath();
@@ -143,6 +145,37 @@ var orbitfinder = (function () {
       pen.arc(x, y, r, 0, 2 * Math.PI);
       pen.fill();
     }
+  };
+
+  // Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled.
+  Scene.prototype.mechanism = function (now, line) {
+    var pen = this.pen, scene = this, c = colours(), r = line * 0.9;
+    this.motion.strokes.forEach(function (stroke) {
+      var kind = stroke[0], at = stroke[1].map(function (p) { return [scene.across(now, p), scene.down(now, p)]; });
+      var x = at[0][0], y = at[0][1], far = at[at.length - 1], dx = far[0] - x, dy = far[1] - y;
+      pen.lineWidth = kind === "rod" ? line : line * 0.5;
+      pen.strokeStyle = kind === "spring" ? c.muted : c.link;
+      pen.fillStyle = kind === "ground" ? c.ground : c.joint;
+      pen.beginPath();
+      if (kind === "slider") { pen.fillRect(x - 2.4 * r, y - 1.5 * r, 4.8 * r, 3 * r); return; }
+      if (kind === "disc") pen.arc(x, y, Math.hypot(dx, dy), 0, 2 * Math.PI);
+      else if (kind === "ground") { pen.moveTo(x, y); pen.lineTo(x - 2 * r, y + 3 * r); pen.lineTo(x + 2 * r, y + 3 * r); pen.fill(); }
+      else if (kind === "spring") {
+        var long = Math.hypot(dx, dy) || 1, coils = 16;
+        pen.moveTo(x, y);
+        for (var k = 0; k <= coils; k++) {
+          var share = 0.15 + 0.7 * k / coils, side = k && k < coils ? (k % 2 ? 2 : -2) * r / long : 0;
+          pen.lineTo(x + share * dx - side * dy, y + share * dy + side * dx);
+        }
+        pen.lineTo(far[0], far[1]);
+      } else at.forEach(function (one) { pen.lineTo(one[0], one[1]); });
+      pen.stroke();
+      if (kind === "rod") at.forEach(function (one) {
+        pen.beginPath();
+        pen.arc(one[0], one[1], 0.7 * r, 0, 2 * Math.PI);
+        pen.fill();
+      });
+    });
   };
 
   // What the machine stands on or hits, [down, right] in m.

@@ -17,7 +17,13 @@
     for (var k = 0; k < count; k++) times.push(it.period * k / (count - 1));
     // A component for plotting: Catmull-Rom through the samples, which are periodic up to whole turns.
     var fine = Math.max(1, Math.round(960 / (count - 1))), moments = [];
-    for (var m = 0; m <= (count - 1) * fine; m++) moments.push(it.period * m / ((count - 1) * fine));
+    // A hybrid motion jumps after some samples: lines are broken there.
+    var jumps = new Set(it.histories.jumps || []);
+    if (it.histories.jumps) fine = 1;
+    for (var m = 0; m <= (count - 1) * fine; m++) {
+      moments.push(it.period * m / ((count - 1) * fine));
+      if (m < count - 1 && jumps.has(m)) moments.push(null);
+    }
     function row(component) {
       var s = states.subarray(component * count, (component + 1) * count), last = count - 1, turned = s[last] - s[0], out = [];
       function at(i) { return i < 0 ? s[last + i] - turned : i > last ? s[i - last] + turned : s[i]; }
@@ -26,13 +32,21 @@
           var u = k / fine, a = at(i - 1), b = at(i), c = at(i + 1), d = at(i + 2);
           out.push(b + 0.5 * u * (c - a + u * (2 * a - 5 * b + 4 * c - d + u * (3 * (b - c) + d - a))));
         }
+        if (jumps.has(i)) out.push(null);
       }
       out.push(s[last]);
+      return out;
+    }
+    // What leads from before each jump to after it.
+    function resets(component) {
+      var s = states.subarray(component * count, (component + 1) * count), out = [];
+      jumps.forEach(function (i) { out.push(s[i], s[(i + 1) % count], null); });
       return out;
     }
     function value(component, time) {
       var place = (time / it.period - Math.floor(time / it.period)) * (count - 1), i = Math.floor(place), u = place - i;
       var o = component * count;
+      if (jumps.has(i)) u = 0;
       return states[o + i] * (1 - u) + states[o + Math.min(i + 1, count - 1)] * u;
     }
     player.add(part("stage"), new orbitfinder.Motion(it.motion));
@@ -40,7 +54,7 @@
     player.scrubber(function () { return it.period; });
 
     var marks = [];
-    function span(i) { var all = row(i); return [Math.min.apply(null, all), Math.max.apply(null, all)]; }
+    function span(i) { var all = row(i).filter(function (x) { return x !== null; }); return [Math.min.apply(null, all), Math.max.apply(null, all)]; }
     // A component that stands still is shown as a point, not as its round-off.
     function range(i, others) {
       var own = span(i), most = Math.max.apply(null, others.map(function (k) { var s = span(k); return s[1] - s[0]; }));
@@ -53,8 +67,10 @@
       var across = Object.assign({ nticks: 4, zeroline: false }, range(i, it.shown));
       var up = Object.assign({ nticks: 5, zeroline: false }, range(it.partners[i], rates));
       plots.plot(box, function () {
+        var colour = orbitfinder.colours().series[0];
         return { traces: [{ x: row(i), y: row(it.partners[i]), mode: "lines", hoverinfo: "x+y",
-          line: { color: orbitfinder.colours().series[0], width: 1.6 } }],
+          line: { color: colour, width: 1.6 } }].concat(jumps.size ? [{ x: resets(i), y: resets(it.partners[i]),
+          mode: "lines", hoverinfo: "skip", line: { color: colour, width: 1, dash: "dot" } }] : []),
         layout: plots.layout(plots.axis(labelled(it.labels[i], units), across),
           plots.axis(n < size ? "rate, " + units + "/s" : labelled(it.labels[it.partners[i]], it.units[it.partners[i]]), up), { margin: { l: 52, r: 10, t: 8, b: 40 } }) };
       });

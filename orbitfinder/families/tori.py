@@ -1,0 +1,483 @@
+"""Invariant tori: quasi-periodic motions around an elliptic orbit, or born where two multipliers leave the unit circle.
+
+A torus is solved as a ring (see `loops.torus`) and followed by pseudo-arclength: at fixed energy in its rotation
+number, at fixed rotation number in the energy, or in a parameter. A family ends where its Fourier series no longer
+converges: there the torus breaks down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import gcd
+
+import numpy as np
+
+from orbitfinder._runtime import limit
+from orbitfinder.errors import ConvergenceError, InputError, closest
+from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, integrate_in, vector_field
+from orbitfinder.integrate.equations import accelerations
+from orbitfinder.loops.loop import Equations
+from orbitfinder.loops.symmetry import NONE
+from orbitfinder.loops.torus import Aim, Ring, Turned, at_angles, coefficients, harmonics, least_squares, resampled
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import parameter_sizes
+from orbitfinder.orbits.closure import extents_of
+from orbitfinder.records.orbit import Certificate, Check, Orbit
+from orbitfinder.records.torus import Tori, Torus
+
+TURNING = 1e-3
+"""How far from the unit circle a multiplier is at most that a torus begins with"""
+FASTEST = 1e6
+"""Multipliers above this need arcs shorter than a return"""
+AMPLITUDE = 0.01
+"""Of the first torus, in extents of the orbit"""
+FEWEST = 17
+"""States of a curve at first"""
+RESOLVED = 1e-11
+"""What the highest harmonics may be of the curve's size"""
+CLEAN = 1e-13
+"""Harmonics below this are round-off"""
+INVARIANT = 1e-9
+"""What a return may miss the curve by between its states, in extents of the motion"""
+RETURNS = 10
+"""... and so many returns one after another, times their number squared"""
+RESONANCE = 1e-9
+"""A rotation number this near to p/q, q up to the states of the curve, is resonant"""
+FLAT = 1e-6
+"""The sine between curve and flow, and the size of the curve beside the orbit's, from which on a torus is one"""
+ARC = 128
+"""States of a return that show where it goes"""
+OFF_MESH = 12
+SEED = 20
+LOW_ORDER = 12
+"""A family that ends before a resonance of this order or less says so"""
+SHORTEST, LONGEST = 1e-3, 10.0
+"""Steps along a family, in units of its metric"""
+QUICK, SLOW = 4, 7
+"""Iterations of Newton's method below which steps grow, above which they shrink"""
+
+
+@dataclass(frozen=True)
+class TorusSettings:
+    """How tori are followed: the first step, `points` at most, `most_states` (N) of a curve, certificates or none."""
+
+    step: float = 0.02
+    points: int = 100
+    most_states: int = 151
+    certify: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A solved torus: its ring, its tangent over the measured unknowns, how it converged."""
+
+    ring: Ring
+    w: Turned
+    tangent: np.ndarray
+    iterations: int
+
+
+def torus(
+    orbit: Orbit,
+    rotation: float,
+    *,
+    mode: int = 1,
+    model: Model | None = None,
+    settings: TorusSettings | None = None,
+) -> Torus:
+    """The torus around an elliptic orbit, at the orbit's energy, whose returns turn by `rotation` (turns, 0 to 1).
+
+    phi_T(X(theta)) = X(theta + 2 pi rotation). `mode` picks the pair of multipliers, the slowest first. Raises
+    `InputError` for a resonant number and for an orbit that is not elliptic, `ConvergenceError` where the family of
+    tori ends before.
+    """
+    chosen = settings or TorusSettings()
+    found = follow_tori(orbit, until=rotation, mode=mode, model=model, settings=replace(chosen, certify=False))
+    last = found.tori[-1]
+    if abs(last.rotation - rotation) > RESONANCE:
+        raise ConvergenceError(f"no torus of rotation number {rotation:.9g} was reached: {found.end}")
+    return certify_torus(last, _model(orbit, model)) if chosen.certify else last
+
+
+def follow_tori(
+    origin: Orbit | Torus,
+    *,
+    until: float | None = None,
+    at: tuple[float, ...] = (),
+    hold: str | None = None,
+    parameter: str | None = None,
+    mode: int = 1,
+    model: Model | None = None,
+    settings: TorusSettings | None = None,
+    progress: Callable[[Torus], None] | None = None,
+    name: str = "",
+) -> Tori:
+    """The family of tori from an elliptic orbit or a Torus (then with its `model`) up to `until`, with points `at`.
+
+    Conservative systems: `hold` "energy" (default; followed in the rotation number) or "rotation" (followed in the
+    energy, from a Torus). Others: followed in a physical `parameter`, from an orbit at a torus event. Raises
+    `InputError`, `ConvergenceError`.
+    """
+    chosen = settings or TorusSettings()
+    system = _model(origin, model)
+    asked = _asked(system, origin, hold, parameter)
+    goals = tuple(sorted({*at, *(() if until is None else (until,))}))
+    if asked == "rotation":
+        for goal in goals:
+            _check_rotation(goal, chosen.most_states)
+    if isinstance(origin, Torus):
+        first = _from_torus(origin, system, asked)
+        way = _towards(first, asked, until)
+    else:
+        first, way = _from_orbit(origin, system, asked, mode), 1.0
+    found, end = _followed(first, asked, way, (until, goals), chosen, progress)
+    tori = tuple(certify_torus(one, system) if chosen.certify else one for one in found)
+    held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in first.ring.held}
+    label = name or (f"{origin.name}-tori" if isinstance(origin, Orbit) else "tori")
+    return Tori(label, dict(system.system), asked, held, tori, end)
+
+
+def _model(origin: Orbit | Torus, model: Model | None) -> Model:
+    """The Model of an origin; `InputError` for systems whose tori are not known."""
+    if not isinstance(origin, (Orbit, Torus)):
+        raise InputError(f"origin: {type(origin).__name__}; give an Orbit, or a Torus with its model")
+    if model is None:
+        if isinstance(origin, Torus):
+            raise InputError("model: missing; a Torus does not say of which system it is (build_model(tori.system))")
+        model = build_model(origin.system)
+    if model.hybrid is not None or model.constraint is not None:
+        what = "hybrid systems" if model.hybrid is not None else "native DAE models; give the minimal one"
+        raise InputError(f"origin: tori are not found of {what}")
+    if isinstance(origin, Orbit) and (any(origin.winding) or origin.shift):
+        raise InputError("origin: turns or shifts in a period; tori are found around orbits that come back")
+    return model
+
+
+def _asked(model: Model, origin: Orbit | Torus, hold: str | None, parameter: str | None) -> str:
+    """What the family is followed in; `InputError` for what does not go together."""
+    if not model.conservative:
+        if parameter is None or parameter not in model.parameter_names:
+            known = ", ".join(model.parameter_names[:12]) or "none"
+            raise InputError(
+                f"parameter: {parameter!r}; tori of a system without energy are followed in one of {known}"
+            )
+        return parameter
+    if parameter is not None:
+        raise InputError(f"parameter: {parameter!r}; tori of a conservative system are followed by hold='energy' or "
+                         "hold='rotation'")  # fmt: skip
+    if hold not in (None, "energy", "rotation"):
+        raise InputError(f"hold: {hold!r}{closest(str(hold), ('energy', 'rotation'))}; use 'energy' or 'rotation'")
+    if hold == "rotation" and isinstance(origin, Orbit):
+        raise InputError("hold: 'rotation' begins with a Torus of that rotation number; find one at fixed energy first")
+    return "energy" if hold == "rotation" else "rotation"
+
+
+def _check_rotation(rotation: float, most: int) -> None:
+    """`InputError` for a rotation number that no torus has, or only one of periodic orbits."""
+    if not (np.isfinite(rotation) and 0 < rotation < 1):
+        raise InputError(f"rotation: {rotation}; give turns a return, between 0 and 1")
+    if (near := resonance(rotation, most)) is not None:
+        raise InputError(
+            f"rotation: {rotation!r} is resonant, {near[0]}/{near[1]}: such a torus is a ring of periodic orbits of "
+            f"{near[1]} returns; give an irrational number, or follow the family past it"
+        )
+
+
+def resonance(rotation: float, most: int) -> tuple[int, int] | None:
+    """(p, q), q up to `most`, where a rotation number is p/q to within `RESONANCE` / q."""
+    orders = np.arange(1, most + 1)
+    nearest = np.round(rotation * orders)
+    hit = np.flatnonzero(np.abs(rotation * orders - nearest) <= RESONANCE)
+    return (int(nearest[hit[0]]), int(orders[hit[0]])) if hit.size else None
+
+
+def _from_orbit(orbit: Orbit, model: Model, asked: str, mode: int) -> _Place:
+    """A small torus around an elliptic orbit: X = x + a Re(v e^(i theta)), v an eigenvector of the monodromy."""
+    free = (asked,) if asked in model.parameter_names else ()
+    equations = Equations(model, NONE, free)
+    w = equations.unknowns(orbit.state[None], orbit.period, np.linspace(0.0, 1.0, STEPS_PER_PERIOD + 1))
+    path = equations.varied(w, states=True)
+    units = extents_of(model, path.states, orbit.period)
+    angle, vector = _turning_pair(path.transitions[0], mode)
+    vector = vector / np.sqrt(np.mean(np.abs(vector / units) ** 2) * units.size / 2)
+    around = (np.exp(2j * np.pi * np.arange(FEWEST) / FEWEST)[:, None] * vector).real
+    held = (("energy", orbit.energy),) if model.conservative else ()
+    sizes = parameter_sizes(model, free, w.free)
+    ring = Ring(equations, units, orbit.period / (2 * np.pi), sizes, held)
+    still = Turned(np.tile(orbit.state, (FEWEST, 1)), orbit.period, angle, w.free)
+    direction = np.concatenate([(around / units).ravel(), np.zeros(2 + w.free.size)])
+    guess = still.moved(AMPLITUDE * direction * ring.columns(still))
+    return _solved(ring.confirmed(guess), guess, direction)
+
+
+def _turning_pair(monodromy: np.ndarray, mode: int) -> tuple[float, np.ndarray]:
+    """The angle (rad) and the eigenvector of the chosen pair on the unit circle, slowest first. Raises `InputError`."""
+    multipliers, vectors = np.linalg.eig(monodromy)
+    if np.abs(multipliers).max() > FASTEST:
+        raise InputError(
+            f"origin: a multiplier of {np.abs(multipliers).max():.2g}; tori are not found around such orbits"
+        )
+    on = [k for k, mu in enumerate(multipliers) if abs(abs(mu) - 1) < TURNING and mu.imag > TURNING]
+    if not on:
+        raise InputError("origin: no pair of multipliers turns on the unit circle; tori lie around elliptic orbits, "
+                         "and begin at torus events")  # fmt: skip
+    if not 1 <= mode <= len(on):
+        raise InputError(f"mode: {mode}; {len(on)} pairs of multipliers turn on the unit circle, give 1 to {len(on)}")
+    chosen = sorted(on, key=lambda k: float(np.angle(multipliers[k])))[mode - 1]
+    return float(np.angle(multipliers[chosen])), vectors[:, chosen]
+
+
+def _from_torus(torus: Torus, model: Model, asked: str) -> _Place:
+    """A known torus, solved again in the ring that its family is followed in; its tangent points anywhere."""
+    free = (asked,) if asked in model.parameter_names else ()
+    equations = Equations(with_parameters(model, torus.free), NONE, free)
+    numbers = np.array([torus.free.get(name, value) for name, value in zip(free, equations.numbers, strict=True)])
+    w = Turned(torus.curve, torus.period, 2 * np.pi * torus.rotation, numbers)
+    held = (("rotation", w.angle),) if asked == "energy" else (("energy", torus.energy),) if model.conservative else ()
+    units = extents_of(model, filled(torus, model, FEWEST).reshape(-1, w.curve.shape[1]), torus.period)
+    ring = Ring(equations, units, w.period / (2 * np.pi), parameter_sizes(model, free, numbers), held).confirmed(w)
+    guess = np.zeros(w.vector.size)
+    guess[: w.curve.size] = ((w.curve - w.curve.mean(axis=0)) / units).ravel()
+    return _solved(ring, w, guess)
+
+
+def filled(torus: Torus, model: Model, lines: int) -> np.ndarray:
+    """States (lines x k x d) all over a torus: one return from each of so many angles."""
+    equations = Equations(with_parameters(model, torus.free), NONE)
+    starts = at_angles(torus.curve, 2 * np.pi * np.arange(lines) / lines)
+    tail = np.concatenate([[torus.period], np.zeros(equations.march.unfolding)])
+    path = equations.march.states(starts, np.linspace(0.0, lines, ARC * lines + 1), tail)
+    return np.concatenate([starts[:, None], path[1:].reshape(lines, ARC, -1)], axis=1)
+
+
+def _solved(ring: Ring, guess: Turned, direction: np.ndarray) -> _Place:
+    """The torus in the plane through a guess across a direction (over the measured unknowns), and the tangent there."""
+    metric, columns = ring.metric(guess), ring.columns(guess)
+    row = metric * direction / np.sqrt(float(direction @ (metric * direction)))
+    measured = np.divide(guess.vector, columns, out=np.zeros(columns.size), where=columns > 0)
+    w, _, count, matrix = ring.solved(guess, (Aim(row, measured, 0.0),))
+    tangent = least_squares(matrix, np.append(np.zeros(len(matrix) - 1), 1.0), np.where(columns > 0, 1.0, 0.0))
+    return _Place(ring, w, tangent / np.sqrt(float(tangent @ (metric * tangent))), count)
+
+
+def _finer(place: _Place, most: int) -> _Place:
+    """The same with as many states as the series needs. Raises `ConvergenceError` where that is more than `most`."""
+    while (size := unresolved(place.w.curve / place.ring.units)) > RESOLVED:
+        count = 3 * len(place.w.curve) // 4 * 2 + 1
+        if count > most:
+            raise ConvergenceError(
+                f"the highest harmonics of {len(place.w.curve)} states are {size:.2g} of the curve; more than {most} "
+                "states are needed"
+            )
+        w, cut = place.w.on(count), place.w.curve.size
+        along = resampled(place.tangent[:cut].reshape(place.w.curve.shape), count)
+        place = _solved(place.ring, w, np.concatenate([along.ravel(), place.tangent[cut:]]))
+    return place
+
+
+def unresolved(curve: np.ndarray) -> float:
+    """The largest of the highest sixth of the harmonics, relative to the largest of all but the mean."""
+    waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
+    return float(sizes[waves > 5 * waves.max() // 6].max() / max(sizes[waves > 0].max(), 1e-300))
+
+
+def strip(curve: np.ndarray) -> float:
+    """Half the width of the strip in which the series converges: the decay rate of its coefficients above round-off."""
+    waves, sizes = harmonics(len(curve)), np.abs(coefficients(curve)).max(axis=1)
+    largest = np.array([sizes[np.abs(waves) >= k].max() for k in range(1, waves.max() + 1)])
+    clear = np.arange(max(3, np.flatnonzero(largest > 10 * CLEAN * largest[0])[-1] + 1))
+    return float(-np.polyfit(clear, np.log(np.maximum(largest[clear], 1e-300)), 1)[0])
+
+
+def _towards(place: _Place, asked: str, until: float | None) -> float:
+    """1 or -1: the way along the tangent in which the parameter goes towards `until`, up without."""
+    step = place.tangent * place.ring.columns(place.w) * 1e-6
+    rise = place.ring.value(place.w.moved(step), asked) - place.ring.value(place.w, asked)
+    wanted = 1.0 if until is None else _inner(asked, until) - place.ring.value(place.w, asked)
+    return 1.0 if rise * wanted >= 0 else -1.0
+
+
+def _inner(name: str, value: float) -> float:
+    """A rotation number in rad, everything else as it is."""
+    return 2 * np.pi * value if name == "rotation" else value
+
+
+def _followed(
+    first: _Place,
+    asked: str,
+    way: float,
+    goals: tuple[float | None, tuple[float, ...]],
+    settings: TorusSettings,
+    progress: Callable[[Torus], None] | None,
+) -> tuple[list[Torus], str]:
+    """The tori along a family and why it ends."""
+    until, exact = goals
+    found: list[Torus] = []
+
+    def note(place: _Place) -> None:
+        found.append(_recorded(place))
+        if progress:
+            progress(found[-1])
+
+    place = _finer(first, settings.most_states)
+    place = replace(place, tangent=way * place.tangent)
+    note(place)
+    step = settings.step
+    while len(found) < settings.points:
+        limit.check()
+        try:
+            after = _finer(_stepped(place, step), settings.most_states)
+            after = replace(after, ring=after.ring.confirmed(after.w))
+            passed = _passed(place, after, asked, exact)
+            between = [_exactly(place, after, asked, _inner(asked, one), settings.most_states) for one in passed]
+        except ConvergenceError as error:
+            step /= 2
+            if step < SHORTEST:
+                return found, _ending(found, asked, str(error))
+            continue
+        for goal, one in zip(passed, between, strict=True):
+            note(one)
+            if goal == until:
+                return found, f"{asked} reached {until:.12g}"
+        note(after)
+        step = min(LONGEST, step * (1.5 if after.iterations <= QUICK else 0.6 if after.iterations > SLOW else 1.0))
+        place = after
+    return found, f"point limit of {settings.points}"
+
+
+def _passed(before: _Place, after: _Place, asked: str, goals: tuple[float, ...]) -> list[float]:
+    """The goals between two tori, in the order in which they are met."""
+    a, b = (one.ring.value(one.w, asked) for one in (before, after))
+    met = [one for one in goals if (_inner(asked, one) - a) * (_inner(asked, one) - b) <= 0 and _inner(asked, one) != a]
+    return sorted(met, key=lambda one: abs(_inner(asked, one) - a))
+
+
+def _stepped(place: _Place, step: float) -> _Place:
+    """The torus a step along the tangent."""
+    ring, w = place.ring, place.w.moved(step * place.tangent * place.ring.columns(place.w))
+    after = _solved(ring, w, place.tangent)
+    return after if np.sum(after.tangent * ring.metric(w) * place.tangent) > 0.5 else _bent()
+
+
+def _bent() -> _Place:
+    raise ConvergenceError("the family bends within a step")
+
+
+def _exactly(before: _Place, after: _Place, asked: str, value: float, most: int) -> _Place:
+    """The torus between two at a value of the parameter."""
+    a, b = (one.ring.value(one.w, asked) for one in (before, after))
+    first = before.w.on(len(after.w.curve)).vector
+    start = after.w.moved((value - b) / (b - a) * (after.w.vector - first))
+    ring = replace(after.ring, held=(*after.ring.held, (asked, value)))
+    w, _, count, _ = ring.solved(start, ())
+    found = _Place(after.ring, w, after.tangent, count)
+    if unresolved(w.curve / ring.units) > RESOLVED:
+        raise ConvergenceError(f"the torus at {asked} {value:.9g} needs more than {len(w.curve)} of {most} states")
+    return found
+
+
+def _recorded(place: _Place) -> Torus:
+    w, ring = place.w, place.ring
+    p = ring.equations
+    energy = ring.value(w, "energy") if p.model.conservative else float("nan")
+    measured = w.curve / ring.units
+    free = {name: float(value) for name, value in zip(p.free, w.free, strict=True)}
+    return Torus(
+        w.curve, w.period, float(w.angle / (2 * np.pi) % 1.0), energy, unresolved(measured), strip(measured), free
+    )
+
+
+def _ending(found: list[Torus], asked: str, why: str) -> str:
+    """Why a family ends: the width of its strip, and where that goes to 0."""
+    values = np.array([torus_value(one, asked) for one in found])
+    widths = np.array([one.strip for one in found])
+    told = f"break-down near {asked} {values[-1]:.9g}: {why}"
+    if len(found) > 2 and widths[-1] < widths[-3]:
+        slope = (values[-1] - values[-3]) / (widths[-1] - widths[-3])
+        zero = values[-1] - slope * widths[-1]
+        told += f"; the strip of convergence is {widths[-1]:.3g} wide, and 0 near {zero:.6g}"
+        told += _resonant(values[-1], zero) if asked == "rotation" else ""
+    return told
+
+
+def _resonant(here: float, there: float) -> str:
+    """The resonance of lowest order that a family of tori stops before, in words."""
+    low, high = sorted((here, there))
+    between = [(p, q) for q in range(1, LOW_ORDER + 1) for p in range(q + 1) if low <= p / q <= high]
+    return " (the resonance {}/{})".format(*between[0]) if between else ""
+
+
+def torus_value(torus: Torus, name: str) -> float:
+    """The rotation number, the energy or a freed parameter of a Torus."""
+    return float(torus.free[name]) if name in torus.free else float(getattr(torus, name))
+
+
+def certify_torus(torus: Torus, model: Model) -> Torus:
+    """The Torus with its Certificate: DOP853 from angles between the states, nothing of the solver's taken on trust.
+
+    invariance: max |phi_T(X(theta)) - X(theta + 2 pi rotation)| at random angles; returns: the same after many, on one
+    motion; energy: its change over the curve; resonance, dimension (the sine between curve and flow), amplitude (of the
+    curve), series (its highest harmonics), once (the curve is gone round once).
+    """
+    own = with_parameters(model, torus.free)
+    angles = np.random.default_rng(SEED).uniform(0, 2 * np.pi, OFF_MESH)
+    field, turn = vector_field(accelerations(own)), 2 * np.pi * torus.rotation
+    starts = at_angles(torus.curve, angles)
+    period = float(own.forcing_period(own.parameter_values)) if own.forced else 0.0  # type: ignore[misc]
+    times = np.linspace(0.0, torus.period, 33)
+    longest = torus.period / STEPS_PER_PERIOD
+    scale = np.maximum(np.abs(starts).max(axis=0), 1e-300)
+    units = np.where(scale > 1e-9 * scale.max(), scale, scale.max())
+    paths = np.array([integrate_in(units, field, one, times, longest_step=longest) for one in starts])
+    extents = extents_of(own, paths.reshape(-1, torus.curve.shape[1]), torus.period)
+    missed = np.abs((paths[:, -1] - at_angles(torus.curve, angles + turn)) / extents).max()
+    many = integrate_in(units, field, starts[0], torus.period * np.arange(RETURNS + 1), longest_step=longest)
+    strayed = np.abs((many - at_angles(torus.curve, angles[0] + turn * np.arange(RETURNS + 1))) / extents).max()
+    along = at_angles(torus.curve, angles, derivative=True) / extents
+    flow = np.array([field(0.0, one) for one in starts]) / extents
+    norms = np.linalg.norm(along, axis=1) * np.linalg.norm(flow, axis=1)
+    across = np.sqrt(np.maximum(0.0, 1.0 - (np.sum(along * flow, axis=1) / np.maximum(norms, 1e-300)) ** 2))
+    size = float((np.ptp(torus.curve, axis=0) / extents).max())
+    near = resonance(torus.rotation, len(torus.curve))
+    checks = [
+        _at_most("invariance", missed, INVARIANT, "a return, between the curve's states, by another integrator"),
+        _at_most("returns", strayed, INVARIANT * RETURNS**2, f"{RETURNS} returns of one motion"),
+        _at_most("series", unresolved(torus.curve / extents), 10 * RESOLVED, "the highest harmonics"),
+        _at_least("dimension", float(across.min()), FLAT, "sine between curve and flow"),
+        _at_least("amplitude", size, FLAT, "the curve in extents of the motion"),
+        Check("resonance", 0.0 if near is None else 1.0, 0.0, near is None,
+              "none up to the number of states" if near is None else f"{near[0]}/{near[1]}"),
+        _at_most("once", float(_rounds(torus.curve / extents) - 1), 0.0, "the curve is gone round once"),
+    ]  # fmt: skip
+    if own.conservative:
+        checks.append(_at_most("energy", _spread(own, starts, torus.energy), INVARIANT, "over the curve, relative"))
+    if own.forced:
+        cycles = torus.period / period
+        checks.append(_at_most("forcing", abs(cycles - round(cycles)), INVARIANT, "a return is whole periods of it"))
+    return replace(torus, certificate=Certificate(tuple(checks)))
+
+
+def _at_most(name: str, value: float, allowed: float, note: str) -> Check:
+    return Check(name, float(value), allowed, bool(value <= allowed), note)
+
+
+def _at_least(name: str, value: float, wanted: float, note: str) -> Check:
+    return Check(name, float(value), wanted, bool(value >= wanted), f"{note}, at least")
+
+
+def _rounds(curve: np.ndarray) -> int:
+    """How often a curve is gone round: the greatest common divisor of the harmonics that are there."""
+    waves, sizes = np.abs(harmonics(len(curve))), np.abs(coefficients(curve)).max(axis=1)
+    there = waves[(waves > 0) & (sizes > 1e-6 * sizes[waves > 0].max())]
+    return gcd(*map(int, there)) if there.size else 0
+
+
+def _spread(model: Model, states: np.ndarray, energy: float) -> float:
+    """The largest difference from an energy over states, relative to the kinetic energy there."""
+    n = model.degrees_of_freedom
+    kinetic = model.along(model.kinetic, states.T[:n], states.T[n:]).ravel()
+    potential = model.along(model.potential, states.T[:n]).ravel()
+    size = np.abs(kinetic).max() if model.rates is None else np.abs(potential).max()
+    return float(np.abs(kinetic + potential - energy).max() / max(float(size), 1e-300))

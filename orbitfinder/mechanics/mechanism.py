@@ -1,0 +1,1408 @@
+"""Mechanisms as drawn: bodies, joints, springs, dampers and motors, in the plane and in space.
+
+Joints that reach a new body span a tree, whose joint coordinates are those of the system; each node of the tree is one
+coordinate, a turn or a slide, so that a universal joint is two nodes and a ball joint three. Velocities and forces go
+through the tree by recursion in the bodies' own axes (R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 7:
+articulated bodies, O(n)). Every other joint closes a loop: its equations are constraints phi(q) = 0, all in m, and the
+system is a native DAE (see `constrained`). `minimal_mechanism` has the same motion in as many coordinates as degrees of
+freedom: the others follow by Newton's method on the closures, from a pose along a straight line.
+
+Axes: x down, y right, z towards the eye. A ball joint turns by three angles about axes of which the second leaves the
+first (Cardan's x, y, z unless said otherwise) and not by a quaternion: as many coordinates as freedoms, so that q' = v,
+a mode is a mode and a multiplier a multiplier; where the second angle is +-90 degrees (0 of z, x, z) two axes are one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import qr
+
+from orbitfinder.errors import InputError, closest, plural
+from orbitfinder.mechanics.constrained import RANK_TOLERANCE, constrained_model
+from orbitfinder.mechanics.controls import divided
+from orbitfinder.mechanics.factorise import LinearBalances, solve_positive_definite
+from orbitfinder.mechanics.lagrange import (
+    Symbols,
+    Terms,
+    coordinate_names,
+    detected_invariants,
+    energy_invariant,
+    mass_matrix_and_bias,
+    mechanical_model,
+    polyline,
+    take_apart,
+)
+from orbitfinder.mechanics.model import Baumgarte, Model, constraint_of
+
+Table = Mapping[str, Any]
+GROUND = "ground"
+PLANE = {
+    "revolute": "R", "prismatic": "P", "slot": "PR", "fixed": "", "free": "PPR"
+}  # fmt: skip
+SPACE = {
+    "revolute": "R", "prismatic": "P", "cylindrical": "PR", "universal": "RR", "spherical": "RRR", "fixed": "",
+    "free": "PPPRRR",
+}  # fmt: skip
+"""What each kind of joint leaves free, in its order: slides P and turns R"""
+ROWS = {
+    2: {"revolute": "xy", "prismatic": "na", "slot": "n", "fixed": "xya", "rod": "l"},
+    3: {"revolute": "xyzuv", "prismatic": "pqabc", "cylindrical": "pquv", "universal": "xyzo", "spherical": "xyz",
+        "fixed": "xyzabc", "rod": "l"},
+}  # fmt: skip
+"""The equations by which each kind closes a loop, one letter each (see `_rows`)"""
+KEYS = {
+    "bodies": {"mass", "inertia", "com", "shape", "disc"},
+    "joints": {"kind", "between", "at", "axis", "axes", "turned", "length", "rotor"},
+    "springs": {"between", "at", "stiffness", "length", "joint", "rest"},
+    "dampers": {"between", "at", "damping", "joint"},
+    "motors": {"joint", "torque", "amplitude", "phase", "limit"},
+    "motions": {"joint", "offset", "amplitude", "phase", "turns"},
+}
+EXPRESSION = re.compile(
+    r"\s*([+-]?)\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?)\s*\*\s*)?([A-Za-z_]\w*)\s*(?:/\s*(\d+\.?\d*))?\s*"
+)
+NEWTON_STEPS, CLOSED = 80, 1e-13
+"""Steps of an assembly, and the gap over the mechanism's size at which it is done"""
+LONGEST_TURN = 0.4
+"""rad, or share of the size, by which an assembly moves a coordinate in one step"""
+STRIDE = 0.2
+"""rad, or share of the size, from one assembly to the next on the way from the pose"""
+HOMOTOPY, FINAL = 20, 3
+"""Newton steps along the way from the pose to a place, and at the place, of the minimal form"""
+CYCLIC = 1e-13
+"""Slope of the Lagrangian, relative to it, of a coordinate that it does not depend on"""
+MASSLESS = 1e-12
+"""Inertia that a coordinate moves, relative to the whole mechanism's, below which it moves nothing"""
+ISOMETRIC = np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]])
+"""(down, right) of (x, y, z) in pictures of what moves in space"""
+
+
+class _Numbers:
+    """The physical parameters met while a drawing is read: each number that is not 0 gets a symbol and a name."""
+
+    def __init__(self, shared: Table, values: Table) -> None:
+        self.names: list[str] = []
+        self.values: list[float] = []
+        self.symbols: list[ca.SX] = []
+        self._given = dict(values)
+        for name, value in shared.items():
+            if not name.isidentifier():
+                raise InputError(f"parameters: {name!r} is no name; use letters, digits and _")
+            self._new(name, _number(f"parameters.{name}", value))
+
+    def _new(self, name: str, value: float) -> ca.SX:
+        if name in self.names:
+            raise InputError(f"{name}: two physical parameters have this name; rename a body, a joint or a parameter")
+        self.names.append(name)
+        self.values.append(float(self._given.pop(name, value)))
+        self.symbols.append(ca.SX.sym(name))
+        return self.symbols[-1]
+
+    def always(self, name: str, value: float) -> ca.SX:
+        """A number with a symbol of its own, 0 or not."""
+        return self._new(name, value)
+
+    def __call__(self, where: str, name: str, entry: Any) -> ca.SX | float:
+        """A number as a symbol of its own (0 stays 0), or an expression such as "-length / 2" of shared ones."""
+        if not isinstance(entry, str):
+            value = _number(where, entry)
+            return self._new(name, value) if value or name in self._given else 0.0
+        found = EXPRESSION.fullmatch(entry)
+        if not found or found[3] not in self.names:
+            known = ", ".join(self.names) or "none yet: add [system.parameters]"
+            raise InputError(f"{where}: {entry!r} is not [number *] parameter [/ number]; parameters are {known}")
+        factor = float(f"{found[1]}1") * float(found[2] or 1) / float(found[4] or 1)
+        symbol = self.symbols[self.names.index(found[3])]
+        return symbol if factor == 1 else factor * symbol
+
+    def value(self, entry: ca.SX | float) -> float:
+        """What a number or expression is, at the given values."""
+        return float(ca.substitute(ca.SX(entry), self.vector, ca.DM(self.values)))
+
+    @property
+    def vector(self) -> ca.SX:
+        """All symbols (k)."""
+        return ca.vertcat(*self.symbols) if self.symbols else ca.SX(0, 1)
+
+    def finish(self) -> None:
+        """`InputError` for values of parameters that are not there."""
+        for name in self._given:
+            raise InputError(f"values: unknown physical parameter {name!r}{closest(name, self.names)}")
+
+
+@dataclass
+class _Node:
+    """One coordinate of the tree, a turn "R" or a slide "P" about or along `axis` (3), by `q` with rates `v`, `a`.
+
+    Its frame before the motion lies at `place` in the parent node's frame, turned by `frame` (axes in columns).
+    """
+
+    parent: int
+    frame: ca.SX
+    place: ca.SX
+    kind: str
+    axis: ca.SX
+    name: str
+    q: ca.SX = field(default_factory=lambda: ca.SX(0))
+    v: ca.SX = field(default_factory=lambda: ca.SX(0))
+    a: ca.SX | None = None
+    inertia: ca.SX = field(default_factory=lambda: ca.SX(6, 6))
+    rotor: ca.SX | float = 0.0
+    """inertia of what turns with it in its drive, geared (kg m^2, kg)"""
+    index: int = -1
+
+    def turn(self) -> ca.SX:
+        """Its axes in the parent's (3 x 3)."""
+        return ca.mtimes(self.frame, _rotation(self.axis, self.q)) if self.kind == "R" else self.frame
+
+    def origin(self) -> ca.SX:
+        """Its origin in the parent's axes (3)."""
+        return self.place + ca.mtimes(self.frame, self.axis * self.q) if self.kind == "P" else self.place
+
+    def way(self) -> ca.SX:
+        """The spatial velocity (6: turning, sliding) that a unit rate makes, in its own axes."""
+        none = ca.SX(3, 1)
+        return ca.vertcat(self.axis, none) if self.kind == "R" else ca.vertcat(none, self.axis)
+
+
+@dataclass
+class _Body:
+    """A body's frame (axes in columns, origin) in that of its node; -1 is the ground."""
+
+    node: int
+    frame: ca.SX
+    place: ca.SX
+    turned: ca.SX = field(default_factory=lambda: ca.SX(0))
+    """in the plane: the sum of what joints are turned by on the way to it"""
+
+
+@dataclass
+class _Mass:
+    """What moves with a node: mass, centre of mass (3) and inertia about it (3 x 3) in the node's axes."""
+
+    body: str
+    node: int
+    mass: ca.SX
+    com: ca.SX
+    inertia: ca.SX
+
+
+@dataclass
+class _Closing:
+    """A joint that closes a loop, with its table."""
+
+    name: str
+    table: Table
+    rows: str
+    points: tuple[ca.SX, ca.SX]
+    ways: list[tuple[str, ca.SX]]
+    turned: ca.SX
+    length: ca.SX | float = 0.0
+
+
+@dataclass
+class _Drawing:
+    """A mechanism as read: its tree of nodes, where bodies are, what is left to close."""
+
+    dimension: int
+    numbers: _Numbers
+    joints: Mapping[str, Table]
+    nodes: list[_Node] = field(default_factory=list)
+    bodies: dict[str, _Body] = field(default_factory=dict)
+    closing: list[_Closing] = field(default_factory=list)
+    owner: dict[str, str] = field(default_factory=dict)
+    """the joint of each coordinate"""
+    masses: list[_Mass] = field(default_factory=list)
+    coms: dict[str, ca.SX] = field(default_factory=dict)
+    places: dict[str, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
+    """the points (3) of each joint and spring in its two bodies"""
+    size: float = 1.0
+    """m, the largest distance of a point in its body"""
+
+    def angle(self, body: str) -> ca.SX:
+        """In the plane: how far a body has turned."""
+        one = self.bodies[body]
+        found, k = one.turned, one.node
+        while k >= 0:
+            node = self.nodes[k]
+            found = found + node.axis[2] * node.q if node.kind == "R" else found
+            k = node.parent
+        return found
+
+    def frames(self) -> list[tuple[ca.SX, ca.SX]]:
+        """Axes (3 x 3) and origin (3) of every node in the world."""
+        found: list[tuple[ca.SX, ca.SX]] = []
+        for node in self.nodes:
+            turn, origin = found[node.parent] if node.parent >= 0 else (_eye(), ca.SX(3, 1))
+            found.append((ca.mtimes(turn, node.turn()), origin + ca.mtimes(turn, node.origin())))
+        return found
+
+    def point(self, frames: Sequence[tuple[ca.SX, ca.SX]], body: str, at: ca.SX) -> ca.SX:
+        """Where a point (3) of a body is in the world."""
+        turn, origin = self.axes(frames, body)
+        return origin + ca.mtimes(turn, at)
+
+    def axes(self, frames: Sequence[tuple[ca.SX, ca.SX]], body: str) -> tuple[ca.SX, ca.SX]:
+        """Axes (3 x 3) and origin (3) of a body in the world."""
+        one = self.bodies[body]
+        turn, origin = frames[one.node] if one.node >= 0 else (_eye(), ca.SX(3, 1))
+        return ca.mtimes(turn, one.frame), origin + ca.mtimes(turn, one.place)
+
+
+def mechanism(
+    bodies: Mapping[str, Table],
+    joints: Mapping[str, Table],
+    springs: Mapping[str, Table] | None = None,
+    dampers: Mapping[str, Table] | None = None,
+    motors: Mapping[str, Table] | None = None,
+    motions: Mapping[str, Table] | None = None,
+    *,
+    gravity: Sequence[float] | None = None,
+    dimension: int = 2,
+    parameters: Table | None = None,
+    frequency: float | None = None,
+    pose: Mapping[str, float] | None = None,
+    redundant: str = "refuse",
+    baumgarte: Sequence[float] | None = None,
+    values: Table | None = None,
+    scales: Mapping[str, float] | None = None,
+    drawn: Table | None = None,
+) -> Model:
+    """The Model of a mechanism in the plane (`dimension` 2) or in space (3), SI units, angles in rad.
+
+    `bodies` {name: mass, inertia (about the centre of mass), com}; `joints` {name: kind, between two bodies or the
+    "ground", at = their points, axis}: in their order those that reach a new body carry coordinates named like them,
+    all others close loops. `springs`, `dampers` act between points or in a joint, `motors` and `motions` in a joint, at
+    the `frequency` (rad/s) where they vary. `gravity` is the acceleration (m/s^2, x down, y right, z out).
+    Numbers that are not 0 are physical parameters named after what they belong to, those in `parameters` after
+    themselves ("-length / 2" uses one). `pose` {coordinate: value} says near which configuration loops are assembled.
+    Raises `InputError` naming body and joint for what cannot be a mechanism.
+    """
+    numbers = _Numbers(parameters or {}, values or {})
+    system = _description(bodies, joints, springs, dampers, motors, motions, gravity, dimension, parameters, frequency,
+                          pose, redundant, values)  # fmt: skip
+    if drawn:
+        system["drawn"] = dict(drawn)
+    drawing = _drawn(system, numbers)
+    motion = _Motion.of(system, drawing, numbers)
+    numbers.finish()
+    made = _tree(drawing, motion, system) if not drawing.closing else _closed(drawing, motion, system, baumgarte)
+    return replace(made, scales={k: float(v) for k, v in scales.items()}) if scales else made
+
+
+def _description(
+    bodies: Any, joints: Any, springs: Any, dampers: Any, motors: Any, motions: Any, gravity: Any, dimension: Any,
+    parameters: Any, frequency: Any, pose: Any, redundant: Any, values: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """The system as plain data, checked for shape; what was not given is left out."""
+    if dimension not in (2, 3):
+        raise InputError(f"dimension: must be 2 (the plane) or 3 (space), got {dimension!r}")
+    fall = [9.8, 0.0, 0.0][:dimension] if gravity is None else [_number("gravity", one) for one in gravity]
+    if len(fall) != dimension:
+        raise InputError(f"gravity: {plural(len(fall), 'number')}; give {dimension} (m/s^2, x down, y right)")
+    if redundant not in ("refuse", "drop"):
+        raise InputError(f"redundant: must be 'refuse' or 'drop' (equations that repeat others), got {redundant!r}")
+    found: dict[str, Any] = {"kind": "mechanism", "dimension": dimension, "gravity": fall}
+    tables = {
+        "bodies": bodies, "joints": joints, "springs": springs, "dampers": dampers, "motors": motors, "motions": motions
+    }  # fmt: skip
+    for name, table in tables.items():
+        for key, one in (table or {}).items():
+            _check_table(name, key, one)
+        if table:
+            found[name] = {key: {k: _plain(v) for k, v in one.items()} for key, one in table.items()}
+    if not bodies or not joints:
+        raise InputError(f"{'joints' if bodies else 'bodies'}: none given; a mechanism has at least one body and joint")
+    for name, extra in (("parameters", parameters), ("pose", pose), ("values", values)):
+        if extra:
+            found[name] = {key: _number(f"{name}.{key}", one) for key, one in extra.items()}
+    if frequency is not None:
+        found["frequency"] = _number("frequency", frequency)
+    return found | ({"redundant": redundant} if redundant != "refuse" else {})
+
+
+def _check_table(name: str, key: str, one: Any) -> None:
+    if not str(key).isidentifier() or key == GROUND:
+        raise InputError(f"{name}: {key!r} is no name; use letters, digits and _, and not {GROUND!r}")
+    if not isinstance(one, Mapping):
+        raise InputError(f"{name}.{key}: must be a table of {', '.join(sorted(KEYS[name]))}, got {one!r}")
+    for entry in one:
+        if entry not in KEYS[name]:
+            raise InputError(
+                f"{name}.{key}.{entry}: unknown key{closest(entry, KEYS[name])}; use {', '.join(sorted(KEYS[name]))}"
+            )
+
+
+def _plain(value: Any) -> Any:
+    """Numbers, text and lists of them, as a file keeps them."""
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(one) for one in value]
+    return value if isinstance(value, str) else float(value)
+
+
+def _number(where: str, value: Any) -> float:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, float, np.floating, np.integer))
+        or not np.isfinite(value)
+    ):
+        raise InputError(f"{where}: must be a finite number, got {value!r}")
+    return float(value)
+
+
+def _eye() -> ca.SX:
+    return ca.SX.eye(3)
+
+
+def _skew(axis: ca.SX) -> ca.SX:
+    """The matrix of the product axis x, with the zeros left out."""
+    found = ca.SX(3, 3)
+    for i, j, k, sign in ((0, 1, 2, -1), (0, 2, 1, 1), (1, 2, 0, -1)):
+        if axis.sparsity().has_nz(k, 0):
+            found[i, j], found[j, i] = sign * axis[k], -sign * axis[k]
+    return found
+
+
+def _rotation(axis: ca.SX, angle: ca.SX) -> ca.SX:
+    """The turn about a unit axis (3): aa^T + cos (1 - aa^T) + sin [a], zeros left out."""
+    along = ca.mtimes(axis, axis.T)
+    across = ca.SX(ca.sparsify(ca.DM(_eye() - along))) if not ca.symvar(axis) else _eye() - along
+    return along + ca.cos(angle) * across + ca.sin(angle) * _skew(axis)
+
+
+def _vector(numbers: _Numbers, where: str, name: str, entry: Any, dimension: int) -> ca.SX:
+    """A point (3, zeros left out) as parameters NAME_x, NAME_y, NAME_z."""
+    if not isinstance(entry, (list, tuple, np.ndarray)) or len(entry) != dimension:
+        raise InputError(f"{where}: need {dimension} numbers (m), got {entry!r}")
+    found = ca.SX(3, 1)
+    for k, (letter, one) in enumerate(zip("xyz", entry, strict=False)):
+        value = numbers(where, f"{name}_{letter}", one)
+        if isinstance(value, ca.SX):
+            found[k] = value
+    return found
+
+
+def _unit(where: str, entry: Any, dimension: int, numbers: _Numbers) -> ca.SX:
+    """A direction (3): numbers of any length but 0, or in the plane an angle from the x axis, which may be named."""
+    if dimension == 2 and not isinstance(entry, (list, tuple, np.ndarray)):
+        angle = numbers(where, where.removeprefix("joints.").replace(".", "_"), entry)
+        return ca.vertcat(ca.cos(angle), ca.sin(angle), 0)
+    size = None if entry is None else np.asarray(entry, float)
+    if size is None or size.shape != (dimension,) or not np.all(np.isfinite(size)) or not np.any(size):
+        raise InputError(f"{where}: need a direction of {dimension} numbers, not all 0, got {entry!r}")
+    found = np.zeros(3)
+    found[:dimension] = size / np.linalg.norm(size)
+    return ca.SX(ca.sparsify(ca.DM(found)))
+
+
+def _drawn(system: Table, numbers: _Numbers) -> _Drawing:
+    """The tree of a mechanism and what is left to close."""
+    made = _Drawing(int(system["dimension"]), numbers, system["joints"])
+    made.bodies[GROUND] = _Body(-1, _eye(), ca.SX(3, 1))
+    pairs = {name: _between("joints", name, table, system["bodies"]) for name, table in system["joints"].items()}
+    left = dict(system["joints"])
+    reached = [GROUND]
+    for body in reached:  # from the ground outwards, which cuts loops in their middle
+        for name in [n for n in left if body in pairs[n] and left[n].get("kind") != "rod"]:
+            other = next(one for one in pairs[name] if one != body)
+            if other not in made.bodies:
+                _grow(made, name, left.pop(name), pairs[name])
+                reached.append(other)
+    for name in system["bodies"]:
+        if name not in made.bodies:
+            held = [one for one, pair in pairs.items() if name in pair]
+            raise InputError(
+                f"bodies.{name}: hangs in the air, no joint leads from the ground to it (its joints: "
+                f"{', '.join(held) or 'none'}); join it (kind = 'free' joins it by nothing)"
+            )
+    kinds = ROWS[made.dimension]
+    for name, table in left.items():
+        kind = _kind(made.dimension, name, table)
+        if kind not in kinds:
+            raise InputError(f"joints.{name}: {kind!r} closes no loop; a loop is closed by {', '.join(kinds)}")
+        made.closing.append(_closing(made, name, table, kinds[kind]))
+    _check_bars(made, system, pairs)
+    return made
+
+
+def _closing(made: _Drawing, name: str, table: Table, rows: str) -> _Closing:
+    """A joint that closes a loop, its numbers read."""
+    rod = table["kind"] == "rod"
+    ways = [] if rod else _motions(made, name, table)
+    points = _points(made, "joints", name, table)
+    length: ca.SX | float = 0.0
+    if rod:
+        length = _positive(made.numbers, f"joints.{name}.length", f"{name}_length", table.get("length", 0.0), "m")
+    return _Closing(name, table, rows, points, ways, _eye() if rod else _turned(made, name, table), length)
+
+
+def _between(where: str, name: str, table: Table, bodies: Table) -> tuple[str, str]:
+    pair = table.get("between")
+    if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
+        raise InputError(f"{where}.{name}.between: need two different bodies, such as ['{GROUND}', ...], got {pair!r}")
+    for one in pair:
+        if one != GROUND and one not in bodies:
+            raise InputError(
+                f"{where}.{name}.between: unknown body {one!r}{closest(str(one), bodies)}; bodies are {GROUND}, "
+                f"{', '.join(bodies)}"
+            )
+    return pair[0], pair[1]
+
+
+def _kind(dimension: int, name: str, table: Table) -> str:
+    kind, known = table.get("kind"), PLANE if dimension == 2 else SPACE
+    if kind not in known and kind != "rod":
+        hint = closest(str(kind), known)
+        raise InputError(
+            f"joints.{name}.kind: unknown {kind!r}{hint}; in {dimension} dimensions use {', '.join(known)}, rod"
+        )
+    return str(kind)
+
+
+def _points(made: _Drawing, where: str, name: str, table: Table) -> tuple[ca.SX, ca.SX]:
+    """The two points of a joint, spring or damper, one in each body; at their origins where nothing is said."""
+    at = table.get("at", [[0.0] * made.dimension] * 2)
+    if not isinstance(at, (list, tuple)) or len(at) != 2:
+        raise InputError(f"{where}.{name}.at: need two points, one in each body, got {at!r}")
+    first, second = (
+        _vector(made.numbers, f"{where}.{name}.at", f"{name}_{k + 1}", one, made.dimension) for k, one in enumerate(at)
+    )
+    made.places[name] = (first, second)
+    return first, second
+
+
+def _motions(made: _Drawing, name: str, table: Table) -> list[tuple[str, ca.SX]]:
+    """What a joint leaves free: slides P and turns R with their axes (3), in the first body's frame."""
+    kind, numbers = _kind(made.dimension, name, table), made.numbers
+    letters = (PLANE if made.dimension == 2 else SPACE)[kind]
+    basis = [ca.SX(ca.sparsify(ca.DM(one))) for one in np.eye(3)]
+    if kind == "free":
+        return [(one, basis[k % 3] if made.dimension == 3 else basis[k]) for k, one in enumerate(letters)]
+    if made.dimension == 2:
+        slide = _unit(f"joints.{name}.axis", table.get("axis"), 2, numbers) if "P" in letters else None
+        return [(one, basis[2] if slide is None or one == "R" else slide) for one in letters]
+    if kind in ("universal", "spherical"):
+        usual = {"universal": [[1, 0, 0], [0, 1, 0]], "spherical": np.eye(3).tolist()}
+        axes = table.get("axes", usual[kind])
+        if isinstance(axes, str) and set(axes) <= set("xyz"):
+            axes = [np.eye(3)["xyz".index(one)].tolist() for one in axes]
+        if not isinstance(axes, list) or len(axes) != len(letters):
+            raise InputError(
+                f"joints.{name}.axes: need {len(letters)} directions, or letters such as 'xyz', got {axes!r}"
+            )
+        found = [_unit(f"joints.{name}.axes", one, 3, numbers) for one in axes]
+        for one, other in pairwise(found):
+            if float(ca.norm_2(ca.cross(ca.densify(one), ca.densify(other)))) < RANK_TOLERANCE:
+                raise InputError(f"joints.{name}.axes: two axes in a row are one; give others")
+        return list(zip(letters, found, strict=True))
+    axis = _unit(f"joints.{name}.axis", table.get("axis"), 3, numbers) if letters else None
+    return [(one, axis) for one in letters]
+
+
+def _turned(made: _Drawing, name: str, table: Table) -> ca.SX:
+    """The second body's axes in the first's where the joint is at 0 (3 x 3): an angle, or roll, pitch and yaw."""
+    given = table.get("turned", 0.0 if made.dimension == 2 else [0.0] * 3)
+    basis = [ca.SX(ca.sparsify(ca.DM(one))) for one in np.eye(3)]
+    if made.dimension == 2:
+        angle = made.numbers(f"joints.{name}.turned", f"{name}_turned", given)
+        return _rotation(basis[2], angle) if isinstance(angle, ca.SX) else _eye()
+    if not isinstance(given, list) or len(given) != 3:
+        raise InputError(f"joints.{name}.turned: need roll, pitch and yaw (rad), got {given!r}")
+    found = _eye()
+    for k in (2, 1, 0):
+        angle = made.numbers(f"joints.{name}.turned", f"{name}_turned_{'xyz'[k]}", given[k])
+        found = ca.mtimes(found, _rotation(basis[k], angle)) if isinstance(angle, ca.SX) else found
+    return found
+
+
+def _angle(turned: ca.SX) -> ca.SX:
+    """The angle of a turn about z (3 x 3)."""
+    return ca.atan2(turned[1, 0], turned[0, 0]) if ca.symvar(turned) else ca.SX(0)
+
+
+def _grow(made: _Drawing, name: str, table: Table, pair: tuple[str, str]) -> None:
+    """Nodes for a joint that reaches a new body, forwards or backwards."""
+    ways, turned = _motions(made, name, table), _turned(made, name, table)
+    points = _points(made, "joints", name, table)
+    forwards = pair[0] in made.bodies
+    known, new = pair if forwards else pair[::-1]
+    here, there = points if forwards else points[::-1]
+    base = made.bodies[known]
+    labels = [name] if len(ways) == 1 else [f"{name}{k + 1}" for k in range(len(ways))]
+    steps = list(zip(ways, labels, strict=True))
+    made.owner |= dict.fromkeys(labels, name)
+    if not forwards:  # the same motions undone in the other order
+        steps = [((kind, -axis), label) for (kind, axis), label in reversed(steps)]
+    parent, frame = base.node, base.frame
+    place = base.place + ca.mtimes(frame, here)
+    if not forwards:
+        frame = ca.mtimes(frame, turned.T)
+    for (kind, axis), label in steps:
+        rotor = (
+            made.numbers(f"joints.{name}.rotor", f"{name}_rotor", table.get("rotor", 0.0)) if len(steps) == 1 else 0.0
+        )
+        made.nodes.append(_Node(parent, frame, place, kind, axis, label, rotor=rotor))
+        parent, frame, place = len(made.nodes) - 1, _eye(), ca.SX(3, 1)
+    if forwards:
+        frame = ca.mtimes(frame, turned)
+    angle = _angle(turned) if made.dimension == 2 else ca.SX(0)
+    whole = base.turned + (angle if forwards else -angle)
+    made.bodies[new] = _Body(parent, frame, place - ca.mtimes(frame, there), whole)
+
+
+def _check_bars(made: _Drawing, system: Table, pairs: Mapping[str, tuple[str, str]]) -> None:
+    """`InputError` for a bar of no length, and for two pins of the same two bodies in the same place."""
+    for body in (*system["bodies"], GROUND):
+        places = {}
+        for name, table in system["joints"].items():
+            if body in pairs[name] and table["kind"] in ("revolute", "spherical"):
+                at = table.get("at", [[0.0] * made.dimension] * 2)[pairs[name].index(body)]
+                places[name] = (str(at), frozenset(pairs[name]))
+        ends = list(places.items())
+        for k, (name, (at, pair)) in enumerate(ends):
+            for other, (there, second) in ends[:k]:
+                alone = len(ends) == 2 and body != GROUND and bool(made.closing)
+                if at == there and (alone or pair == second):
+                    raise InputError(
+                        f"joints.{name}: at the same point of body {body!r} as joint {other!r} ({at}), which leaves a "
+                        "bar of no length; move one of them"
+                    )
+
+
+@dataclass
+class _Motion:
+    """Energies and forces of a drawing in its coordinates: what `Symbols` and `Terms` are made of.
+
+    `kinetic` and `potential` depend on t where motions are prescribed; `pushed` (n) are forces of springs, dampers and
+    motors (gravity left out), `acting` (n) those that no potential has: `passive`, and what the `controls` (motors
+    without a torque of their own) `drive`.
+    """
+
+    symbols: Symbols
+    kinetic: ca.SX
+    potential: ca.SX
+    elastic: ca.SX
+    passive: ca.SX | None
+    drive: ca.SX | None
+    controls: tuple[str, ...]
+    acting: ca.SX | None
+    frames: list[tuple[ca.SX, ca.SX]]
+    gravity: ca.SX
+    names: list[str]
+    angles: list[bool]
+    points: ca.SX
+    strokes: tuple[tuple[str, tuple[int, ...]], ...]
+    prescribed: bool
+
+    @classmethod
+    def of(cls, system: Table, made: _Drawing, numbers: _Numbers) -> _Motion:
+        clock = _clock(system, numbers)
+        moved = _prescribed(system, made, numbers, clock)
+        places = list(made.owner)  # a joint told from its second body has its nodes the other way round
+        own = sorted((one for one in made.nodes if one.name not in moved), key=lambda one: places.index(one.name))
+        q, v = ca.SX.sym("q", len(own)), ca.SX.sym("v", len(own))
+        if not own:
+            raise InputError("motions: every coordinate is prescribed, which leaves no motion to compute; free one")
+        for k, node in enumerate(own):
+            node.q, node.v, node.index = q[k], v[k], k
+        _weigh(system, made, numbers)
+        frames = made.frames()
+        gravity = _vector(numbers, "gravity", "gravity", system["gravity"], made.dimension)
+        kinetic, t = _kinetic(made), clock[0]
+        fall = ca.SX(0)
+        for one in made.masses:
+            place = frames[one.node][1] + ca.mtimes(frames[one.node][0], one.com)
+            fall -= one.mass * ca.dot(gravity, place)
+        elastic, spent, work = ca.SX(0), ca.SX(0), ca.SX(0)
+        for name, table in system.get("springs", {}).items():
+            elastic += _spring(made, frames, name, table, system)
+        for name, table in system.get("dampers", {}).items():
+            spent += _damper(made, frames, name, table, system, (q, v, t))
+        for name, table in system.get("motors", {}).items():
+            joint = _coordinate(made, frames, f"motors.{name}", table)
+            work += _torque(numbers, name, table, clock) * _rate(joint, q, v, t)
+        acting = ca.gradient(work - spent, v) if system.get("motors") or system.get("dampers") else None
+        controls = tuple(
+            name for name, one in system.get("motors", {}).items() if not (one.get("torque") or one.get("amplitude"))
+        )
+        passive, drive = divided(acting, numbers.vector, controls, numbers.names, numbers.values)
+        forced = ca.depends_on(ca.vertcat(kinetic, fall + elastic, work), t)
+        points, strokes = _picture(system, made, frames)
+        points = ca.substitute(points, t, ca.SX(0))  # pictures show what is prescribed as it is at t = 0
+        symbols = Symbols(
+            q, v, numbers.vector, tuple(numbers.names), tuple(numbers.values), time=t if forced else None,
+            forcing_period=2 * np.pi / clock[1] if forced else None,
+        )  # fmt: skip
+        angles = [node.kind == "R" for node in own]
+        names = [one.name for one in own]
+        return cls(
+            symbols, kinetic, fall + elastic, elastic, passive, drive, controls, acting, frames, gravity, names, angles,
+            points, strokes, bool(moved),
+        )  # fmt: skip
+
+
+def _clock(system: Table, numbers: _Numbers) -> tuple[ca.SX, ca.SX]:
+    """Time and the forcing's frequency (rad/s)."""
+    t, given = ca.SX.sym("t"), system.get("frequency")
+    if given is None:
+        varying = [f"motors.{n}" for n, one in system.get("motors", {}).items() if one.get("amplitude")]
+        if varying or system.get("motions"):
+            first = (varying or [f"motions.{name}" for name in system["motions"]])[0]
+            raise InputError(f"frequency: missing, and {first} varies in time; give it in rad/s")
+        return t, ca.SX(1)
+    if given <= 0:
+        raise InputError(f"frequency: must be positive, got {given:g}; give it in rad/s")
+    return t, ca.SX(numbers("frequency", "frequency", given))
+
+
+def _prescribed(system: Table, made: _Drawing, numbers: _Numbers, clock: tuple[ca.SX, ca.SX]) -> set[str]:
+    """Coordinates moved by what a file says: q = offset + turns w t + amplitude cos(w t + phase); their names."""
+    t, w = clock
+    moved = set()
+    nodes = {node.name: node for node in made.nodes}
+    for name, table in system.get("motions", {}).items():
+        where = f"motions.{name}"
+        node = nodes.get(str(table.get("joint")))
+        if node is None:
+            raise InputError(
+                f"{where}.joint: {table.get('joint')!r} is no coordinate of the tree; use {', '.join(nodes)}"
+            )
+        if made.closing:
+            raise InputError(
+                f"{where}: joint {node.name!r} moves a mechanism with loops (closed by {made.closing[0].name!r}), "
+                "which is not prescribed; drive it by a motor, or open the loop"
+            )
+        offset, amplitude, phase = (
+            numbers(f"{where}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("offset", "amplitude", "phase")
+        )
+        turns = _number(f"{where}.turns", table.get("turns", 0.0))
+        if turns != round(turns) or (turns and node.kind == "P"):
+            raise InputError(f"{where}.turns: must be a whole number, of a joint that turns, got {turns:g}")
+        node.q = ca.SX(offset + turns * w * t + amplitude * ca.cos(w * t + phase))
+        node.v = ca.jacobian(node.q, t)
+        node.a = ca.jacobian(node.v, t)
+        moved.add(node.name)
+    return moved
+
+
+def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
+    """The bodies' masses and inertias, put into the nodes' axes."""
+    for name, table in system["bodies"].items():
+        where, one = f"bodies.{name}", made.bodies[name]
+        mass = numbers(f"{where}.mass", f"{name}_mass", table.get("mass", 0.0))
+        if numbers.value(mass) <= 0:
+            raise InputError(
+                f"{where}.mass: must be positive, got {table.get('mass', 0.0)!r}; give the body {name!r} a mass, or "
+                "draw a bar without one as a joint of kind 'rod'"
+            )
+        com = _vector(numbers, f"{where}.com", f"{name}_com", table.get("com", [0.0] * made.dimension), made.dimension)
+        inertia, made.coms[name] = _inertia(numbers, name, table, made.dimension), com
+        if one.node < 0:
+            continue
+        com, inertia = one.place + ca.mtimes(one.frame, com), ca.mtimes([one.frame, inertia, one.frame.T])
+        made.masses.append(_Mass(name, one.node, ca.SX(mass), com, inertia))
+        lever = mass * _skew(com)
+        made.nodes[one.node].inertia += ca.blockcat(
+            [[inertia + ca.mtimes(lever, _skew(com).T), lever], [lever.T, mass * _eye()]]
+        )
+    points = [one for one in numbers.names if re.search(r"_[12]_[xyz]$|_com_[xyz]$|_length$", one)]
+    lengths = [abs(value) for name, value in zip(numbers.names, numbers.values, strict=True) if name in points]
+    made.size = max([*lengths, *_shared_lengths(system, numbers)], default=1.0) or 1.0
+
+
+def _shared_lengths(system: Table, numbers: _Numbers) -> list[float]:
+    """Sizes of the points that are told by shared parameters."""
+    told = [str(one) for table in system["joints"].values() for at in table.get("at", []) for one in at]
+    found = [EXPRESSION.fullmatch(one) for one in told]
+    return [abs(numbers.values[numbers.names.index(one[3])]) for one in found if one and one[3] in numbers.names]
+
+
+def _inertia(numbers: _Numbers, name: str, table: Table, dimension: int) -> ca.SX:
+    """Inertia about the centre of mass in the body's axes (3 x 3): a number, xx yy zz, or xx yy zz xy xz yz."""
+    where, given, found = f"bodies.{name}.inertia", table.get("inertia", 0.0), ca.SX(3, 3)
+    if dimension == 2:
+        value = numbers(where, f"{name}_inertia", given)
+        if isinstance(value, ca.SX):
+            if numbers.value(value) < 0:
+                raise InputError(f"{where}: must not be negative, got {given!r} (kg m^2 about the centre of mass)")
+            found[2, 2] = value
+        return found
+    entries = [given] * 3 if not isinstance(given, list) else given
+    if len(entries) not in (3, 6):
+        raise InputError(f"{where}: need xx yy zz or xx yy zz xy xz yz (kg m^2), got {given!r}")
+    places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    met: dict[Any, ca.SX | float] = {}
+    for k, ((i, j), entry) in enumerate(zip(places, entries, strict=False)):
+        alike = (entry, k < 3)  # equal moments of a body of revolution are one parameter
+        value = met[alike] if alike in met else numbers(where, f"{name}_inertia_{'xyz'[i]}{'xyz'[j]}", entry)
+        met[alike] = value
+        if isinstance(value, ca.SX):
+            found[i, j] = found[j, i] = value
+    at = ca.Function("inertia", [numbers.vector], [ca.densify(found)])(numbers.values).full()
+    moments = np.linalg.eigvalsh(at)
+    if moments[0] < -1e-12 * moments[2] or moments[0] + moments[1] < moments[2] * (1 - 1e-9):
+        raise InputError(
+            f"{where}: no body has these principal moments, {np.array2string(moments, precision=4)} kg m^2: none is "
+            "negative and the largest is at most the sum of the others; check the units and the axes"
+        )
+    return found
+
+
+def _kinetic(made: _Drawing) -> ca.SX:
+    """T, by velocities in the nodes' own axes."""
+    speeds, energy = _speeds(made), ca.SX(0)
+    for one in made.masses:
+        turning, sliding = speeds[one.node][:3], speeds[one.node][3:]
+        centre = sliding + ca.mtimes(_skew(one.com).T, turning)
+        energy += 0.5 * one.mass * ca.sumsqr(centre) + 0.5 * ca.dot(turning, ca.mtimes(one.inertia, turning))
+    return energy + sum(0.5 * node.rotor * node.v**2 for node in made.nodes)
+
+
+def _speeds(made: _Drawing) -> list[ca.SX]:
+    """Spatial velocities (6: turning, sliding) of the nodes in their own axes."""
+    found: list[ca.SX] = []
+    for node in made.nodes:
+        before = found[node.parent] if node.parent >= 0 else ca.SX(6, 1)
+        found.append(ca.mtimes(_transform(node), before) + node.way() * node.v)
+    return found
+
+
+def _transform(node: _Node) -> ca.SX:
+    """Spatial velocities of the parent node seen in a node (6 x 6): [[E, 0], [-E rx, E]]."""
+    back = node.turn().T
+    return ca.blockcat([[back, ca.SX(3, 3)], [ca.mtimes(back, _skew(node.origin()).T), back]])
+
+
+def _rate(value: ca.SX, q: ca.SX, v: ca.SX, t: ca.SX) -> ca.SX:
+    """d/dt of an expression in (t, q)."""
+    return ca.jtimes(value, q, v) + ca.jacobian(value, t)
+
+
+def _torque(numbers: _Numbers, name: str, table: Table, clock: tuple[ca.SX, ca.SX]) -> ca.SX | float:
+    """A motor's torque (N m) or force (N), torque + amplitude cos(w t + phase); it is the parameter named like it."""
+    steady = numbers.always(name, _number(f"motors.{name}.torque", table.get("torque", 0.0)))
+    swing, late = (
+        numbers(f"motors.{name}.{key}", f"{name}_{key}", table.get(key, 0.0)) for key in ("amplitude", "phase")
+    )
+    return steady + swing * ca.cos(clock[1] * clock[0] + late) if isinstance(swing, ca.SX) else steady
+
+
+def _coordinate(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], where: str, table: Table) -> ca.SX:
+    """The angle (rad) or slide (m) of a joint, of one that closes a loop too; `InputError` for others."""
+    name = str(table.get("joint"))
+    for node in made.nodes:
+        if node.name == name:
+            return node.q
+    for one in made.closing:
+        if one.name == name and made.dimension == 2 and one.table["kind"] in ("revolute", "slot", "prismatic"):
+            pair = one.table["between"]
+            if one.table["kind"] == "revolute":
+                return made.angle(pair[1]) - made.angle(pair[0]) - _angle(one.turned)
+            gap, turn = _gap(made, frames, one)
+            return ca.dot(gap, ca.mtimes(turn, one.ways[0][1]))
+    known = [node.name for node in made.nodes]
+    raise InputError(f"{where}.joint: {name!r} is no coordinate{closest(name, known)}; use {', '.join(known)}")
+
+
+def _stretch(
+    made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], what: str, name: str, table: Table, system: Table
+) -> ca.SX:
+    """The vector (3) from the first to the second point of a spring or damper."""
+    first, second = _between(what, name, table, system["bodies"])
+    here, there = _points(made, what, name, table)
+    return made.point(frames, second, there) - made.point(frames, first, here)
+
+
+def _positive(numbers: _Numbers, where: str, name: str, entry: Any, unit: str) -> ca.SX | float:
+    found = numbers(where, name, entry)
+    if numbers.value(found) <= 0:
+        raise InputError(f"{where}: must be positive, got {entry!r} ({unit})")
+    return found
+
+
+def _spring(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], name: str, table: Table, system: Table) -> ca.SX:
+    """Energy of a spring between two points or in a joint: k (length - rest)^2 / 2."""
+    where, numbers = f"springs.{name}", made.numbers
+    stiffness = _positive(numbers, f"{where}.stiffness", f"{name}_stiffness", table.get("stiffness", 0.0), "N/m")
+    if "joint" in table:
+        rest = numbers(f"{where}.rest", f"{name}_rest", table.get("rest", 0.0))
+        return 0.5 * stiffness * (_coordinate(made, frames, where, table) - rest) ** 2
+    gap = _stretch(made, frames, "springs", name, table, system)
+    rest = numbers(f"{where}.length", f"{name}_length", table.get("length", 0.0))
+    return 0.5 * stiffness * ((ca.norm_2(gap) - rest) ** 2 if isinstance(rest, ca.SX) else ca.sumsqr(gap))
+
+
+def _damper(
+    made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], name: str, table: Table, system: Table, now: Sequence[ca.SX]
+) -> ca.SX:
+    """Half the power that a damper takes: c (d length / dt)^2 / 2, Rayleigh's function."""
+    where = f"dampers.{name}"
+    damping = _positive(made.numbers, f"{where}.damping", f"{name}_damping", table.get("damping", 0.0), "N s/m")
+    if "joint" in table:
+        length = _coordinate(made, frames, where, table)
+    else:
+        length = ca.norm_2(_stretch(made, frames, "dampers", name, table, system))
+    return 0.5 * damping * _rate(length, *now) ** 2
+
+
+def _gap(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], one: _Closing) -> tuple[ca.SX, ca.SX]:
+    """From a joint's point on its first body to that on its second (3), and the first body's axes (3 x 3)."""
+    first, second = one.table["between"]
+    here, there = one.points
+    return made.point(frames, second, there) - made.point(frames, first, here), made.axes(frames, first)[0]
+
+
+def _rows(made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]], one: _Closing) -> ca.SX:
+    """The equations of a joint that closes a loop, in m, a letter each: x y z the gap, n p q across the axis,
+    u v d e the axis against two directions of the other body, a b c axes against each other, o of a universal joint,
+    l the length of a rod.
+    """
+    gap, turn = _gap(made, frames, one)
+    other = made.axes(frames, one.table["between"][1])[0]
+    wanted = ca.mtimes(turn, one.turned)
+    found = {letter: gap[k] for k, letter in enumerate("xyz")}
+    if "l" in one.rows:
+        found["l"] = (ca.sumsqr(gap) - one.length**2) / (2 * one.length)
+    else:
+        found |= {
+            c: made.size * ca.dot(wanted[:, i], other[:, j]) for c, i, j in (("a", 0, 1), ("b", 1, 2), ("c", 2, 0))
+        }
+    if one.ways and set("npquv") & set(one.rows):
+        axis = ca.densify(one.ways[0][1])
+        across = [ca.cross(axis, ca.SX([0, 0, 1]))] if made.dimension == 2 else _across(axis)
+        found |= {
+            c: ca.dot(gap, ca.mtimes(turn, d))
+            for c, d in zip("n" if made.dimension == 2 else "pq", across, strict=True)
+        }
+        if made.dimension == 3:
+            ahead = ca.mtimes(turn, axis)
+            found |= {
+                c: made.size * ca.dot(ahead, ca.mtimes([other, one.turned.T, d]))
+                for c, d in zip("uv", across, strict=True)
+            }
+    if "o" in one.rows:
+        (_, first), (_, second) = one.ways
+        found["o"] = made.size * ca.dot(ca.mtimes(turn, first), ca.mtimes([other, one.turned.T, second]))
+    return ca.densify(ca.vertcat(*(found[letter] for letter in one.rows)))
+
+
+def _across(axis: ca.SX) -> list[ca.SX]:
+    """Two directions across a direction of numbers (3)."""
+    along = np.array(ca.DM(axis)).ravel()
+    first = np.cross(along, np.eye(3)[int(np.abs(along).argmin())])
+    first /= np.linalg.norm(first)
+    return [ca.SX(first), ca.SX(np.cross(along, first))]
+
+
+def _picture(
+    system: Table, made: _Drawing, frames: Sequence[tuple[ca.SX, ca.SX]]
+) -> tuple[ca.SX, tuple[tuple[str, tuple[int, ...]], ...]]:
+    """Points (2 x k) and what is drawn through which: ground, spring, rod (a body), slider, disc."""
+    columns: list[ca.SX] = []
+    strokes: list[tuple[str, tuple[int, ...]]] = []
+
+    def place(body: str, at: ca.SX) -> int:
+        columns.append(made.point(frames, body, at))
+        return len(columns) - 1
+
+    held: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
+    for name, table in system["joints"].items():
+        for body, at in zip(table["between"], made.places[name], strict=True):
+            slides = body == GROUND and table["kind"] in ("prismatic", "slot", "cylindrical", "free")
+            if not slides and not any(ca.is_equal(ca.densify(at), ca.densify(one), 9) for one in held[body]):
+                held[body].append(at)
+            if table["kind"] in ("prismatic", "slot", "cylindrical") and body == table["between"][1]:
+                strokes.append(("slider", (place(body, at),)))
+        if table["kind"] == "rod":
+            strokes.append(
+                ("rod", tuple(place(b, at) for b, at in zip(table["between"], made.places[name], strict=True)))
+            )
+    for name in system.get("springs", {}):
+        if name in made.places:
+            pair = system["springs"][name]["between"]
+            held[GROUND] += [at for one, at in zip(pair, made.places[name], strict=True) if one == GROUND]
+            strokes.append(("spring", tuple(place(b, at) for b, at in zip(pair, made.places[name], strict=True))))
+    strokes += [("ground", (place(GROUND, at),)) for at in held.pop(GROUND)]
+    for name, table in system["bodies"].items():
+        com = made.coms[name]
+        if "disc" in table:
+            rim = ca.densify(com) + ca.SX([float(table["disc"]), 0, 0])
+            strokes.append(("disc", (place(name, com), place(name, rim))))
+        points = [_plain_point(one, made.dimension) for one in table["shape"]] if "shape" in table else held[name]
+        if len(points) < 2 and "disc" not in table:
+            points = [*points, com]
+        chain = [place(name, at) for at in points]
+        strokes.append(("rod", tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))))
+    if made.dimension == 2:
+        return ca.horzcat(*(ca.densify(one)[:2] for one in columns)), tuple(strokes)
+    return ca.horzcat(*(ca.mtimes(ISOMETRIC, ca.densify(one)) for one in columns)), tuple(strokes)
+
+
+def _plain_point(entry: Any, dimension: int) -> ca.SX:
+    return ca.SX([float(one) for one in entry] + [0.0] * (3 - dimension))
+
+
+def _articulated(made: _Drawing, pushed: ca.SX, gravity: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Accelerations (n) and what each coordinate has to move (n, kg m^2 or kg), by Featherstone's recursion.
+
+    `pushed` (n) are the generalized forces but for gravity, which is the ground's acceleration the other way.
+    """
+    nodes, speeds = made.nodes, _speeds(made)
+    inertia = [node.inertia for node in nodes]
+    bias = [
+        ca.mtimes(_crossed(speed).T, ca.mtimes(-node.inertia, speed)) for node, speed in zip(nodes, speeds, strict=True)
+    ]
+    moved = [ca.mtimes(_crossed(speed), node.way() * node.v) for node, speed in zip(nodes, speeds, strict=True)]
+    kept: list[tuple[ca.SX, ca.SX, ca.SX]] = [(ca.SX(6, 1), ca.SX(0), ca.SX(0))] * len(nodes)
+    for k in reversed(range(len(nodes))):
+        node, way = nodes[k], nodes[k].way()
+        if node.a is not None:
+            passed, rest = inertia[k], bias[k] + ca.mtimes(inertia[k], moved[k] + way * node.a)
+        else:
+            column = ca.mtimes(inertia[k], way)
+            weight, push = ca.dot(way, column) + node.rotor, pushed[node.index] - ca.dot(way, bias[k])
+            kept[k] = (column, weight, push)
+            passed = inertia[k] - ca.mtimes(column, column.T) / weight
+            rest = bias[k] + ca.mtimes(passed, moved[k]) + column * (push / weight)
+        if node.parent >= 0:
+            across = _transform(node)
+            inertia[node.parent] = inertia[node.parent] + ca.mtimes([across.T, passed, across])
+            bias[node.parent] = bias[node.parent] + ca.mtimes(across.T, rest)
+    start, speeding = ca.vertcat(ca.SX(3, 1), -gravity), list[ca.SX]()
+    found, weights = [ca.SX(0)] * pushed.numel(), [ca.SX(0)] * pushed.numel()
+    for k, node in enumerate(nodes):
+        before = ca.mtimes(_transform(node), speeding[node.parent] if node.parent >= 0 else start) + moved[k]
+        column, weight, push = kept[k]
+        own = node.a if node.a is not None else (push - ca.dot(column, before)) / weight
+        speeding.append(before + node.way() * own)
+        if node.a is None:
+            found[node.index], weights[node.index] = own, weight
+    return ca.densify(ca.vertcat(*found)), ca.vertcat(*weights)
+
+
+def _crossed(speed: ca.SX) -> ca.SX:
+    """The matrix of v x in motion space (6 x 6); that of forces is minus its transpose."""
+    turning, sliding = _skew(speed[:3]), _skew(speed[3:])
+    return ca.blockcat([[turning, ca.SX(3, 3)], [sliding, turning]])
+
+
+def _tree(made: _Drawing, motion: _Motion, system: Table) -> Model:
+    """The Model of a mechanism without loops: accelerations by recursion."""
+    symbols, arguments = motion.symbols, motion.symbols.arguments
+    t, q, _, p = arguments
+    pushed = -ca.gradient(motion.elastic, q)
+    accelerations, weights = _articulated(
+        made, pushed if motion.acting is None else pushed + motion.acting, motion.gravity
+    )
+    pose = system.get("pose", {})
+    place = np.array([pose.get(name, 0.0) for name in motion.names])
+    _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
+    terms = _terms(motion, arguments)
+    labels = coordinate_names(motion.names, symbols)
+    return mechanical_model(
+        ca.Function("acceleration", arguments, [accelerations]), terms, symbols, labels,
+        invariants=[] if symbols.time is not None else
+        detected_invariants(terms, labels, arguments, cyclic(terms, arguments)),
+        system=system, angles=tuple(motion.angles), points=polyline("points", motion.points, [q, p]),
+        strokes=motion.strokes, controls=motion.controls, limits=_limits(system),
+    )  # fmt: skip
+
+
+def _limits(system: Table) -> dict[str, Any]:
+    """How far the motors that are controls may go."""
+    return {name: one["limit"] for name, one in system.get("motors", {}).items() if "limit" in one}
+
+
+def cyclic(terms: Terms, arguments: list[ca.SX]) -> list[bool]:
+    """Which coordinates the Lagrangian does not depend on, at seeded states and parameters.
+
+    Not by what stands in it: of a body of revolution cos^2 + sin^2 of the spin remains.
+    """
+    t, q, v, p = arguments
+    lagrangian = terms.kinetic - terms.potential + (0 if terms.gyroscopic is None else terms.gyroscopic)
+    slopes = ca.Function("slopes", [t, q, v, p], [ca.gradient(lagrangian, q), lagrangian])
+    random, steepest, size = np.random.default_rng(0), np.zeros(q.numel()), 0.0
+    for _ in range(4):
+        slope, value = slopes(0, *(random.uniform(0.5, 1.5, one.numel()) for one in (q, v, p)))
+        steepest, size = np.maximum(steepest, np.abs(slope.full().ravel())), max(size, abs(float(value)))
+    return [bool(one <= CYCLIC * size) for one in steepest]
+
+
+def _terms(motion: _Motion, arguments: list[ca.SX]) -> Terms:
+    """The Lagrangian's terms; a mass matrix that moves with time stays at t = 0, forces make up for the rest."""
+    t, q, v, _ = arguments
+    if not motion.prescribed or not ca.depends_on(ca.hessian(motion.kinetic, v)[0], t):
+        terms = take_apart(motion.kinetic, motion.potential, motion.passive, arguments)
+        return replace(terms, actuation=motion.drive)
+    if motion.drive is not None:
+        raise InputError(
+            f"motors.{motion.controls[0]}: a control beside a prescribed motion that changes the inertia is not "
+            "supported; give the motor a torque or an amplitude, or move the joint by another motor"
+        )
+    mass, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.passive, t)
+    there = ca.substitute(mass, t, ca.SX(0))
+    steady = Terms(0.5 * ca.dot(v, there @ v), ca.substitute(motion.potential, t, ca.SX(0)))
+    rest = mass_matrix_and_bias(steady.kinetic, steady.potential, q, v)[1]
+    return replace(steady, forces=rest - there @ solve_positive_definite(mass, bias))
+
+
+def _check_weights(made: _Drawing, motion: _Motion, place: np.ndarray, weights: ca.Function) -> None:
+    """`InputError` naming joint and body where a coordinate moves no mass at the pose."""
+    found = weights(0.0, place, np.array(motion.symbols.parameter_values)).full().ravel()
+    masses = [float(made.numbers.value(one.mass)) for one in made.masses]
+    total = sum(masses)
+    for name, angle, weight in zip(motion.names, motion.angles, found, strict=True):
+        if weight > MASSLESS * total * (made.size**2 if angle else 1.0):
+            continue
+        joint = made.owner[name]
+        body = made.joints[joint]["between"][1]
+        why = (
+            "two of its axes are one in this pose; give another pose, or other axes"
+            if made.joints[joint]["kind"] in ("spherical", "free", "universal") and made.dimension == 3
+            else f"body {body!r} turns about its own centre of mass without inertia; give it an inertia, or move com"
+        )
+        raise InputError(f"joints.{joint}: coordinate {name} moves no mass: {why}")
+
+
+def _closed(made: _Drawing, motion: _Motion, system: Table, baumgarte: Sequence[float] | None) -> Model:
+    """The Model of a mechanism with loops, a native DAE."""
+    symbols = motion.symbols
+    t, q, v, p = symbols.arguments
+    names = [f"{one.name}_{letter}" for one in made.closing for letter in one.rows]
+    phi = ca.vertcat(*(_rows(made, motion.frames, one) for one in made.closing))
+    closing = _Closings(made, motion, system, phi, names)
+    place, kept = closing.checked()
+    weights = _articulated(made, ca.SX.zeros(q.numel()), motion.gravity)[1]
+    _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
+    phi, names = phi[kept], [names[k] for k in kept]
+    matrix, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.acting)
+    jacobian = ca.jacobian(phi, q)
+    if baumgarte is None:
+        pace = _pace(ca.Function("free", symbols.arguments, [matrix, bias]), place, made.size, motion)
+        baumgarte = (pace, pace)
+    stabilisation = Baumgarte(*(_number("baumgarte", one) for one in baumgarte))
+    return constrained_model(
+        LinearBalances(matrix, bias, jacobian.T, jacobian, -ca.jtimes(jacobian @ v, q, v)),
+        phi, Terms(motion.kinetic, motion.potential, forces=motion.passive, actuation=motion.drive), symbols,
+        stabilisation,
+        coordinate_names(motion.names, symbols), force_names=names, angles=tuple(motion.angles),
+        points=polyline("points", motion.points, [q, p]), strokes=motion.strokes, controls=motion.controls,
+        limits=_limits(system), system={**system, "baumgarte": [stabilisation.alpha, stabilisation.beta]},
+    )  # fmt: skip
+
+
+def _pace(free: ca.Function, place: np.ndarray, size: float, motion: _Motion) -> float:
+    """How fast the mechanism goes, in 1/s, a power of two: what stabilises its constraints."""
+    values = np.array(motion.symbols.parameter_values)
+    fastest = 0.0
+    for away in (0.0, 0.3, -0.3):
+        there = place + away * np.where(motion.angles, 1.0, size)
+        matrix, bias = (one.full() for one in free(0.0, there, 0 * place, values))
+        pushed = np.linalg.lstsq(matrix, -bias.ravel(), rcond=None)[0]
+        fastest = max(fastest, float(np.abs(pushed / np.where(motion.angles, 1.0, size)).max()))
+    return float(2.0 ** np.round(np.log2(np.sqrt(fastest)))) if fastest > 0 else 1.0
+
+
+@dataclass
+class _Closings:
+    """The equations phi(q, p) = 0 of the loops, tried at the pose before a Model is made of them."""
+
+    made: _Drawing
+    motion: _Motion
+    system: Table
+    phi: ca.SX
+    names: Sequence[str]
+
+    def checked(self) -> tuple[np.ndarray, list[int]]:
+        """An assembled configuration (n) near the pose, and the rows that are independent there."""
+        self._count()
+        symbols, names = self.motion.symbols, self.motion.names
+        q, p = symbols.coordinates, symbols.arguments[3]
+        self.values = np.array(symbols.parameter_values)
+        self.function = ca.Function("phi", [q, p], [self.phi, ca.jacobian(self.phi, q)])
+        given = self.system.get("pose", {})
+        for name in given:
+            if name not in names:
+                raise InputError(f"pose: unknown coordinate {name!r}{closest(name, names)}; use {', '.join(names)}")
+        start = np.array([given.get(name, 0.0) for name in names])
+        place = closed_near(self.function, self.values, start, (), self._units(), self._owner)
+        return place, self._independent(place)
+
+    def _units(self) -> np.ndarray:
+        return np.where(self.motion.angles, 1.0, self.made.size)
+
+    def _owner(self, row: int) -> str:
+        """The joint of a row, with its bodies."""
+        joint = self.names[row].rpartition("_")[0]
+        return f"joint {joint!r} between {' and '.join(map(repr, self.made.joints[joint]['between']))}"
+
+    def _count(self) -> None:
+        """`InputError` where the loops leave no freedom: Kutzbach's count."""
+        n, rows = len(self.motion.names), len(self.names)
+        if rows >= n and self.system.get("redundant") != "drop":
+            last = self.made.closing[-1]
+            raise InputError(
+                f"joints: over-constrained, {n} coordinates of the tree and {plural(rows, 'equation')} of "
+                f"{', '.join(repr(one.name) for one in self.made.closing)} leave {n - rows} degrees of freedom "
+                f"(Kutzbach); take away joint {last.name!r} between {' and '.join(map(repr, last.table['between']))}, "
+                "or with redundant = 'drop' equations that repeat others"
+            )
+
+    def _independent(self, place: np.ndarray) -> list[int]:
+        """Rows that do not repeat earlier ones; `InputError` where some do, or only in this pose."""
+        kept = independent_rows(self._slopes(place))
+        if len(kept) == len(self.names):
+            return kept
+        lost = next(k for k in range(len(self.names)) if k not in kept)
+        if len(self._beside(place)) > len(kept):
+            shown = ", ".join(f"{name} = {value:.4g}" for name, value in zip(self.motion.names, place, strict=True))
+            raise InputError(
+                f"pose: singular at {shown}: the equations of {self._owner(lost)} depend on the others here and "
+                "nowhere near (a dead point of the loop: bars in line); give another pose"
+            )
+        if self.system.get("redundant") == "drop":
+            if len(kept) >= len(place):
+                raise InputError(
+                    "joints: over-constrained, the independent equations leave no freedom; take a joint away"
+                )
+            best = qr(self._slopes(place).T, mode="r", pivoting=True)[1]  # what is farthest from repeating others
+            return sorted(int(k) for k in best[: len(kept)])
+        raise InputError(
+            f"joints: over-constrained, row {self.names[lost]!r} of {self._owner(lost)} repeats what others hold (rank "
+            f"{len(kept)} of {len(self.names)} equations), so its force is not determined; loosen that joint, or leave "
+            "such rows out by redundant = 'drop'"
+        )
+
+    def _slopes(self, place: np.ndarray) -> np.ndarray:
+        """J at a place, columns in units of their own."""
+        return np.asarray(self.function(place, self.values)[1].full() * self._units())
+
+    def _beside(self, place: np.ndarray) -> list[int]:
+        """Independent rows at the best of a few configurations nearby."""
+        random, best = np.random.default_rng(0), list[int]()
+        for _ in range(4):
+            start = place + 0.1 * self._units() * random.uniform(-1, 1, place.size)
+            try:
+                near = closed_near(self.function, self.values, start, (), self._units(), self._owner)
+            except InputError:
+                continue
+            best = max(best, independent_rows(self._slopes(near)), key=len)
+        return best
+
+
+def independent_rows(matrix: np.ndarray) -> list[int]:
+    """Rows of a matrix that are no combination of earlier ones."""
+    basis, kept = np.zeros((0, matrix.shape[1])), list[int]()
+    size = max(float(np.abs(matrix).max(initial=0.0)), 1e-300)
+    for k, row in enumerate(matrix):
+        rest = row - basis.T @ (basis @ row)
+        rest -= basis.T @ (basis @ rest)
+        if np.linalg.norm(rest) > RANK_TOLERANCE * size:
+            basis, kept = np.vstack([basis, rest / np.linalg.norm(rest)]), [*kept, k]
+    return kept
+
+
+def closed_near(
+    function: ca.Function, values: np.ndarray, start: np.ndarray, fixed: Sequence[int], units: np.ndarray, owner: Any
+) -> np.ndarray:
+    """A configuration (n) with phi = 0 near a start, some coordinates held, by Gauss-Newton; `InputError` naming the
+    joint that stays open. `function(q, p)` is (phi, J).
+    """
+    place, loose = start.copy(), [k for k in range(start.size) if k not in fixed]
+    size, best = float(np.abs(units[units != 1.0]).max(initial=0.0)), np.inf
+    phi = np.zeros(1)
+    for _ in range(NEWTON_STEPS):
+        phi, slopes = (one.full() for one in function(place, values))
+        phi, slopes = phi.ravel(), slopes[:, loose] * units[loose]
+        size = max(size, float(np.abs(slopes).max(initial=0.0)))
+        gap = float(np.abs(phi).max())
+        if gap <= CLOSED * size and gap >= 0.5 * best:
+            return place
+        best = min(best, gap)
+        step = np.linalg.lstsq(slopes, -phi, rcond=1e-12)[0]
+        place[loose] += units[loose] * step * min(1.0, LONGEST_TURN / max(float(np.abs(step).max(initial=0.0)), 1e-300))
+    if best <= 1e2 * CLOSED * size:
+        return place
+    worst = int(np.abs(phi).argmax())
+    raise InputError(
+        f"joints: the loop stays open at {owner(worst)}: {abs(phi[worst]):.3g} m are left between their points in the "
+        "nearest configuration that was found; check the lengths, or give a pose nearer to one that closes"
+    )
+
+
+def mechanism_state(
+    model: Model,
+    known: Mapping[str, float] | None = None,
+    rates: Mapping[str, float] | None = None,
+    near: np.ndarray | None = None,
+) -> np.ndarray:
+    """The state (2n) of a mechanism at some coordinates and rates (others at rest), its loops closed near the pose.
+
+    Coordinates that are not `known` start from `near` (n) or the pose. Raises `InputError` where a loop stays open, or
+    at a dead point of the given coordinates, which then do not say how the others move.
+    """
+    names, p = model.state_names[: model.degrees_of_freedom], model.parameter_values
+    units = coordinate_units(model)
+    given, speeds = _indexed(known or {}, names, "coordinate"), _indexed(rates or {}, names, "rate", "dot")
+    pose = model.system.get("pose", {})
+    place = np.array([pose.get(name, 0.0) for name in names]) if near is None else np.array(near, float)
+    if place.shape != (len(names),):
+        raise InputError(f"near: {plural(place.size, 'number')}; give one for each of {', '.join(names)}")
+    rate = np.zeros(len(names))
+    rate[list(speeds)] = list(speeds.values())
+    if model.constraint is None:
+        place[list(given)] = list(given.values())
+        return np.concatenate([place, rate])
+    freedom = len(names) - len(model.constraint.force_names)
+    for what, table in (("coordinates", given), ("rates", speeds)):
+        if len(table) > freedom:
+            raise InputError(f"{what}: {len(table)} given, this mechanism has {plural(freedom, 'degree')} of freedom")
+    function = _phi(model)
+    place = closed_near(function, p, place, (), units, lambda row: joint_of(model, row))
+    begin, wanted = place[list(given)], np.array(list(given.values()))
+    away = float(np.abs((wanted - begin) / units[list(given)]).max(initial=0.0))
+    for share in np.linspace(0.0, 1.0, 1 + int(np.ceil(away / STRIDE)))[1:]:  # the same assembly all the way
+        place[list(given)] = begin + share * (wanted - begin)
+        place = closed_near(function, p, place, list(given), units, lambda row: joint_of(model, row))
+    slopes = function(place, p)[1].full() * units
+    others = [k for k in range(len(names)) if k not in speeds]
+    if speeds and len(independent_rows(slopes[:, others].T)) < len(slopes):
+        raise InputError(
+            f"rates: dead point, here {', '.join(names[k] for k in speeds)} cannot say how "
+            f"{', '.join(names[k] for k in others)} move; give the rate of another coordinate"
+        )
+    rate[others] = units[others] * np.linalg.lstsq(slopes[:, others], -slopes @ (rate / units), rcond=1e-12)[0]
+    return np.concatenate([place, rate])
+
+
+def _phi(model: Model) -> ca.Function:
+    """(phi, J) of (q, p)."""
+    constraint = constraint_of(model)
+    q, p = constraint.phi.sx_in()
+    return ca.Function("phi", [q, p], [constraint.phi(q, p), constraint.jacobian(q, p)])
+
+
+def joint_of(model: Model, row: int) -> str:
+    """The joint that a constraint belongs to, with its bodies, for messages."""
+    name = constraint_of(model).force_names[row].rpartition("_")[0]
+    return f"joint {name!r} between {' and '.join(map(repr, model.system['joints'][name]['between']))}"
+
+
+def coordinate_units(model: Model) -> np.ndarray:
+    """1 rad of angles, of slides (n) the largest number of a point."""
+    sizes = [abs(value) for name, value in zip(model.parameter_names, model.parameter_values, strict=True)
+             if re.search(r"_[12]_[xyz]$|_com_[xyz]$|_length$", name)]  # fmt: skip
+    return np.where(model.angular, 1.0, max(sizes, default=1.0) or 1.0)
+
+
+def _indexed(known: Mapping[str, float], names: Sequence[str], what: str, suffix: str = "") -> dict[int, float]:
+    labels = [f"{name}{suffix}" for name in names]
+    for name, value in known.items():
+        if name not in labels:
+            raise InputError(f"{name}: unknown {what}{closest(name, labels)}; this mechanism has {', '.join(labels)}")
+        _number(name, value)
+    return {labels.index(name): float(value) for name, value in known.items()}
+
+
+def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray | None = None) -> Model:
+    """The Model of a mechanism with loops in its `independent` coordinates u, as many as degrees of freedom.
+
+    The others follow from phi(u, d, p) = 0 by Newton's method along the straight line from the pose `near` (n) to u,
+    angles by the shorter way round; with q' = B u', q'' = B u'' + g the equations are B^T (M q'' + h) = 0. Source: R.
+    A. Wehage, E. J. Haug, Journal of Mechanical Design 104 (1982) 247-255. Valid while the closures determine the
+    others (no dead point of u). Raises `InputError`.
+    """
+    names, n, p = model.state_names[: model.degrees_of_freedom], model.degrees_of_freedom, model.parameter_values
+    freedom = n - len(constraint_of(model).force_names)
+    for name in independent:
+        if name not in names:
+            raise InputError(f"independent: unknown coordinate {name!r}{closest(name, names)}; use {', '.join(names)}")
+    if len(set(independent)) != freedom:
+        raise InputError(
+            f"independent: need {freedom} different coordinates of {', '.join(names)}, got {list(independent)}"
+        )
+    chosen = [names.index(name) for name in independent]
+    pose = mechanism_state(model, near=near)[:n]
+    slopes = constraint_of(model).jacobian(pose, p).full() * coordinate_units(model)
+    rest = [k for k in range(n) if k not in chosen]
+    sizes = np.linalg.svd(slopes[:, rest], compute_uv=False)
+    if sizes[-1] < RANK_TOLERANCE * sizes[0]:
+        weak = int(np.abs(np.linalg.svd(slopes[:, rest])[0][:, -1]).argmax())
+        raise InputError(
+            f"independent: dead point of {', '.join(independent)} at the pose: {joint_of(model, weak)} does not say "
+            f"where {', '.join(names[k] for k in rest)} go; choose other coordinates"
+        )
+    return _embedded(model, chosen, rest, pose)
+
+
+def _embedded(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray) -> Model:
+    constraint, n, size = constraint_of(model), model.degrees_of_freedom, len(chosen)
+    t, u, rate = ca.SX.sym("t"), ca.SX.sym("u", size), ca.SX.sym("udot", size)
+    p = ca.SX.sym("p", model.parameter_values.size)
+    q = _followed(model, chosen, rest, pose, u, p)
+    jacobian = constraint.jacobian(q, p)
+    basis = ca.SX(n, size)
+    basis[chosen, :] = ca.SX.eye(size)
+    basis[rest, :] = -ca.solve(jacobian[:, rest], jacobian[:, chosen])
+    v = ca.mtimes(basis, rate)
+    turning = ca.SX(n, 1)
+    turning[rest] = -ca.solve(jacobian[:, rest], constraint.acceleration(q, v, ca.SX.zeros(n), p))
+    a = ca.SX.sym("a", n)
+    force = ca.SX.zeros(len(constraint.force_names))
+    equations = constraint.balances(t, q, v, a, force, p)
+    mass = ca.jacobian(equations, a)
+    bias = ca.substitute(equations, a, ca.densify(turning))
+    inner = ca.mtimes([basis.T, mass, basis])
+    symbols = Symbols(u, rate, p, model.parameter_names, tuple(map(float, model.parameter_values)),
+                      time=t if model.forced else None)  # fmt: skip
+    if model.forcing_period is not None:
+        symbols = replace(symbols, forcing_period=model.forcing_period(p))
+    forces = None if model.forces is None else ca.mtimes(basis.T, model.forces(t, q, v, p))
+    drive = None if model.actuation is None else ca.mtimes(basis.T, model.actuation(t, q, v, p))
+    terms = Terms(model.kinetic(q, v, p), model.potential(q, p), forces=forces, actuation=drive)
+    names = [model.state_names[k] for k in chosen]
+    acceleration = solve_positive_definite(inner, -ca.mtimes(basis.T, bias))
+    shown = {name: float(value) for name, value in zip(model.state_names, pose, strict=False)}
+    return mechanical_model(
+        ca.Function("acceleration", [t, u, rate, p], [acceleration]), terms, symbols, names,
+        invariants=[energy_invariant(terms.kinetic, terms.potential, u, rate, p)] if model.conservative else [],
+        angles=tuple(bool(model.angular[k]) for k in chosen),
+        points=None if model.points is None else ca.Function("points", [u, p], [model.points(q, p)]),
+        strokes=model.strokes, controls=model.controls, limits=model.limits,
+        system={**model.system, "pose": shown, "independent": names},
+    )  # fmt: skip
+
+
+def _followed(model: Model, chosen: list[int], rest: list[int], pose: np.ndarray, u: ca.SX, p: ca.SX) -> ca.SX:
+    """All coordinates (n) from the independent ones: one Newton step at each place along the way, a few at its end."""
+    constraint, n = constraint_of(model), model.degrees_of_freedom
+    angular = model.angular[chosen]
+    from_pose = ca.vertcat(*(
+        ca.atan2(ca.sin(u[k] - pose[j]), ca.cos(u[k] - pose[j])) if angular[k] else u[k] - pose[j]
+        for k, j in enumerate(chosen)
+    ))  # fmt: skip
+    found = ca.SX(ca.DM(pose))
+    for step in range(1, HOMOTOPY + FINAL + 1):
+        share = min(step / HOMOTOPY, 1.0)
+        found[chosen] = pose[chosen] + share * from_pose
+        phi, slopes = constraint.phi(found, p), constraint.jacobian(found, p)
+        found[rest] = found[rest] - ca.solve(slopes[:, rest], phi)
+    found[chosen] = u
+    assert found.numel() == n
+    return found
+
+
+def all_coordinates(model: Model, system: Table) -> ca.Function:
+    """q(u) (n): all coordinates of a mechanism with loops from the independent ones of its minimal form's system."""
+    names = model.state_names[: model.degrees_of_freedom]
+    chosen = [names.index(name) for name in system["independent"]]
+    rest = [k for k in range(len(names)) if k not in chosen]
+    pose, u = np.array([system["pose"][name] for name in names]), ca.SX.sym("u", len(chosen))
+    return ca.Function("all", [u], [_followed(model, chosen, rest, pose, u, ca.SX(ca.DM(model.parameter_values)))])

@@ -1,0 +1,154 @@
+"""Systems derived by SymPy's mechanics, as PyDy users have them: LagrangesMethod and KanesMethod."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.lagrange import Symbols, lagrange, mass_matrix_and_bias
+from orbitfinder.mechanics.model import Model
+
+TRIALS, AGREE = 6, 1e-10
+"""Random states at which two derivations must agree, relative"""
+FUNCTIONS = {"Abs": ca.fabs, "sign": ca.sign, "atan2": ca.atan2, "sin": ca.sin, "cos": ca.cos, "tan": ca.tan,
+             "asin": ca.asin, "acos": ca.acos, "atan": ca.atan, "sinh": ca.sinh, "cosh": ca.cosh, "tanh": ca.tanh,
+             "exp": ca.exp, "log": ca.log, "sqrt": ca.sqrt}  # fmt: skip
+
+
+def from_sympy(
+    method: Any,
+    values: Mapping[Any, float],
+    *,
+    potential: Any = None,
+    angles: Sequence[Any] | bool = True,
+    points: Any = None,
+    forcing_period: float | None = None,
+    controls: Sequence[Any] = (),
+) -> Model:
+    """The Model of a `sympy.physics.mechanics` LagrangesMethod or KanesMethod without constraints.
+
+    `values` gives a number for each constant symbol: they are the physical parameters, named like the symbols. Of
+    Kane's method the kinetic energy is that of its bodies, `potential` (or what the bodies carry) their potential
+    energy; what either method's equations hold beyond the energies are forces. Speeds must be the coordinates' rates.
+    `angles` says which coordinates are angles (all), `points` (2 x k, SymPy) where the system is drawn, x down, y
+    right, `controls` which symbols may vary in time. Raises `InputError`.
+    """
+    try:
+        import sympy  # noqa: PLC0415
+        from sympy.physics.mechanics import KanesMethod, LagrangesMethod, dynamicsymbols  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError("method: SymPy is not installed; pip install 'orbitfinder[robot]'") from error
+    if not isinstance(method, (KanesMethod, LagrangesMethod)):
+        raise InputError(f"method: {type(method).__name__}; give a sympy LagrangesMethod or KanesMethod")
+    coordinates, speeds = list(method.q), list(method.u)
+    if len(speeds) != len(coordinates) or len(getattr(method, "coneqs", ())):
+        raise InputError("method: has constraints, which are not read from SymPy; see of.constrained")
+    rates = [one.diff(dynamicsymbols._t) for one in coordinates]
+    reader = _Reader(sympy, dynamicsymbols._t, coordinates, rates, values)
+    if isinstance(method, KanesMethod):
+        reader.renamed = _speeds(method, speeds, rates)
+        level = _of_bodies(method, potential)
+    else:
+        level = method._L[0] if potential is None else method._L[0] - sympy.sympify(potential)
+    energy = reader(level)
+    symbols = Symbols(
+        reader.q, reader.v, reader.p if reader.names else None, tuple(reader.names), tuple(reader.values),
+        time=None if forcing_period is None else reader.t, forcing_period=forcing_period,
+    )  # fmt: skip
+    turning = [True] * len(coordinates) if angles is True else [one in list(angles or []) for one in coordinates]
+    return lagrange(
+        energy, ca.SX(0), symbols, forces=_beyond(method, energy, reader),
+        names=[one.func.__name__ for one in coordinates], angles=turning,
+        points=None if points is None else reader(sympy.Matrix(points)), controls=[str(one) for one in controls],
+    )  # fmt: skip
+
+
+def _speeds(method: Any, speeds: list[Any], rates: list[Any]) -> dict[Any, Any]:
+    """Kane's speeds as the coordinates' rates; `InputError` where they are something else."""
+    found = method.kindiffdict()
+    for speed, rate in zip(speeds, rates, strict=True):
+        if found.get(rate) != speed:
+            raise InputError(
+                f"method: {rate} is {found.get(rate)} and not {speed}; give Kane's method the coordinates' rates as "
+                "speeds, in the order of the coordinates"
+            )
+    return dict(zip(speeds, rates, strict=True))
+
+
+def _of_bodies(method: Any, potential: Any) -> Any:
+    """T - V of the bodies of Kane's method."""
+    if not method.bodies:
+        raise InputError("method: has no bodies; form Kane's equations (kanes_equations(bodies, loads)) first")
+    kinetic = sum(one.kinetic_energy(method._inertial) for one in method.bodies)
+    return kinetic - (sum(one.potential_energy for one in method.bodies) if potential is None else potential)
+
+
+def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader) -> ca.SX | None:
+    """The generalized forces (n) that SymPy's equations M q'' = f hold beyond those of a Lagrangian; None without any.
+
+    Raises `InputError` where the two mass matrices differ: the energies are not those of the equations.
+    """
+    if hasattr(method, "form_lagranges_equations") and method.eom is None:
+        method.form_lagranges_equations()
+    matrix, forcing = reader(method.mass_matrix), reader(method.forcing)
+    own, bias = mass_matrix_and_bias(lagrangian, ca.SX(0), reader.q, reader.v)
+    rest = forcing + bias
+    tried = ca.Function("tried", [reader.t, reader.q, reader.v, reader.p], [matrix, matrix - own, forcing, rest])
+    random, there, worst = np.random.default_rng(0), False, 0.0
+    for _ in range(TRIALS):
+        q, v = random.uniform(-1, 1, (2, len(reader.coordinates)))
+        p = np.where(np.array(reader.values) == 0, 1.0, reader.values) * random.uniform(0.5, 1.5, len(reader.values))
+        mass, differs, force, more = (one.full() for one in tried(random.uniform(), q, v, p))
+        worst = max(worst, float(np.abs(differs).max() / np.abs(mass).max()))
+        there |= bool(np.abs(more).max() > AGREE * max(float(np.abs(force).max()), 1e-300))
+    if worst > AGREE:
+        raise InputError(
+            f"method: its mass matrix differs from that of its energies by {worst:.2g} of it; are bodies missing, or "
+            "does the Lagrangian belong to another system?"
+        )
+    return ca.simplify(rest) if there else None
+
+
+class _Reader:
+    """SymPy expressions in coordinates, rates, constants and time as CasADi's."""
+
+    def __init__(
+        self, sympy: Any, clock: Any, coordinates: list[Any], rates: list[Any], values: Mapping[Any, float]
+    ) -> None:
+        self.sympy, self.clock, self.coordinates, self.rates = sympy, clock, coordinates, rates
+        self.constants = {str(symbol): float(value) for symbol, value in values.items()}
+        self.names, self.values = list(self.constants), list(self.constants.values())
+        count = len(coordinates)
+        self.t, self.q, self.v = ca.SX.sym("t"), ca.SX.sym("q", count), ca.SX.sym("v", count)
+        self.p = ca.SX.sym("p", len(self.names))
+        self.renamed: dict[Any, Any] = {}
+        """speeds as rates"""
+        self.plain = [sympy.Dummy(f"q{k}") for k in range(count)], [sympy.Dummy(f"v{k}") for k in range(count)]
+
+    def flat(self, expression: Any) -> Any:
+        """An expression in plain symbols in place of functions of time."""
+        found = self.sympy.sympify(expression).subs(self.renamed)
+        found = found.subs(dict(zip(self.rates, self.plain[1], strict=True)))
+        return found.subs(dict(zip(self.coordinates, self.plain[0], strict=True)))
+
+    def __call__(self, expression: Any) -> ca.SX:
+        """The same in CasADi; `InputError` for symbols without a value."""
+        flat = self.flat(expression)
+        own = {str(one): one for one in flat.free_symbols if one not in (*self.plain[0], *self.plain[1], self.clock)}
+        left = flat.atoms(self.sympy.Derivative, self.sympy.core.function.AppliedUndef)
+        for name in [*own, *map(str, left)]:
+            if name not in self.names:
+                raise InputError(
+                    f"values: no number for {name!r}{closest(name, self.names)}; give one for each constant"
+                )
+        arguments = [*self.plain[0], *self.plain[1], self.clock, *own.values()]
+        parameters = [self.p[self.names.index(name)] for name in own]
+        function = self.sympy.lambdify(arguments, list(flat) if flat.is_Matrix else flat, [FUNCTIONS, "math"], cse=True)
+        found = function(*ca.vertsplit(self.q), *ca.vertsplit(self.v), self.t, *parameters)
+        if not flat.is_Matrix:
+            return ca.SX(found)
+        return ca.reshape(ca.vertcat(*found), flat.shape[1], flat.shape[0]).T

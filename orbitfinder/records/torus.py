@@ -1,0 +1,113 @@
+"""Invariant tori as plain numbers, and their file (format "orbitfinder/tori")."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime.notebook import brief
+from orbitfinder.errors import InputError
+from orbitfinder.records.family import plain
+from orbitfinder.records.orbit import Certificate, Check, certificate_to_document
+from orbitfinder.records.reading import json_bytes, json_file, write_atomically
+
+FORMAT, VERSION = "orbitfinder/tori", 1
+AGAIN = "compute the tori again"
+
+
+@dataclass(frozen=True)
+class Torus:
+    """One quasi-periodic motion: a closed curve X(theta) that the flow over T turns by 2 pi `rotation`.
+
+    `curve` (N x d, N odd) at equal angles, `period` T (s), `rotation` in turns a return, `energy` (J, nan without
+    one), `free` physical parameters. `tail` is the size of the highest harmonics relative to the curve's, `strip` the
+    width of the strip of complex angles in which the series converges (0: the torus breaks down).
+    """
+
+    __repr__ = brief("period", "rotation", "energy", "frequencies", "certificate")
+
+    curve: np.ndarray
+    period: float
+    rotation: float
+    energy: float
+    tail: float
+    strip: float
+    free: Mapping[str, float] = field(default_factory=dict)
+    certificate: Certificate | None = None
+
+    @property
+    def frequencies(self) -> tuple[float, float]:
+        """Angular frequencies (rad/s): of the returns, and of the turning."""
+        first = 2 * np.pi / self.period
+        return first, first * self.rotation
+
+
+@dataclass(frozen=True)
+class Tori:
+    """A family of tori of one system: `held` says what is the same for all, `parameter` what changes, `end` why it
+    ends."""
+
+    __repr__ = brief("name", "parameter", "held", "tori", "end")
+
+    name: str
+    system: Mapping[str, Any]
+    parameter: str
+    held: Mapping[str, float]
+    tori: tuple[Torus, ...]
+    end: str = ""
+
+
+def save_tori(found: Tori, path: str | Path) -> Path:
+    """Write a tori.json; returns its path."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    document = {
+        "format": FORMAT, "version": VERSION, "name": found.name, "system": plain(found.system),
+        "parameter": found.parameter, "held": dict(found.held), "end": found.end,
+        "tori": [_document(one) for one in found.tori],
+    }  # fmt: skip
+    write_atomically(target, json_bytes(document))
+    return target
+
+
+def _document(torus: Torus) -> dict[str, Any]:
+    numbers = {name: plain(getattr(torus, name)) for name in ("curve", "period", "rotation", "tail", "strip", "free")}
+    energy = None if np.isnan(torus.energy) else torus.energy
+    return numbers | {"energy": energy, "certificate": certificate_to_document(torus.certificate)}
+
+
+def load_tori(path: str | Path) -> Tori:
+    """The Tori of a tori.json. Raises `InputError` on anything unreadable."""
+    document = json_file(Path(path), "tori.json", AGAIN)
+    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
+        raise InputError(f"{path}: format: expected {FORMAT!r} of version {VERSION}; give a tori.json")
+    try:
+        tori = tuple(_torus(one) for one in document["tori"])
+        size = {one.curve.shape[1] for one in tori}
+        if not tori or len(size) > 1 or any(len(one.curve) % 2 == 0 for one in tori):
+            raise ValueError("curves of an even number of states, or none")
+        return Tori(str(document["name"]), dict(document["system"]), str(document["parameter"]),
+                    {str(name): float(one) for name, one in document["held"].items()}, tori,
+                    str(document["end"]))  # fmt: skip
+    except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
+        raise InputError(f"{path}: malformed entry ({error}); {AGAIN}") from error
+
+
+def _torus(document: Mapping[str, Any]) -> Torus:
+    curve = np.asarray(document["curve"], float)
+    numbers = [float(document[name]) for name in ("period", "rotation", "tail", "strip")]
+    if curve.ndim != 2 or not (np.isfinite(curve).all() and np.isfinite(numbers).all() and numbers[0] > 0):
+        raise ValueError("a torus that is not of finite numbers")
+    checks = tuple(
+        Check(**{**one, "value": np.nan if one["value"] is None else float(one["value"])})
+        for one in document["certificate"]["checks"]
+    )
+    return Torus(
+        curve, numbers[0], numbers[1], np.nan if document["energy"] is None else float(document["energy"]),
+        numbers[2], numbers[3], {str(name): float(one) for name, one in document["free"].items()},
+        Certificate(checks) if checks else None,
+    )  # fmt: skip
