@@ -17,6 +17,7 @@ from .exports.controller import export_controller as export_controller
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
 from .families.connections import connect as connect
+from .families.curves import follow_curve as follow_curve
 from .families.folder import follow_family as follow_family
 from .families.manifolds import manifold as manifold
 from .families.point import FamilySettings as FamilySettings
@@ -26,6 +27,8 @@ from .families.tori import torus as torus
 from .loops.conditions import Constraint as Constraint
 from .loops.conditions import Variables as Variables
 from .loops.conditions import pin as pin
+from .loops.control import Control as Control
+from .loops.control import Task as Task
 from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem
@@ -55,6 +58,7 @@ from .orbits.basin import recovery as recovery
 from .orbits.certify import certify as certify
 from .orbits.feedback import stabilise as stabilise
 from .orbits.find import find_orbit as find_orbit
+from .orbits.optima import follow_optima as follow_optima
 from .orbits.refine import Refiner as Refiner
 from .orbits.section import section as section
 from .orbits.simulate import simulate as simulate

@@ -26,6 +26,7 @@ LIBRARIES = {
         "loops",
         "proof",
         "exports",
+        "orbits.control",
         "orbits.find",
         "orbits.objectives",
         "orbits.feedback",

@@ -120,7 +120,7 @@ def cli() -> None:
 
 
 for command in (
-    run, verify, simulate, init, guess, sweep, continue_, torus, section, manifold, connect, stabilise, search, atlas,
+    run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise, search, atlas,
     prove, refine, export, plot, animate, page, reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)
