@@ -72,14 +72,19 @@ class Spectrum:
             return self.chain.product.errors(np.full(len(self.chain.product.upper), max(self.chain.missed, ACCURACY)))
         missed = 0.0 if self.form is None else asymplectic(self.reduced, self.form, self.form)
         left = np.sqrt(np.square(np.abs(np.linalg.inv(self.vectors))).sum(axis=1))
-        return np.asarray(max(missed, ACCURACY) * np.linalg.norm(self.reduced) * left / np.abs(self.values))
+        sizes = np.maximum(np.abs(self.values), np.finfo(float).tiny)  # resets make multipliers of 0
+        with np.errstate(over="ignore"):
+            return np.asarray(np.minimum(max(missed, ACCURACY) * np.linalg.norm(self.reduced) * left / sizes, 1.0))
 
     @property
     def errors(self) -> np.ndarray:
         """Estimated relative error of each multiplier."""
         if not self.values.size:
             return np.zeros(0)
-        order = np.abs(self.values**self.root / self.floquet.multipliers[:, None] - 1.0).argmin(axis=1)
+        wanted = self.floquet.multipliers[:, None]
+        with np.errstate(over="ignore"):
+            away = np.abs(self.values**self.root - wanted) / np.maximum(np.abs(wanted), np.finfo(float).tiny)
+        order = away.argmin(axis=1)
         return np.asarray(self.root * self.root_errors[order])
 
     @cached_property
