@@ -100,16 +100,9 @@ class Chain:
 
 def spectrum(curve: Curve, found: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
-    p, place, units = curve.equations, found.place, curve.units
-    root_map, root = _root_map(curve, found)
-    flow = _flow(curve, found)
-    basis = _basis(curve, place.nodes[0], flow, p.quantities_at(place)[1])
-    root_map = root_map * units / units[:, None]
-    reduced = np.asarray(basis.T @ root_map @ basis)
-    if not np.all(np.isfinite(reduced)):
-        raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
-    area = abs(np.linalg.det(reduced)) if p.links and reduced.size else 1.0
-    conservative = p.symplectic and abs(area - 1.0) < AREA  # resets need not keep areas
+    p, place = curve.equations, found.place
+    reduced, basis, root = reduced_map(curve, found)
+    conservative = keeps_pairs(curve, reduced)
     whole = np.linalg.matrix_power(reduced, root)
     floquet, chain = analyse(whole, conservative), None
     values, vectors = np.linalg.eig(reduced)
@@ -130,6 +123,23 @@ def spectrum(curve: Curve, found: Solution) -> Spectrum:
         on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
         turns = np.where(on_circle, _krein(form, values, vectors, upper), 0)
     return Spectrum(floquet, root, indices, turns, krein, reduced, values, vectors, conservative, form, chain)
+
+
+def reduced_map(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray, int]:
+    """The root map without the trivial multipliers (r x r), the basis (d x r) that it is in, and the map's root."""
+    units, (root_map, root) = curve.units, _root_map(curve, found)
+    p, place = curve.equations, found.place
+    basis = _basis(curve, place.nodes[0], _flow(curve, found), p.quantities_at(place)[1])
+    reduced = np.asarray(basis.T @ (root_map * units / units[:, None]) @ basis)
+    if not np.all(np.isfinite(reduced)):
+        raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
+    return reduced, basis, root
+
+
+def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
+    """Whether multipliers come in reciprocal pairs; resets need not keep areas."""
+    area = abs(np.linalg.det(reduced)) if curve.equations.links and reduced.size else 1.0
+    return bool(curve.equations.symplectic and abs(area - 1.0) < AREA)
 
 
 def _lost(floquet: Floquet) -> bool:

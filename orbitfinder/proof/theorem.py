@@ -35,7 +35,7 @@ from orbitfinder.proof.trajectory import (
     stability,
     trajectory,
 )
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.orbit import Orbit, refuse_controlled
 
 STATEMENT = 1
 """version of the theorem in docs/proof.md that a record refers to"""
@@ -129,6 +129,7 @@ def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | No
 
 def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
     """The Model of an orbit; of a chain in the formulation with the fewest operations."""
+    refuse_controlled(orbit, "prove")
     system = dict(orbit.system)
     if system.get("kind") == "chain":
         system["formulation"] = "recursive"
