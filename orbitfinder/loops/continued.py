@@ -92,6 +92,8 @@ class Solution:
     residual: float
     stepped: float = 0.0
     """how far, in the family's metric, the place is from where `march` was made: Newton's last step"""
+    kept: dict[str, float] = field(default_factory=dict, compare=False, repr=False)
+    """numbers that were read off it and take long"""
 
 
 def make_curve(
