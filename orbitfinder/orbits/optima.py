@@ -35,9 +35,13 @@ LOCATED, LOOKS = 1e-11, 60
 """A change is located to this share of a step, in as many looks at most"""
 TOGETHER = 1e-6
 """Constraints change together where their margins are this near"""
+UNBOUNDED = 1e7
+"""Multipliers that grow by this end a family: where what is asked ceases to be possible"""
 COSTLESS = 1e-12
 """A cost is none at this share of the largest met"""
 MOST_POINTS = 200
+TOLD = ("fold", "active", "inactive")
+"""What may change the number of directions that lower the cost, without other optima branching off"""
 
 Report = Callable[[float, Orbit], None]
 
@@ -192,6 +196,7 @@ class _Walk:
         program = Program(asked, control, steps, (self.parameter,) if number else ())
         self.system = Stationary(program, solution, _varying(problem, self.parameter, program))
         self.point = self.system.started()
+        self.strongest = float(np.abs(self.point.y).max(initial=0.0))
 
     @property
     def value(self) -> float:
@@ -247,6 +252,11 @@ class _Walk:
         if descents:
             said = f"stationary, no least: to second order the cost falls in {descents} of the directions left"
             orbit = replace(orbit, provenance={**orbit.provenance, "optimum": said})
+        told = any(
+            one.index in (index - 1, index) for one in self.changes if one.kind in ("fold", "active", "inactive")
+        )
+        if self.every and self.descents and self.descents[-1] != descents and not told:
+            self._changed("branch", f"before it: the cost falls in {descents} directions, not {self.descents[-1]}")
         self.orbits.append(certified(orbit, model))
         self.values.append(self.value)
         self.descents.append(descents)
@@ -269,7 +279,7 @@ class _Walk:
                 try:
                     arrived, tangent, change = self._step(target, tangent, change)
                 except ConvergenceError as error:
-                    self.end = f"at {self.parameter} {self.value:.9g}: no step is short enough ({error})"
+                    self.end = f"no step leads on from {self.parameter} {self.value:.9g}: {error}"
                     return False
                 if arrived:
                     break
@@ -297,6 +307,8 @@ class _Walk:
         """A step to the first of: its end, a change, the target. Whether it is the target, and the tangent there."""
         system, begin = self.system, self.point
         length, new, ahead = self._ahead(tangent, change)
+        if np.abs(new.y).max(initial=0.0) > UNBOUNDED * max(self.strongest, 1.0):
+            raise ConvergenceError("multipliers grow without bound: beyond, no motion does what is asked")
         margins, sides = system.margins(new)
         wrong = np.flatnonzero(margins < -VIOLATED)
         side = np.sign(target - system.theta(begin))
@@ -316,6 +328,9 @@ class _Walk:
             self.length = min(LONGEST, length * GROWTH)
             return False, *ahead
         share, kind = min(found)
+        folds = [one for one, what in found if what == "fold"]
+        if kind == "cost" and folds and folds[0] - share <= TOGETHER * length:
+            share, kind = folds[0], "fold"  # where a family turns back its cost does
         self.point = new if share >= length else self._at(begin, tangent, change, share)
         if kind == "target":
             unit = np.zeros(begin.z.size)
@@ -329,7 +344,7 @@ class _Walk:
         along = system.tangent(self.point, tangent)
         if kind == "fold":
             self._changed("fold", f"{self.parameter} turns back")
-            self.onward = -self.onward
+            self.onward, self.rising = -self.onward, -self.rising
         else:
             self._extreme()
             self.rising = -self.rising
@@ -384,10 +399,13 @@ class _Walk:
         self.point = Point(at.z, y, active)
         along, change = system.tangent(self.point, tangent)
         trial = moved(self.point, along, change, TOGETHER)
-        told = [k for k, _ in changed if k in gone or k in active]
-        rates = system.margins(trial)[0] - system.margins(self.point)[0]
-        if float(np.sum(np.sign(rates[told]))) < 0:
-            along, change = -along, -change
+        told = [k for k, _ in changed]
+        rates = system.margins(trial)[0][told] - system.margins(self.point)[0][told]
+        if float(np.sum(np.sign(rates))) < 0:
+            along, change, rates = -along, -change, -rates
+        if np.any(rates < -TOGETHER * np.abs(rates).max()):
+            where = f"{system.name(*changed[0])} and {len(changed) - 1} more"
+            raise ConvergenceError(f"the constraints met there leave no way on, which is where motions end ({where})")
         words = [system.name(k, side) for k, side in changed]
         detail = "; ".join(words[:3]) + (f" and {len(words) - 3} more" if len(words) > 3 else "")
         self._changed("inactive" if gone else "active", detail)

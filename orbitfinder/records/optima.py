@@ -23,7 +23,8 @@ class Change:
     """What happens along a family of optima at the point with number `index`, at a `value` of its parameter.
 
     `kind`: fold (the family turns back) | active | inactive (a constraint begins or ceases to be met just so) | least |
-    largest (of the cost along it) | costless (no control is needed: the motion of the mechanism alone).
+    largest (of the cost along it) | costless (no control is needed: the motion of the mechanism alone) | branch (other
+    optima branch off between the point before and this one).
     """
 
     kind: str
