@@ -70,6 +70,9 @@ from .records.controller import load_controller as load_controller
 from .records.controller import save_controller as save_controller
 from .records.family import Family as Family
 from .records.family import load_family as load_family
+from .records.optima import Optima as Optima
+from .records.optima import load_optima as load_optima
+from .records.optima import save_optima as save_optima
 from .records.orbit import Certificate as Certificate
 from .records.orbit import Orbit as Orbit
 from .records.orbit import save_orbit as save_orbit
@@ -80,4 +83,5 @@ from .records.torus import save_tori as save_tori
 from .show.animate import orbit_clip as orbit_clip
 from .show.animate import save_animation as save_animation
 from .show.animate import simulation_clip as simulation_clip
+from .show.optima import save_optima_figure as save_optima_figure
 from .show.plot import save_figures as save_figures
