@@ -25,6 +25,7 @@ from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.orbits.closure import extents_of
+from orbitfinder.orbits.section import Surface
 from orbitfinder.records.orbit import Certificate, Check, Orbit
 from orbitfinder.records.torus import Tori, Torus
 
@@ -50,6 +51,8 @@ FLAT = 1e-6
 """The sine between curve and flow, and the size of the curve beside the orbit's, from which on a torus is one"""
 ARC = 128
 """States of a return that show where it goes"""
+SHOWN, CROSSINGS = 480, 8
+"""Motions by which a torus is drawn on a section, and crossings of each in a return at most"""
 OFF_MESH = 12
 SEED = 20
 LOW_ORDER = 12
@@ -252,6 +255,19 @@ def filled(torus: Torus, model: Model, lines: int) -> np.ndarray:
     tail = np.concatenate([[torus.period], np.zeros(equations.march.unfolding)])
     path = equations.march.states(starts, np.linspace(0.0, lines, ARC * lines + 1), tail)
     return np.concatenate([starts[:, None], path[1:].reshape(lines, ARC, -1)], axis=1)
+
+
+def crossed(torus: Torus, found: Surface) -> np.ndarray:
+    """Where a torus crosses a section: states (k x d), the crossings in one return of motions from all round its curve.
+
+    Raises `InputError` where it does not.
+    """
+    starts = at_angles(torus.curve, 2 * np.pi * np.arange(SHOWN) / SHOWN)
+    passing = found.motions.passing(found.plane, starts, CROSSINGS, longest=1.5 * torus.period)
+    states = passing.states[passing.times <= torus.period * (1 + INVARIANT)]
+    if not len(states):
+        raise InputError(f"plane: the torus does not cross {found.name}; choose another plane or direction")
+    return np.asarray(states)
 
 
 def _solved(ring: Ring, guess: Turned, direction: np.ndarray) -> _Place:

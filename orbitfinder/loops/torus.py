@@ -69,7 +69,7 @@ def resampled(curve: np.ndarray, count: int) -> np.ndarray:
 
 
 def turning(count: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """R (N x N), which turns a curve's states by an angle, and dR/d(angle): circulant, by one Fourier transform each."""
+    """R (N x N), which turns a curve's states by an angle, and dR/d(angle); both circulant."""
     waves = harmonics(count)
     kernel = np.exp(1j * waves * angle)
     turn, slope = (np.fft.ifft(np.fft.ifftshift(one)).real for one in (kernel, 1j * waves * kernel))
