@@ -117,7 +117,7 @@ def mapped(found: Section, model: Model, duration: float, written: list[Path]) -
     made, folder = frequency_map(model, found.starts, duration), written[0].parent
     table = folder / "frequencies.csv"
     write_atomically(table, frequency_table(made, model).encode())
-    picture = draw_frequencies(made, model, folder / "frequencies.png", axes=found.axes)
+    picture = draw_frequencies(made, model, folder / "frequencies.png", axes=found.axes, name=found.name)
     written += [table, picture]
     diffusion = made.diffusion
     text(f"{table}: frequencies of {plural(len(found.starts), 'motion')}, diffusion from "

@@ -38,8 +38,11 @@ def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
     if not np.isfinite(section.growth).any():
         told = plural(len(motions), "motion")
     more = "" if drawn >= section.returns else f" The plot shows {drawn} of {section.returns} returns."
+    tori = sum(one["kind"] == "torus" for one in data["curves"])
+    laid = [one["name"] for one in data["curves"] if one["kind"] != "torus"]
+    laid += [f"{tori} invariant tori" if tori > 1 else "an invariant torus"] if tori else []
     return {"summary": f"{mechanism(section.system)}: {section.plane}{level}", "told": f"{told}.{more}",
-            "laid": [one["name"] for one in data["curves"]]}  # fmt: skip
+            "laid": laid}  # fmt: skip
 
 
 def section_data(section: Section, found: Gathered) -> dict[str, Any]:
@@ -105,7 +108,7 @@ def _packed(model: Model, path: np.ndarray, span: float) -> dict[str, Any] | Non
         points, drawn = np.stack([-path[:, min(1, path.shape[1] - 1)], path[:, 0]], axis=1)[:, :, None], "plane"
     motion = Motion(span, times, path, model.state_names, model.angles or (False,) * n, points[:-1], drawn,
                     strokes=model.strokes)  # fmt: skip
-    return packed(motion) | {"jumps": [len(points) - 2]}
+    return packed(motion) | {"jumps": [0, len(points) - 2]}  # neither drawn to its start nor from it
 
 
 def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, Any]]:

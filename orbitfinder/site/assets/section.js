@@ -27,9 +27,11 @@
 
   function curves(c) {
     var looks = { unstable: c.series[1], stable: c.series[0], torus: c.ink, connection: c.ink };
-    return it.curves.map(function (one) {
+    return it.curves.map(function (one, k) {
+      var torus = one.kind === "torus", first = !torus || it.curves.findIndex(function (other) { return other.kind === "torus"; }) === k;
       var line = one.kind === "stable" || one.kind === "unstable";
-      return { x: one.x, y: one.y, mode: line ? "lines" : "markers", name: safe(one.name), hoverinfo: "name",
+      return { x: one.x, y: one.y, mode: line ? "lines" : "markers", name: torus ? "torus" : safe(one.name), hovertemplate: safe(one.name) + "<extra></extra>",
+        legendgroup: torus ? "torus" : one.name, showlegend: first,
         line: { color: looks[one.kind], width: 1.3 },
         marker: { size: one.kind === "torus" ? 2 : 7, symbol: one.kind === "torus" ? "circle" : "x", color: looks[one.kind] } };
     });
