@@ -24,7 +24,7 @@ from orbitfinder.cli.options import (
 from orbitfinder.cli.torus import tori_of
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Certificate, certificate_to_document
-from orbitfinder.records.store import member
+from orbitfinder.records.store import kind_of, member
 
 if TYPE_CHECKING:
     from orbitfinder.proof.branch import Branch
@@ -43,7 +43,7 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
     Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
     every file passed; 1: some failed, and are named. The equations of a system that a Python module
     of yours makes are that module's; it is run only with --trust. FILE#K is point K of a family.json,
-    counted from 0, or orbit K of an atlas; tori of a tori.json too.
+    counted from 0, or orbit K of an atlas; tori of a tori.json and connections too.
 
     \b
     Examples:
@@ -60,6 +60,9 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
             continue
         if (found := tori_of(file)) is not None:
             results += verified_tori(file, found, trust)
+            continue
+        if file.is_file() and kind_of(file) == "connection":
+            results.append(verified_connection(file, trust))
             continue
         orbit, certificate = verify_file(file, trust)
         interrupt.check()
@@ -86,6 +89,19 @@ def verified_tori(file: Path, found: Tori, trust: bool) -> list[dict[str, Any]]:
         results.append({"file": where, "name": found.name} | certificate_to_document(certificate))
         _print_certificate(f"{where} ({found.name})", certificate)
     return results
+
+
+def verified_connection(file: Path, trust: bool) -> dict[str, Any]:
+    """The certificate of a connection, recomputed."""
+    from orbitfinder.families.connections import certify_connection
+    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.records.manifold import load_connection
+
+    found = load_connection(file)
+    certificate = certify_connection(found, build_model(found.system, file.parent.resolve() if trust else None))
+    interrupt.check()
+    _print_certificate(f"{file} ({found.name})", certificate)
+    return {"file": str(file), "name": found.name} | certificate_to_document(certificate)
 
 
 def _print_certificate(heading: str, certificate: Certificate) -> None:
