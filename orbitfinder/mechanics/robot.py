@@ -125,8 +125,8 @@ def _checked(made: _Read) -> _Read:
         for name in names:
             if (other := whose.setdefault(_word(name), name)) != name:
                 raise InputError(
-                    f"file: {kind}s {other!r} and {name!r} are both {_word(name)!r} where names are letters, digits and "
-                    "_; rename one"
+                    f"file: {kind}s {other!r} and {name!r} are both {_word(name)!r} where names are letters, digits "
+                    "and _; rename one"
                 )
     for name, body in made.bodies.items():
         if not np.all(np.isfinite([body.mass, *body.com, *body.inertia.ravel()])):

@@ -13,13 +13,13 @@ from orbitfinder.records.orbit import AGAIN, Orbit, orbit_in, read_orbit
 from orbitfinder.records.reading import file_head, json_file
 
 DATABASES = (".sqlite", ".sqlite3", ".db")
-OURS = re.compile(rb'\s*(?:(\[)|\{[^\[{]*?"format"\s*:\s*"orbitfinder/(orbit|family|tori)")')
+OURS = re.compile(rb'\s*(?:(\[)|\{[^\[{]*?"format"\s*:\s*"orbitfinder/(orbit|family|tori|controller|connection)")')
 HEAD = 400
 """Bytes of a file in which its format is said"""
 
 
 def kind_of(file: Path) -> str:
-    """What a file holds, by its name and its first bytes: orbit | family | tori |
+    """What a file holds, by its name and its first bytes: orbit | family | tori | controller | connection |
     export (of an atlas) | atlas, or nothing."""
     if file.suffix in DATABASES:
         return "atlas"
