@@ -151,6 +151,10 @@ def test_a_connection_is_found_certified_saved_and_certified_again(homoclinic, t
     assert again.certificate.passed and again.kind == "homoclinic" and again.error == known.error
     np.testing.assert_array_equal(again.states, known.states)
     assert certify_connection(again, wells(0.05)).passed
+    said = CliRunner().invoke(
+        cli, ["verify", str(tmp_path / "connection.json")]
+    )  # wells are no file's: so far it comes
+    assert said.exit_code == 2 and "cannot rebuild 'custom'" in said.output
 
 
 def moved(known, k, by):
