@@ -27,7 +27,7 @@ COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480
 """Samples a period that are tried in turn."""
 FIRST = 48
 """Samples from whose error the number needed is estimated."""
-INTERPOLATION = 0.001
+INTERPOLATION = 0.003
 """Largest error of the page's interpolation, relative to the extent of the picture."""
 STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
 ENDS = 1e-7
@@ -38,7 +38,7 @@ JUMPING = 240
 """Samples of a hybrid period, between whose events the page interpolates."""
 SMOOTH = 0.004
 LEVELS = 32767
-OFF, TURNS, TINY = 0.01, 4, 1e-5
+OFF, TURNS, TINY = 0.01, 3, 1e-5
 """How far from an orbit its neighbour starts, how many periods it is followed, and what is small, all relative."""
 ENERGIES = 121
 RIGID = 1e-6
@@ -360,6 +360,11 @@ def _between(fine: np.ndarray, bones: Skeleton, drifts: bool) -> tuple[np.ndarra
     return np.asarray(coarse), float(missed.max()) / extent
 
 
+def _short(number: float) -> float:
+    """A number as exact as the page's, which are of 32 bits."""
+    return float(f"{number:.8g}")
+
+
 def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
     """Centre and spans (down, right, m) of what several packed motions cover together."""
     if not shown:
@@ -402,16 +407,16 @@ def packed(motion: Motion) -> dict[str, Any]:
     sizes = np.where(np.arange(3 * many) < 2 * many, half, swing)
     numbers = np.rint((values - middles) / sizes * LEVELS).T[moving]
     rods = [
-        [point, parent, *(float(f"{x:.9g}") for x in (length, middles[2 * many + point], turns[2 * many + point]))]
+        [point, parent, *(_short(x) for x in (length, middles[2 * many + point], turns[2 * many + point]))]
         for point, (parent, length) in about.items()
     ]
     return _landscape(motion) | {
         "count": len(motion.points),
         "points": many,
         "period": motion.period,
-        "centre": [float(x) for x in centre],
+        "centre": [_short(x) for x in centre],
         "half": half,
-        "spans": [float(x) for x in high - low],
+        "spans": [_short(x) for x in high - low],
         "moving": moving,
         "still": {str(c): float(round(values[0, c], 9)) for c in placed if c not in moving},
         "data": base64.b64encode(numbers.astype("<i2").tobytes()).decode(),

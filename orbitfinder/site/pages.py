@@ -285,7 +285,7 @@ def _item(
         "krein": list(at.krein),
         "stability": at.stability,
         "symmetry": symmetry_words(one.symmetry),
-        "multipliers": [[mu.real, mu.imag] for mu in at.floquet_multipliers.tolist()],
+        "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
         "event": event.detail if event is not None and event.kind == "stability_change" and event.detail else words,
         "kind": "" if event is None else event.kind,
         "motion": packed(motion) if motion else None,
