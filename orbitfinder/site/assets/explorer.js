@@ -13,12 +13,13 @@
   function unit(text, one) { return one ? text + ", " + one : text; }
   var E = it.units.energy, S = it.units.time;
   var NAMES = { energy: unit(it.conserved ? "energy" : "energy at t = 0", E), frequency: unit("frequency", S && "1/" + S),
-    period: unit("period", S), action: unit("action", it.units.action), amplitude: "amplitude of " + safe(it.moved || ""),
+    period: unit("period", S), action: unit("action", it.units.action), amplitude: (it.curve ? "" : "amplitude of ") + safe(it.moved || ""),
     largest: "largest multiplier", value: safe(it.parameter), below: unit("energy below the highest", E),
     arclength: "place along the family (arclength)", moduli: "|multipliers|", angles: "angle of multipliers, °" };
   // Symbol, colour and size of each kind of event.
   var LOOKS = { fold: ["triangle-down", 1, 11], branch_point: ["circle-open", 2, 12], period_doubling: ["square", 3, 9],
-    torus: ["cross", 4, 10], collision: ["x", 1, 9], stability_change: ["diamond", 5, 10], resonance: ["circle", 4, 7] };
+    torus: ["cross", 4, 10], collision: ["x", 1, 9], stability_change: ["diamond", 5, 10], resonance: ["circle", 4, 7],
+    cusp: ["triangle-up", 3, 11], strong_resonance: ["pentagon", 2, 10], isola_centre: ["hexagon", 4, 10] };
   var locked = false, highest = Math.max.apply(null, items.map(function (one) { return one.energy; }));
 
   function axes() { return { x: part("across").value, y: part("up").value }; }
