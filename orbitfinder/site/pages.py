@@ -351,10 +351,10 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
     thinned = f"{len(items) - listed} of the orbits and {listed} of the events can be picked here. "
     other = "" if family.unit else f"{family.parameter} {span(family.values('value').tolist())}, "
     summary = (
+        f"{plural(len(points), 'orbit')} of {article(mechanism(family.system))}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}: {other}energy {with_unit(span(energies), unit['energy'])}, "
         f"period {with_unit(span(periods), unit['time'])}. {thinned if len(items) < len(points) + len(events) else ''}"
         f"{'Parameters' if family.parameters[1:] else 'Parameter'}: {', '.join(family.parameters)}. "
-        "All as orbitfinder continue recorded it; not checked here."
         "All as orbitfinder continue recorded it; not checked here."
     )
     return {
