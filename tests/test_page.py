@@ -731,11 +731,11 @@ def test_the_neighbour_leaves_an_unstable_orbit_as_its_multiplier_says(name, gro
     assert near.period == pytest.approx(3 * motion.period) and near.drifts
     extent = np.ptp(motion.states, axis=0)
     away = [np.abs((near.at(4, endpoint=True)[k] - motion.states[0]) / extent).max() for k in range(4)]
-    assert away[0] == pytest.approx(0.01, rel=1e-6)
+    assert away[0] == pytest.approx(0.03, rel=1e-6)
     if grows > 1.1:
         assert away[3] > 1.5 * away[0]
     else:
-        assert max(away) < 0.2
+        assert max(away) < 0.4
 
 
 def test_energies_sum_to_the_recorded_one():

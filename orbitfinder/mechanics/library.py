@@ -271,6 +271,7 @@ def spherical_pendulum(length: float = 1.0, mass: float = 1.0, gravity: float = 
     return made.model(
         "spherical_pendulum", kinetic, -made["mass"] * made["gravity"] * bob[0], names=["theta", "phi"],
         angles=[True, True], points=ca.horzcat(ca.SX.zeros(2), bob), centres=bob,
+        strokes=(("ground", (0,)), ("rod", (0, 1))),
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ JUMPING = 240
 """Samples of a hybrid period, between whose events the page interpolates."""
 SMOOTH = 0.004
 LEVELS = 32767
-OFF, TURNS, TINY = 0.01, 3, 1e-5
+OFF, TURNS, TINY = 0.03, 3, 1e-5
 """How far from an orbit its neighbour starts, how many periods it is followed, and what is small, all relative."""
 ENERGIES = 121
 RIGID = 1e-6

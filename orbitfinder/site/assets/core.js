@@ -29,14 +29,10 @@ var orbitfinder = (function () {
     this.broken = false;
     this.now = new Float32Array(3 * packed.points);
     this.fixed = [];
-    this.carts = [];
     var still = packed.still, many = packed.points, values = new Int16Array(bytes(packed.data)), about = {}, p;
     this.rods.forEach(function (rod) { about[2 * many + rod[0]] = rod; });
     for (var c in still) this.now[+c] = still[c];
-    for (p = 0; p < many; p++) {
-      this.fixed.push(p in still && (p + many) in still);
-      this.carts.push(many > 1 && p in still && this.moving.indexOf(p + many) >= 0); // on a level track: a cart
-    }
+    for (p = 0; p < many; p++) this.fixed.push(p in still && (p + many) in still);
     this.turns = this.moving.map(function (channel) { return about[channel] ? about[channel][4] : 0; });
     this.values = new Float32Array(values.length);
     for (var k = 0; k < values.length; k++) {
@@ -101,10 +97,11 @@ var orbitfinder = (function () {
     this.path = null;
     if (!m.tip) return;
     this.path = new Path2D();
-    var steps = Math.max(240, 4 * m.count);
+    var steps = Math.max(240, 4 * m.count), cut = true;
     for (var k = 0; k <= steps; k++) {
       var at = this.traced(m.at(k * m.period / steps));
-      if (k && !m.broken) this.path.lineTo(at[0], at[1]); else this.path.moveTo(at[0], at[1]);
+      if (cut) this.path.moveTo(at[0], at[1]); else this.path.lineTo(at[0], at[1]);
+      cut = m.broken; // the next point is after the jump
     }
   };
 
@@ -174,7 +171,6 @@ var orbitfinder = (function () {
       var x = this.across(now, p), y = this.down(now, p), r = line * (m.points === 1 ? 1.6 : 1.1);
       pen.fillStyle = m.fixed[p] ? c.ground : c.joint;
       if (m.fixed[p]) { pen.fillRect(x - r, y - r, 2 * r, 2 * r); continue; }
-      if (m.carts[p]) { pen.fillRect(x - 2 * r, y - 1.3 * r, 4 * r, 2.6 * r); continue; }
       if (many && p !== m.points - 1) continue;
       pen.beginPath();
       pen.arc(x, y, r, 0, 2 * Math.PI);
@@ -210,7 +206,7 @@ var orbitfinder = (function () {
       var kind = stroke[0], at = stroke[1].map(function (p) { return [scene.across(now, p), scene.down(now, p)]; });
       var x = at[0][0], y = at[0][1], far = at[at.length - 1], dx = far[0] - x, dy = far[1] - y;
       pen.lineWidth = kind === "rod" ? line : line * 0.5;
-      pen.strokeStyle = kind === "spring" ? c.muted : c.link;
+      pen.strokeStyle = kind === "spring" ? c.muted : kind === "ground" ? c.ground : c.link;
       pen.fillStyle = kind === "ground" ? c.ground : c.joint;
       pen.beginPath();
       if (kind === "slider") { pen.fillRect(x - 2.4 * r, y - 1.5 * r, 4.8 * r, 3 * r); return; }
@@ -256,10 +252,11 @@ var orbitfinder = (function () {
     for (var part = 0; part < parts; part++) {
       pen.globalAlpha = (part + 1) / parts;
       pen.beginPath();
-      for (var k = 0; k <= steps; k++) {
+      for (var k = 0, cut = true; k <= steps; k++) {
         var at = this.traced(m.at(time - span * (1 - (part + k / steps) / parts)));
-        if (m.broken) pen.moveTo(at[0], at[1]);
+        if (cut) pen.moveTo(at[0], at[1]);
         else pen.lineTo(at[0], at[1]);
+        cut = m.broken;
       }
       pen.stroke();
     }

@@ -115,7 +115,7 @@
     items.forEach(function (one, k) {
       (one.event ? [] : one.multipliers).forEach(function (pair, m) {
         var size = Math.hypot(pair[0], pair[1]), round = Math.abs(size - 1) < 1e-3, krein = (one.krein || [])[m] || 0, kind;
-        if (angles && (!round || (pair[1] < 0 && krein === 0))) return;
+        if (angles && (!round || pair[1] < 0)) return;
         if (angles) kind = krein > 0 ? "Krein sign +" : krein < 0 ? "Krein sign \u2212" : "no Krein sign";
         else kind = round ? "on the circle" : Math.abs(pair[1]) > 1e-6 * size ? "complex, off the circle" : pair[0] > 0 ? "real, > 0" : "real, < 0";
         var group = kinds[kind] = kinds[kind] || { x: [], y: [], customdata: [] };
@@ -148,7 +148,7 @@
     logarithms(chosen);
     if (picked >= 0 && many) {
       var at = number(items[picked], chosen.x);
-      traces.push({ x: [at, at], y: chosen.y === "angles" ? [0, 180] : [1e-12, 1e12], mode: "lines", hoverinfo: "skip", showlegend: false,
+      traces.push({ x: [at, at], y: chosen.y === "angles" ? [0, 180] : moduliRange().map(function (one) { return Math.pow(10, one); }), mode: "lines", hoverinfo: "skip", showlegend: false,
         line: { color: c.ink, width: 1.2, dash: "dot" } });
     }
     if (picked >= 0 && !many) traces.push({ x: [number(items[picked], chosen.x)], y: [number(items[picked], chosen.y)], mode: "markers",
