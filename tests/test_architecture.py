@@ -17,7 +17,7 @@ PACKAGE = Path(__file__).parents[1] / "orbitfinder"
 FLOORS = (
     ("errors",), ("_runtime",), ("records",), ("mechanics",), ("integrate",), ("loops",),
     ("exports", "guesses", "proof"), ("orbits", "problemfile"), ("families",), ("atlas",), ("show", "site"),
-    ("reproduce",), ("", "systems", "linkages", "flows"), ("cli",), ("__main__",),
+    ("studio",), ("reproduce",), ("", "systems", "linkages", "flows"), ("cli",), ("__main__",),
 )  # fmt: skip
 LIBRARIES = {
     "casadi": (
@@ -38,6 +38,7 @@ LIBRARIES = {
     "matplotlib": ("show", "reproduce"),
     "sqlite3": ("atlas",),
     "jinja2": ("site", "reproduce.runner"),
+    "nicegui": ("studio",),
     "platformdirs": ("integrate.compiled",),
     "pickle": (),
     "cloudpickle": (),
