@@ -31,5 +31,5 @@ def studio(file: Path | None, out: Path, port: int | None, browser: bool) -> Non
     from orbitfinder.studio.serve import serve
 
     check_writable(out)
-    serve(file, out, port, browser, lambda address: text(f"orbitfinder studio: {address}"), None)
+    serve(file, out, port, browser, lambda address: text(f"orbitfinder studio: {address}"))
     finish("studio", {})

@@ -43,6 +43,7 @@ class Page:
         self.quick, self.long = Worker(), Worker()
         self.state = [float(one) for one in session.opened.state]
         self.returns: tuple[Return, ...] = ()
+        self.picked: int | None = None
         self.orbit: Orbit | None = None
         self.item: Item | None = None
         self.points: list[FamilyPoint] = []
@@ -56,7 +57,7 @@ class Page:
         files = [f"{self.assets}/site/core.js", f"{self.assets}/studio/stage.js"]
         ui.add_head_html(f'<link rel="stylesheet" href="{self.assets}/studio/studio.css">')
         ui.add_head_html("".join(f'<script src="{one}"></script>' for one in files))
-        ui.colors(primary="#005f99")
+        ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
         self.theme = ui.dark_mode()
         self._head()
         with ui.element("main").classes("studio"):
@@ -88,7 +89,7 @@ class Page:
 
     def _head(self) -> None:
         with ui.row().classes("w-full items-center no-wrap gap-2"):
-            ui.html(f"<h1>{_safe(self.session.title)}</h1>", sanitize=False).classes("text-xl font-semibold")
+            ui.html(f"<h1>{_safe(self.session.title)}</h1>", sanitize=False)
             self.status = ui.label("").classes("quiet grow").props('role="status" aria-live="polite" id="status"')
             self.busy = ui.spinner(size="1.4em")
             self.cancel = ui.button("Cancel", on_click=self.long.stop).props('outline dense no-caps id="cancel"')
@@ -179,12 +180,13 @@ class Page:
                     'no-caps dense padding="4px 16px" id="follow"'
                 )
                 self.along = ui.select([*energies, *model.parameter_names], value=None, label="in").props("dense")
-                self.along.classes("w-32").set_value((energies or [*model.parameter_names, None])[0])
+                self.along.classes("w-32").set_value(next(iter([*energies, *model.parameter_names]), None))
                 self.count = ui.number("points each way", value=POINTS, min=1, max=100000, precision=0).props("dense")
                 self.count.classes("w-28")
             self.plot = ui.plotly(self._figure()).classes("w-full").props('id="family"')
             self.plot.on("plotly_click", self._family_clicked)
             self.slide = ui.slider(min=0, max=1, step=1, value=0).props('id="slide" aria-label="Orbit of the family"')
+            self.slide.on("update:model-value", js_handler="(value) => stage.turn(value)")
             self.slide.on("update:model-value", self._slid, throttle=0.02)
             self.where = ui.label("").classes("number").props('id="where"')
             with ui.row().classes("items-center gap-3 w-full"):
@@ -295,9 +297,9 @@ class Page:
     async def _simulate(self, stay: bool = False) -> None:
         duration = _finite(self.duration.value or 0.0)
         found: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
-        self.session.energy, self.returns = found.energy, found.returns
+        self.session.energy, self.returns, self.picked = found.energy, found.returns, None
         self.readout.set_text(_readout(found, duration))
-        self.near.update_figure(plots.returns_figure(self.returns, None, self.dark))
+        self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
         self.find.set_enabled(bool(self.returns))
         if stay and self.shown:
             return
@@ -317,8 +319,8 @@ class Page:
         """Find the orbit that a close return belongs to."""
         if number >= len(self.returns):
             return self._say("nothing comes back close enough; start it another way, or simulate for longer")
-        one = self.returns[number]
-        self.near.update_figure(plots.returns_figure(self.returns, number, self.dark))
+        one, self.picked = self.returns[number], number
+        self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
         await self._told(lambda: self._found(self.session.problem(one.state, one.period, self.taken)))
 
     async def _find_own(self) -> None:
@@ -338,7 +340,7 @@ class Page:
         orbit = self.orbit = found.orbit
         sure = orbit.certificate is not None and orbit.certificate.passed
         self.badge.set_text("Certified" if sure else "Rejected")
-        self.badge.props(f"color={'positive' if sure else 'negative'} icon={'verified' if sure else 'dangerous'}")
+        self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
         self.badge.set_visibility(True)
         level = f", E = {orbit.energy:.8g} J" if math.isfinite(orbit.energy) else ""
         symmetry = "" if orbit.symmetry == "none" else f", {orbit.symmetry.replace('+', ' and ')}"
@@ -437,8 +439,9 @@ class Page:
         self.item, family = item, item.family
         self.growing, self.parameter, self.points = family.name, family.parameter, list(family.points)
         self.slide.props(f"max={max(1, len(self.points) - 1)}")
-        middle = min(len(self.points) - 1, len(self.points) // 2)
-        self.slide.set_value(middle)
+        near = 0.0 if self.orbit is None else self.orbit.period
+        self.slide.set_value(min(range(len(self.points)), key=lambda k: abs(self.points[k].period - near)))
+        ui.run_javascript(f"stage.put({json.dumps([self.films.get(one.state.tobytes()) for one in self.points])})")
         choice = leaving(family)
         self.events.set_options(choice, value=next(iter(choice), None))
         self.plot.update_figure(self._figure())
@@ -457,9 +460,9 @@ class Page:
         )
         self.plot.run_plot_method("restyle", {"x": [[point.value]], "y": [[1 / point.period]]}, [plots.HERE])
         key = point.state.tobytes()
-        if key not in self.films:
+        if self.films.get(key) is None:
             self.films[key] = await self.quick.do("shown", dict(point.system), point)
-        self._show(self.films[key], keep=True)
+            ui.run_javascript(f"stage.add({number}, {json.dumps(self.films[key])})")
 
     async def _family_clicked(self, event: Any) -> None:
         at = plots.clicked(event.args)
@@ -468,6 +471,7 @@ class Page:
         trace, number = at
         if trace == plots.POINTS and 0 <= number < len(self.points):
             self.slide.set_value(number)
+            ui.run_javascript(f"stage.turn({number})")
             await self._told(lambda: self._slide_to(number))
         elif trace == plots.EVENTS:
             if number in (self.events.options or {}):
@@ -520,7 +524,9 @@ class Page:
         async def saved() -> None:
             written = self.session.save()
             self._list()
-            self._say(f"{plural(len(written), 'file')} saved in {self.session.out}" if written else "nothing new to save")
+            self._say(
+                f"{plural(len(written), 'file')} saved in {self.session.out}" if written else "nothing new to save"
+            )
 
         await self._told(saved)
 
@@ -538,6 +544,7 @@ class Page:
             return
         if item.family is not None:
             self._show_family(item)
+            ui.run_javascript(f"stage.turn({int(self.slide.value)})")
             await self._told(lambda: self._slide_to(int(self.slide.value)))
             return
         self.item = item
@@ -549,7 +556,7 @@ class Page:
     def _recoloured(self, dark: bool) -> None:
         self.dark = dark
         self.theme.set_value(dark)
-        self.near.update_figure(plots.returns_figure(self.returns, None, dark))
+        self.near.update_figure(plots.returns_figure(self.returns, self.picked, dark))
         self.plot.update_figure(self._figure())
         ui.run_javascript("setTimeout(stage.recolour, 50)")
 

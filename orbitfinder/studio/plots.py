@@ -24,7 +24,7 @@ def _figure(data: list[dict[str, Any]], across: str, up: str, dark: bool, log: b
                 swapped = [DARK.get(c, c) for c in colour] if isinstance(colour, list) else DARK.get(colour, colour)
                 trace[part]["color"] = swapped
     axis = {"gridcolor": line, "zerolinecolor": line, "linecolor": line, "automargin": True}
-    upward = {"type": "log", "dtick": 1, "exponentformat": "power"} if log else {}
+    upward = {"type": "log", "exponentformat": "power", "nticks": 6} if log else {}
     layout = {
         "height": 250, "margin": {"l": 56, "r": 12, "t": 10, "b": 44}, "showlegend": False, "hovermode": "closest",
         "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)", "font": {"color": ink, "size": 13},

@@ -25,6 +25,7 @@ def free_port(wanted: int | None = None) -> int:
     """The port that was asked for, or the first free one from the usual. Raises `InputError` where it is taken."""
     for port in (wanted,) if wanted is not None else range(PORT, PORT + TRIED):
         with socket.socket() as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 trial.bind((HOST, port))
             except OSError:
@@ -38,7 +39,7 @@ def free_port(wanted: int | None = None) -> int:
 
 
 def serve(
-    file: Path | None, out: Path, port: int | None, browser: bool, announce: Callable[[str], None], dark: bool | None
+    file: Path | None, out: Path, port: int | None, browser: bool, announce: Callable[[str], None]
 ) -> None:
     """Serve the studio until Ctrl-C; `announce` gets its address once. Raises `InputError`."""
     try:
@@ -55,11 +56,11 @@ def serve(
     app.add_static_files(f"/{token}/site", SITE)
     with tempfile.TemporaryDirectory(prefix="orbitfinder-studio-", ignore_cleanup_errors=True) as folder:
 
-        @ui.page(f"/{token}", title="orbitfinder studio", dark=dark)
         async def tab() -> None:
             own = Path(tempfile.mkdtemp(dir=folder))
             await Page(Session(origin, own, out), taken, f"/{token}").built()
 
+        ui.page(f"/{token}")(tab)
         address = f"http://{HOST}:{chosen}/{token}"
 
         def ready() -> None:

@@ -70,9 +70,7 @@ def opened(file: Path | None) -> Opened:
     problem = minimal_problem(loaded.problem) if loaded.model.constraint is not None else loaded.problem
     text = file_bytes(file).decode("utf-8-sig")
     period = float(problem.guess.period)
-    return Opened(
-        problem.model, np.asarray(problem.guess.state, float), SWINGS * period, loaded.name, (period, text)
-    )
+    return Opened(problem.model, np.asarray(problem.guess.state, float), SWINGS * period, loaded.name, (period, text))
 
 
 def _recorded(file: Path) -> Opened:

@@ -98,8 +98,6 @@ class Worker:
             raise StoppedError("the page is closed")
         if self._hand is None:
             self._hand = await self._apart(lambda: hired(work))
-        if self._closed:
-            self.stop()
         return self._hand
 
     def _gone(self, hand: Hand) -> None:

@@ -2,7 +2,7 @@
 var stage = (function () {
   "use strict";
   var REACH = 26, FLICK = 90, STILL = 40; // px, ms, px a second
-  var canvas, pen, player, scene, told, view, lengths, angles, rates, scale = 1, grabbed = -1, trail = [], fraction = null;
+  var canvas, pen, player, scene, told, view, lengths, angles, rates, scale = 1, grabbed = -1, trail = [], reel = [];
 
   function place(k) {
     var x = canvas.clientWidth / 2 - view.centre[1] * scale, y = canvas.clientHeight / 2 - view.centre[0] * scale;
@@ -129,11 +129,15 @@ var stage = (function () {
     stage.shown++;
   }
 
+  // The orbits of a family, so that sliding along it waits for nobody; what is missing the server sends.
+  function put(films) { reel = films; }
+  function turn(k) { if (reel[k]) show(reel[k], null, true); }
+  function add(k, film) { reel[k] = film; turn(k); }
   function links(found) { lengths = found; }
   function play(on) { player.playing = on; player.stale = true; }
   function recolour() { document.dispatchEvent(new Event("orbitfinder-theme")); }
   function joint(k) { caught(); fit(); return place(k); }
 
-  return { mount: mount, links: links, show: show, play: play, recolour: recolour, joint: joint, shown: 0,
+  return { mount: mount, links: links, put: put, turn: turn, add: add, show: show, play: play, recolour: recolour, joint: joint, shown: 0, rates: function () { return rates; },
     speed: function (value) { player.speed = value; } };
 })();
