@@ -153,7 +153,7 @@ Every point of these curves is a periodic orbit that closes, by an independent i
 1e-11 of its extents times what errors grow by on the way; where they grow more than 1000 times each shooting node
 also leads to the next one within 1e-11 times the growth in between (`defect`), without which such a closure would say
 little. The ends, and the orbits of the report, have the full certificate. Multipliers near
-the saddles exceed what double precision can hold beside the small ones; no bifurcations are read there. Solid lines
+the saddles are found factor by factor, with an estimated error (`multiplier_errors` of the normal modes). Solid lines
 are stable, dashed ones unstable. Energies are absolute, potential zero at the fixed joint: the triple pendulum hangs at
 -44.1 J, the quadruple one at -78.4 J. Written by `python benchmarks/family_atlas.py`; `families/` in the commands
 stands for any folder. The nodes beside each family.json (family.npz) are left out here; the same commands write them.

@@ -34,7 +34,7 @@ CASES = (
     ("report/triple-2", 1, None, 0.0), ("report/triple-1", 3, 2.0, 0.001), ("report/triple-1", 2, None, 0.0),
 )  # fmt: skip
 """Problem file, joint of the motor, greatest torque (N m), noise of the measurement (extents)"""
-STEP = 1e-3
+STEP = 2e-5
 """of central differences of fourth order, in extents"""
 
 

@@ -11,6 +11,7 @@ from pydantic_core import PydanticUndefined
 from orbitfinder.problemfile.schema import (
     SYSTEMS,
     BodyTable,
+    ControlTable,
     DamperTable,
     ExpectedNumber,
     ExpectedTable,
@@ -23,6 +24,7 @@ from orbitfinder.problemfile.schema import (
     SearchTable,
     SimulateTable,
     SpringTable,
+    TaskTable,
 )
 
 TITLE = """# The problem file
@@ -114,7 +116,8 @@ def schema_markdown() -> str:
         ("Each entry of `[system.springs]`", SpringTable), ("Each entry of `[system.dampers]`", DamperTable),
         ("Each entry of `[system.motors]` of a mechanism", MotorTable),
         ("Each entry of `[system.motions]`", MotionTable),
-        ("`[guess]`", GuessTable), ("`[find]`", FindTable), ("`[search]`", SearchTable),
+        ("`[guess]`", GuessTable), ("`[find]`", FindTable), ("`[control]`", ControlTable),
+        ("Each `[[control.task]]`", TaskTable), ("`[search]`", SearchTable),
         ("`[simulate]`", SimulateTable), ("`[expected]`", ExpectedTable),
         ("Each entry of `[expected]`", ExpectedNumber),
     ]  # fmt: skip
@@ -123,7 +126,7 @@ def schema_markdown() -> str:
 
 
 def _tables() -> set[str]:
-    return {"system", "guess", "find", "search", "simulate", "expected"}
+    return {"system", "guess", "find", "control", "search", "simulate", "expected"}
 
 
 def _section(title: str, table: type[BaseModel], skip: set[str] | None = None, note: str = "") -> str:

@@ -3,6 +3,7 @@ from . import errors as errors
 from . import flows as flows
 from . import guesses as guesses
 from . import linkages as linkages
+from . import sections as sections
 from . import systems as systems
 from ._runtime import __version__ as __version__
 from ._runtime.limit import limited as limited
@@ -15,7 +16,10 @@ from .atlas.store import load_orbit as load_orbit
 from .exports.controller import export_controller as export_controller
 from .exports.write import export_orbit as export_orbit
 from .families.branches import switch_branch as switch_branch
+from .families.connections import connect as connect
+from .families.curves import follow_curve as follow_curve
 from .families.folder import follow_family as follow_family
+from .families.manifolds import manifold as manifold
 from .families.point import FamilySettings as FamilySettings
 from .families.tori import TorusSettings as TorusSettings
 from .families.tori import follow_tori as follow_tori
@@ -23,6 +27,8 @@ from .families.tori import torus as torus
 from .loops.conditions import Constraint as Constraint
 from .loops.conditions import Variables as Variables
 from .loops.conditions import pin as pin
+from .loops.control import Control as Control
+from .loops.control import Task as Task
 from .loops.ipopt import SolveSettings as SolveSettings
 from .loops.problem import Guess as Guess
 from .loops.problem import Problem as Problem
@@ -52,7 +58,9 @@ from .orbits.basin import recovery as recovery
 from .orbits.certify import certify as certify
 from .orbits.feedback import stabilise as stabilise
 from .orbits.find import find_orbit as find_orbit
+from .orbits.optima import follow_optima as follow_optima
 from .orbits.refine import Refiner as Refiner
+from .orbits.section import section as section
 from .orbits.simulate import simulate as simulate
 from .orbits.sweep import sweep as sweep
 from .problemfile.read import load_problem as load_problem

@@ -6,11 +6,11 @@ from orbitfinder.guesses.returns import first_return
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.mechanics.chain import maximal_states, minimal_states
 from orbitfinder.mechanics.linkage import assemble, joint_forces, linkage_rates, linkage_state, minimal_linkage
-from orbitfinder.mechanics.mechanism import mechanism_state, minimal_mechanism
+from orbitfinder.mechanics.mechanism import body_point, mechanism_state, minimal_mechanism
 
 __all__ = [
-    "DaeSettings", "assemble", "first_return", "joint_forces", "linkage_equilibrium", "linkage_mode", "linkage_modes",
-    "linkage_rates", "linkage_state", "maximal_states", "mechanism_state", "minimal_linkage", "minimal_mechanism",
-    "minimal_states", "simulate_dae",
+    "DaeSettings", "assemble", "body_point", "first_return", "joint_forces", "linkage_equilibrium", "linkage_mode",
+    "linkage_modes", "linkage_rates", "linkage_state", "maximal_states", "mechanism_state", "minimal_linkage",
+    "minimal_mechanism", "minimal_states", "simulate_dae",
 ]  # fmt: skip
 globals().update({name: fronted(globals()[name], __name__) for name in __all__})

@@ -1,9 +1,18 @@
 """Built-in systems: each function returns a Model, and problem files name them with kind = "python"."""
 
+from orbitfinder.mechanics.driven import (
+    DRIVEN,
+    driven_cart_pole,
+    driven_compass,
+    driven_hopper,
+    driven_oscillator,
+    driven_swing,
+)
 from orbitfinder.mechanics.library import FUNCTIONS as SMOOTH
 from orbitfinder.mechanics.library import (
     brusselator,
     cart_chain,
+    coupled_pendula,
     double_well,
     duffing,
     fitzhugh_nagumo,
@@ -43,7 +52,7 @@ from orbitfinder.mechanics.machines import (
     wall_pendulum,
 )
 
-FUNCTIONS = SMOOTH | MACHINES
+FUNCTIONS = SMOOTH | MACHINES | DRIVEN
 
 __all__ = [
     "FUNCTIONS",
@@ -51,7 +60,13 @@ __all__ = [
     "brusselator",
     "cart_chain",
     "compass_gait",
+    "coupled_pendula",
     "double_well",
+    "driven_cart_pole",
+    "driven_compass",
+    "driven_hopper",
+    "driven_oscillator",
+    "driven_swing",
     "duffing",
     "fitzhugh_nagumo",
     "five_link_walker",

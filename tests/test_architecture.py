@@ -17,7 +17,7 @@ PACKAGE = Path(__file__).parents[1] / "orbitfinder"
 FLOORS = (
     ("errors",), ("_runtime",), ("records",), ("mechanics",), ("integrate",), ("loops",),
     ("exports", "guesses", "proof"), ("orbits", "problemfile"), ("families",), ("atlas",), ("show", "site"),
-    ("studio",), ("reproduce",), ("", "systems", "linkages", "flows"), ("cli",), ("__main__",),
+    ("studio",), ("reproduce",), ("", "systems", "linkages", "flows", "sections"), ("cli",), ("__main__",),
 )  # fmt: skip
 LIBRARIES = {
     "casadi": (
@@ -26,6 +26,7 @@ LIBRARIES = {
         "loops",
         "proof",
         "exports",
+        "orbits.control",
         "orbits.find",
         "orbits.objectives",
         "orbits.feedback",

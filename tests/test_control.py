@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
 
 import orbitfinder as of
-from orbitfinder.errors import InputError
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.loops.control import METHODS, history
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.controls import actuated, with_controls
+from orbitfinder.mechanics.expression import expression
 from orbitfinder.mechanics.linkage import bar_angles, linkage_state, minimal_linkage
 from orbitfinder.mechanics.model import vector_field
+from orbitfinder.orbits.control import gather_controlled
 
 
 def driven_field(model: of.Model, state: np.ndarray, torques: np.ndarray) -> np.ndarray:
@@ -132,3 +140,226 @@ def test_a_description_with_motors_is_rebuilt() -> None:
 def test_what_is_no_control_is_refused(make, words: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InputError, match=words.replace("[", r"\[").replace("(", r"\(")):
         make()
+
+
+PICK = (of.Task("x", 0.5, equals=1.0), of.Task("xdot", 0.5, equals=0.0))
+
+
+def pick(stiffness: float, intervals: int, shape: str = "linear", **parts):  # type: ignore[no-untyped-def]
+    """Rest at -1, rest at 1, back after 2 s."""
+    return of.Problem(
+        of.systems.driven_oscillator(stiffness), of.Guess([-1.0, 0.0], 2.0), of.pin(x=-1.0, xdot=0.0, period=2.0),
+        control=of.Control("force**2", shape, intervals, tasks=PICK, **parts),
+    )  # fmt: skip
+
+
+def maintained(shape: str = "fourier", **parts):  # type: ignore[no-untyped-def]
+    """A damped oscillator whose mean square is held."""
+    return of.Problem(
+        of.systems.driven_oscillator(1.0, 0.2), of.Guess([1.0, 0.0], 6.3), name="maintained",
+        control=of.Control(
+            "force**2", shape, 16, 3, average=True, guess={"force": 0.01},
+            tasks=(of.Task("x**2", "mean", equals=0.5),), **parts,
+        ),
+    )  # fmt: skip
+
+
+def cost_of(problem: of.Problem) -> float:
+    orbit = of.find_orbit(problem)
+    assert orbit.control is not None and orbit.certificate is not None and orbit.certificate.passed
+    return float(orbit.control["cost"])
+
+
+REFERENCE = {
+    one["id"]: one["values"]
+    for one in json.loads((Path(__file__).parent / "data" / "control.json").read_text())["entries"]
+}
+
+
+@pytest.mark.parametrize(("shape", "order"), [("zero-order", 2.0), ("linear", 4.0)])
+def test_pick_and_place_converges_to_the_closed_form(shape: str, order: float) -> None:
+    exact = float(REFERENCE["pick-place"]["k4_T2"])
+    errors = [cost_of(pick(4.0, count, shape)) - exact for count in (20, 40)]
+    assert errors[1] > 0
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
+    if shape == "linear":  # where controls of this form hold the optimum it is found to round-off
+        assert cost_of(pick(0.0, 10)) == pytest.approx(96.0, rel=1e-11)
+
+
+@pytest.mark.slow
+def test_pick_and_place_to_ten_digits_of_the_continuous_optimum() -> None:
+    assert abs(cost_of(pick(4.0, 720)) - float(REFERENCE["pick-place"]["k4_T2"])) < 1e-10
+
+
+def test_the_kept_amplitude_costs_what_parseval_says_and_meets_pontryagin() -> None:
+    orbit = of.find_orbit(maintained())
+    assert orbit.certificate is not None and orbit.certificate.passed and orbit.control is not None
+    omega, value = map(float, REFERENCE["maintain"]["c0p2_k1"].replace("omega", "").split(","))
+    assert orbit.control["cost"] == pytest.approx(value, rel=1e-10)
+    assert orbit.period == pytest.approx(2 * np.pi / omega, rel=1e-10)
+    checks = {one.name: one for one in orbit.certificate.checks}
+    assert checks["continuous_optimum"].value < 1e-6 and checks["stationarity"].value < 1e-8
+    assert "not shown" in checks["optimum"].note
+    assert cost_of(maintained(method="collocation")) == pytest.approx(value, rel=1e-10)
+
+
+def test_a_control_one_per_cent_off_is_rejected_by_name() -> None:
+    """The same task done by another control that closes as well: only its optimality is missing."""
+    best, wrong = (of.find_orbit(replace(pick(4.0, 20), control=replace(pick(4.0, 20).control, cost=cost)))  # type: ignore[type-var]
+                   for cost in ("force**2", "force**2 + 0.02 * (force * x)**2"))  # fmt: skip
+    assert best.control is not None and wrong.control is not None
+    off = np.abs(np.array(wrong.control["coefficients"]) - np.array(best.control["coefficients"])).max()
+    assert 1e-3 < off / np.abs(best.control["coefficients"]).max() < 0.02
+    claimed = dict(wrong.control) | {"cost_of": "force**2"}
+    true_cost = of.certify(replace(wrong, control=claimed))
+    claimed["cost"] = claimed["cost"] if "cost" not in true_cost.failures else _recomputed(wrong, claimed)
+    failures = of.certify(replace(wrong, control=claimed)).failures
+    assert failures == ("stationarity",)
+
+
+def _recomputed(orbit: of.Orbit, entry: dict) -> float:  # type: ignore[type-arg]
+    model = build_model(orbit.system)
+    return gather_controlled(model, orbit.state, orbit.period, np.zeros(1, int), entry, orbit.symmetry).cost
+
+
+def test_a_limit_that_is_met_has_the_sign_of_a_limit() -> None:
+    problem = of.load_problem("problems/control/pendulum-pump.toml")
+    orbit = of.find_orbit(replace(problem, control=replace(problem.control, intervals=20)))  # type: ignore[type-var]
+    free = of.find_orbit(replace(
+        problem, model=of.chain(1, motors=[1], limits={"torque1": 1.2}),
+        control=replace(problem.control, intervals=20)))  # type: ignore[type-var]  # fmt: skip
+    for one in (orbit, free):
+        assert one.certificate is not None and one.certificate.passed, one.certificate
+    assert free.control is not None and orbit.control is not None and free.control["cost"] > orbit.control["cost"]
+    held = [value for name, value in free.control["multipliers"].items() if name.startswith("bound")]
+    assert held and np.abs(free.control["coefficients"]).max() == pytest.approx(1.2, rel=1e-8)
+    planted = dict(free.control) | {"limits": {"torque1": [-1.5, 1.5]}}
+    assert "stationarity" in of.certify(replace(free, control=planted)).failures
+
+
+def test_what_holds_always_is_kept_and_looked_at_between() -> None:
+    """A speed limit that is met for a while, with multipliers of its sign; power between too few points is refused."""
+    control = of.Control("force**2", "linear", 20, tasks=(*PICK, of.Task("xdot", lowest=-2.6, highest=2.6)))
+    slow = of.find_orbit(replace(pick(4.0, 20), control=control))
+    assert slow.certificate is not None and slow.certificate.passed and slow.control is not None
+    met = [value for name, value in slow.control["multipliers"].items() if name.startswith("limit xdot")]
+    assert len(met) >= 4 and slow.control["cost"] > cost_of(pick(4.0, 20)) + 5
+    assert np.abs(slow.samples[:, 1]).max() == pytest.approx(2.6, rel=1e-3)
+    power = replace(control, tasks=(*PICK, of.Task("force * xdot", highest=6.0)))
+    rough = of.find_orbit(replace(pick(4.0, 20), control=power))
+    assert rough.certificate is not None and rough.certificate.failures == ("task: force * xdot always",)
+
+
+def test_a_spring_and_a_period_are_chosen_with_the_motion() -> None:
+    free = replace(pick(4.0, 20), free=("stiffness",))
+    free = replace(free, control=replace(free.control, final="0.5 * stiffness**2"))  # type: ignore[type-var]
+    orbit = of.find_orbit(free)
+    assert orbit.certificate is not None and orbit.certificate.passed and orbit.control is not None
+    best = orbit.system["arguments"]["stiffness"]
+    near = [cost_of(pick(best + by, 20)) + 0.5 * (best + by) ** 2 for by in (-0.01, 0.01)]
+    assert min(near) > orbit.control["cost"] and np.diff(near)[0] == pytest.approx(0.0, abs=1e-4)
+    timed = of.Problem(free.model, of.Guess([-1.0, 0.0], 2.0), of.pin(x=-1.0, xdot=0.0), bounds={"period": (1.0, 1.9)},
+                       control=of.Control("force**2 + 0.5", "linear", 20, tasks=PICK))  # fmt: skip
+    held = of.find_orbit(timed)
+    assert held.certificate is not None and held.certificate.passed and held.control is not None
+    assert held.period == pytest.approx(1.9, rel=1e-7) and held.control["multipliers"]["held period"] > 0
+    loose = dict(held.control) | {"bounds": {"period": [1.0, 3.0]}}
+    assert "stationarity" in of.certify(replace(held, control=loose)).failures
+
+
+def test_a_symmetric_motion_is_found_over_half_its_period() -> None:
+    whole, half = (of.find_orbit(replace(maintained(), symmetry=one)) for one in ("none", "reflection"))
+    assert half.control is not None and whole.control is not None and half.symmetry == "reflection"
+    assert half.control["cost"] == pytest.approx(whole.control["cost"], rel=1e-11)
+    assert half.certificate is not None and half.certificate.passed
+
+
+def test_a_controlled_orbit_is_saved_loaded_and_verified(tmp_path: Path) -> None:
+    orbit = of.find_orbit(maintained("cubic"))
+    path = of.save_orbit(orbit, tmp_path / "orbit.json")
+    again = of.load_orbit(path)
+    assert again.control == orbit.control and of.certify(again).passed
+    document = json.loads(path.read_text())
+    document["control"]["coefficients"][0][3] *= 1.01
+    path.write_text(json.dumps(document))
+    failures = of.certify(of.load_orbit(path)).failures
+    assert {"closure", "stationarity", "record"} <= set(failures)
+    assert (tmp_path / "controls.png") in of.save_figures(orbit, tmp_path)
+    times, values = history(orbit.control, orbit.period)  # type: ignore[arg-type]
+    assert times[-1] == pytest.approx(orbit.period) and values[0] == pytest.approx(values[-1], abs=1e-12)
+    for refused in (lambda: of.export_orbit(orbit, "c", tmp_path), lambda: of.prove(orbit)):
+        with pytest.raises(InputError, match="is a controlled orbit"):
+            refused()
+
+
+FILES = sorted(Path("problems/control").glob("*.toml"))
+QUICK = {"maintained-oscillator", "hopping-monopod", "pick-and-place"}
+
+
+@pytest.mark.parametrize(
+    "path", [pytest.param(one, marks=() if one.stem in QUICK else pytest.mark.slow) for one in FILES]
+)
+def test_shooting_and_collocation_agree_on_every_problem_file(path: Path) -> None:
+    problem = of.load_problem(path)
+    costs = [cost_of(replace(problem, control=replace(problem.control, method=one))) for one in METHODS]  # type: ignore[type-var]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-8)
+
+
+def test_hybrid_events_are_required_to_be_events() -> None:
+    """The hopper's recorded flight is cut short: its guard is missed, and named."""
+    orbit = of.find_orbit(of.load_problem("problems/control/hopping-monopod.toml"))
+    assert orbit.control is not None
+    shares = {name: value * 1.001 for name, value in orbit.control["shares"].items()}
+    failures = of.certify(replace(orbit, control=dict(orbit.control) | {"shares": shares})).failures
+    assert "event: liftoff" in failures
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: of.Problem(of.chain(1), of.Guess([1.0, 0.0], 2.0), control=of.Control("theta1")), "has no controls"),
+        (lambda: of.Control("u", "quadratic"), "control.shape: unknown 'quadratic'"),
+        (lambda: of.Control("u", method="magic"), "control.method: unknown"),
+        (lambda: of.Control("u", intervals=1), "control.intervals: must be from 2"),
+        (lambda: of.Control("u", "fourier", 4, 9), "too few for 9 harmonics"),
+        (lambda: of.Task("x", 1.5, equals=0.0), "must be a phase from 0 to below 1"),
+        (lambda: of.Task("x", "never", equals=0.0), "'always' or 'mean'"),
+        (lambda: of.Task("x"), "needs equals, or lowest"),
+        (lambda: of.Task("x", lowest=2.0, highest=1.0), "give lowest <= highest"),
+        (lambda: of.Task("x", equals=1.0), "cannot equal a number always"),
+        (lambda: of.find_orbit(replace(pick(4.0, 10), control=of.Control("forse**2"))), "unknown name 'forse'"),
+        (lambda: of.find_orbit(pick(4.0, 7)), "is no boundary of the control's intervals"),
+        (lambda: expression("__import__('os')", {}, "cost"), "is not allowed"),
+        (lambda: expression("x.real", {"x": 1.0}, "cost"), "is not allowed"),
+        (lambda: expression("x +", {"x": 1.0}, "cost"), "is no expression"),
+        (lambda: expression("(lambda: 1)()", {}, "cost"), "is not allowed"),
+        (lambda: of.Problem(of.chain(1, motors=[1]), of.Guess([1.0, 0.0], 2.0), control=of.Control("torque1**2"),
+                            objective="min_instability"), "objective: is for motions without control"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_asked_of_a_control_is_said(make, words: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=re.escape(words)):
+        make()
+
+
+def test_a_task_that_nothing_can_do_says_so() -> None:
+    problem = replace(pick(4.0, 10), model=with_controls(of.systems.driven_oscillator(4.0), ["force"], {"force": 0.5}))
+    with pytest.raises(ConvergenceError, match="no motion does what is asked"):
+        of.find_orbit(problem)
+
+
+def test_a_family_of_optima_ends_at_the_conservative_orbit_that_costs_nothing() -> None:
+    """Pick and place as the spring stiffens to where it does it alone, k = (2 pi / T)^2; then without one, slower."""
+    resonant = np.pi**2
+    family = of.follow_optima(pick(4.0, 20), "stiffness", [4.0, 7.0, resonant])
+    costs = [float(one.control["cost"]) for one in family]  # type: ignore[index]
+    assert len(family) == 3 and costs[0] > costs[1] > 1.0 and costs[2] < 1e-18
+    assert all(one.certificate is not None and one.certificate.passed for one in family), family[2].certificate
+    spring = of.find_orbit(of.Problem(of.systems.duffing(float(resonant), 0.0), of.Guess([-1.0, 0.0], 2.0),
+                                      of.pin(x=-1.0)))  # fmt: skip
+    np.testing.assert_allclose(family[2].state, spring.state, atol=1e-10)
+    assert spring.period == pytest.approx(family[2].period, rel=1e-10)
+    slower = of.follow_optima(pick(0.0, 10), "period", [2.0, 2.5])
+    assert [one.control["cost"] for one in slower] == pytest.approx([768 / 8, 768 / 2.5**3], rel=1e-10)  # type: ignore[index]
+    with pytest.raises(InputError, match="is no pin and no physical parameter"):
+        of.follow_optima(pick(4.0, 10), "stifness", [4.0])

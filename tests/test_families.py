@@ -21,7 +21,7 @@ from orbitfinder.families.folder import follow_family
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.run import Run, first_point
-from orbitfinder.families.stability import matching
+from orbitfinder.families.stability import Spectrum, matching
 from orbitfinder.families.start import begin, curve_of
 from orbitfinder.guesses.modes import equilibria, mode_problem, normal_modes, oscillating
 from orbitfinder.integrate.cvodes import build_flow
@@ -30,6 +30,7 @@ from orbitfinder.loops.continued import at_place
 from orbitfinder.loops.problem import Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.evidence import ClosureCheck
+from orbitfinder.orbits.floquet import judged
 from orbitfinder.orbits.measure import multipliers
 from orbitfinder.records.family import load_family, read_journal
 
@@ -362,8 +363,8 @@ def test_no_bifurcations_out_of_round_off(monkeypatch):
     """Where the largest multiplier blurs the stability indices none of their passages is looked for."""
 
     def sample(index, largest):
-        floquet = SimpleNamespace(multipliers=np.array([largest, 1 / largest]))
-        about = SimpleNamespace(floquet=floquet, conservative=True)
+        values = np.array([largest, 1 / largest])
+        about = Spectrum(judged(values), 1, values, values, (), np.diag(values), values, np.eye(2))
         return SimpleNamespace(indices=np.array([index + 0j]), about=about)
 
     def looked(interval):

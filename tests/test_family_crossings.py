@@ -35,7 +35,7 @@ class Planted(Interval):
 def read(family, s, root):
     """What is read at one map."""
     matrix = family(s)
-    about = SimpleNamespace(root=root, reduced=matrix, floquet=analyse(matrix, False), conservative=False)
+    about = SimpleNamespace(root=root, reduced=matrix, floquet=analyse(matrix, False), conservative=False, blur=0.0)
     return Sample(s, None, None, about, NONE, NONE, {})
 
 

@@ -95,6 +95,7 @@ def values():
         model, problem, problem.guess, problem.pin[0], orbit, orbit.certificate, orbit.certificate.checks[0], family,
         family.points[0], family.events[0], family.ends[0], of.FamilySettings(), linkage.constraint,
         linkage.constraint.baumgarte, of.systems.planar_oscillator().invariants[0], of.Symbols(q, v), atlas,
+        of.Control("torque1**2"), of.Task("theta1", 0.5, equals=1.0),
         of.Constraint(lambda v: v.period), of.Filter(), refiner, refiner.refine(), of.SolveSettings(),
         of.flows.build_flow(model), of.flows.IntegratorSettings(), of.linkages.DaeSettings(),
         of.simulate(model, [0.1] * 6, 0.1), of.stabilise(orbit, ["torque1"]),

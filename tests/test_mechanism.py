@@ -13,9 +13,10 @@ from scipy.special import ellipk
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
-from orbitfinder.families.minimal import minimal_problem, native_state
+from orbitfinder.families.minimal import dead_point, minimal_problem, native_state
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
+from orbitfinder.mechanics.model import wrapped
 from orbitfinder.problemfile.read import load_problem
 
 GALLERY = Path(__file__).parents[1] / "problems" / "mechanisms"
@@ -50,29 +51,37 @@ def four_bar(**more):
 def quadrature(parts, begin, potential=lambda u: 0.0, reach=(0.05, 3.0), count=240):
     """Period of one coordinate u released at rest at `begin`: the integral of sqrt(2 M / (E - V)) by sin phi.
 
-    `parts(u)` are (mass, inertia, x, y, angle) of the bodies, differentiated by a complex step.
+    `parts(u)` are (mass, inertia, x, y, angle) of the bodies, differentiated by a complex step; in long doubles,
+    because E - V is a small difference of large numbers near its ends.
     """
+    step = np.clongdouble(1e-30j)
 
     def inertia(u):
-        moved = [tuple(np.imag(one) / 1e-30 for one in part[2:]) for part in parts(u + 1e-30j)]
-        return sum(p[0] * (x**2 + y**2) + p[1] * a**2 for p, (x, y, a) in zip(parts(u), moved, strict=True))
+        moved = parts(u + step)
+        return sum(p[0] * ((p[2].imag * 1e30) ** 2 + (p[3].imag * 1e30) ** 2) + p[1] * (p[4].imag * 1e30) ** 2
+                   for p in moved if np.iscomplexobj(p[2]))  # fmt: skip
 
     def energy(u):
-        return sum(-p[0] * G * p[2] for p in parts(u)).real + potential(u)
+        return sum(-p[0] * G * p[2].real for p in parts(u + 0 * step)) + potential(u + 0 * step)
 
+    begin = np.longdouble(begin)
     level = energy(begin)
     ways = np.sign(energy(begin - 1e-6) - energy(begin + 1e-6))  # downhill
     steps = begin + ways * np.linspace(reach[0], reach[1], 400)
     beyond = next(k for k, u in enumerate(steps) if energy(u) > level)
-    end = brentq(lambda u: energy(u) - level, steps[beyond - 1], steps[beyond], xtol=1e-16, rtol=1e-15)
+    low, high = steps[beyond - 1], steps[beyond]
+    for _ in range(70):
+        end = (low + high) / 2
+        low, high = (end, high) if energy(end) < level else (low, end)
     middle, half = (begin + end) / 2, (end - begin) / 2
-    phi = (np.arange(count) + 0.5) * np.pi / count - np.pi / 2
+    pi = np.longdouble("3.14159265358979323846")
+    phi = (np.arange(count) + np.longdouble(0.5)) * pi / count - pi / 2
     places = middle + half * np.sin(phi)
     values = [
         abs(half) * np.cos(f) * np.sqrt(inertia(u) / (2 * (level - energy(u))))
         for f, u in zip(phi, places, strict=True)
     ]
-    return 2 * float(np.sum(values)) * np.pi / count
+    return float(2 * np.sum(values) * pi / count)
 
 
 def four_bar_parts(crank):
@@ -164,8 +173,8 @@ def agree(native, small):
     assert np.abs(np.sort_complex(small.floquet_multipliers) - np.sort_complex(native.floquet_multipliers)).max(
         initial=0.0
     ) < 1e-7  # fmt: skip
-    full = native_state(small.system, small.state)
-    assert np.abs(full - native.state).max() < 1e-9 * max(1.0, np.abs(native.state).max())
+    away = wrapped(native_state(small.system, small.state) - native.state, build_model(native.system).angles)
+    assert np.abs(away).max() < 1e-9 * max(1.0, np.abs(native.state).max())
 
 
 def test_driven_and_damped_mechanism_agrees_with_its_minimal_form():
@@ -316,6 +325,99 @@ def test_joints_may_be_told_from_either_body():
     assert float(back.potential(angles, back.parameter_values)) == pytest.approx(-9.8 * height, rel=1e-13)
 
 
+BRICK = {"mass": 2.0, "inertia": [0.3, 0.4, 0.5, 0.02, -0.03, 0.01], "com": [0.2, 0.1, -0.15]}
+CLOSED = [
+    ({"kind": "revolute", "axis": [0, 0, 1]}, [5], 3),
+    ({"kind": "prismatic", "axis": [1, 0, 0]}, [0], 3),
+    ({"kind": "cylindrical", "axis": [0, 1, 0]}, [1, 4], 3),
+    ({"kind": "universal"}, [3, 4], 3),
+    ({"kind": "spherical"}, [3, 4, 5], 3),
+    ({"kind": "revolute"}, [2], 2),
+    ({"kind": "prismatic", "axis": [1, 0]}, [0], 2),
+    ({"kind": "slot", "axis": [0, 1]}, [1, 2], 2),
+]
+
+
+@pytest.mark.parametrize(
+    ("joint", "free", "dimension"), CLOSED, ids=lambda one: one.get("kind") if isinstance(one, dict) else ""
+)
+def test_a_joint_that_closes_a_loop_is_the_joint(joint, free, dimension):
+    """A body on a joint, and the same body free in space and held by the joint: the same accelerations and freedoms."""
+    brick = BRICK if dimension == 3 else {"mass": 2.0, "inertia": 0.5, "com": [0.2, 0.1]}
+    fall = [9.0, 2.0, -3.0][:dimension]
+    alone = of.mechanism({"b": brick}, {"j": {**joint, "between": ["ground", "b"]}}, dimension=dimension, gravity=fall)
+    float_ = {"kind": "free", "between": ["ground", "b"]}
+    held = of.mechanism(
+        {"b": brick}, {"f": float_, "j": {**joint, "between": ["ground", "b"]}}, dimension=dimension, gravity=fall
+    )
+    n, count = held.degrees_of_freedom, len(free)
+    assert n - len(held.constraint.force_names) == count == alone.degrees_of_freedom
+    place, rate = np.zeros(count), np.array([1.1, -0.7, 0.4])[:count]
+    whole = np.zeros(n)
+    whole[free] = rate
+    wanted = np.zeros(n)
+    wanted[free] = alone.acceleration(0, place, rate, alone.parameter_values).full().ravel()
+    assert np.abs(held.constraint.rate(np.zeros(n), whole, held.parameter_values).full()).max() < 1e-14
+    found = held.acceleration(0, np.zeros(n), whole, held.parameter_values).full().ravel()
+    assert found == pytest.approx(wanted, abs=1e-12 * np.abs(wanted).max())
+
+
+def test_a_four_bar_in_space_is_the_one_in_the_plane():
+    """Five equations of a pin in space, of which three repeat that all turns in one plane."""
+    flat, bodies, joints = four_bar(), {}, {}
+    for name, one in flat.system["bodies"].items():
+        bodies[name] = {**one, "inertia": [0.01, 0.01, one["inertia"]], "com": [*one["com"], 0.0]}
+    for name, one in flat.system["joints"].items():
+        joints[name] = {**one, "at": [[*at, 0.0] for at in one["at"]], "axis": [0.0, 0.0, 1.0]}
+    given = {"dimension": 3, "gravity": [G, 0, 0], "pose": {"A": 0.5}}
+    with pytest.raises(InputError, match="over-constrained.*joint 'C' between 'coupler' and 'rocker'"):
+        of.mechanism(bodies, joints, **given)
+    model = of.mechanism(bodies, joints, redundant="drop", **given)
+    state = of.linkages.mechanism_state(model, {"A": 0.8}, {"Adot": 2.0})
+    assert state == pytest.approx(of.linkages.mechanism_state(flat, {"A": 0.8}, {"Adot": 2.0}), abs=1e-13)
+    found, wanted = (one.acceleration(0, state[:3], state[3:], one.parameter_values).full() for one in (model, flat))
+    assert np.abs(found - wanted).max() < 1e-10 * np.abs(wanted).max()
+
+
+def test_a_rod_in_space_between_cranks_about_different_axes():
+    """RSSR: the native DAE and the minimal form are one motion."""
+    crank = {"mass": 0.1, "inertia": [1e-5, 1e-4, 1e-4], "com": [0.05, 0.0, 0.0]}
+    model = of.mechanism(
+        {"crank": crank, "rocker": {**crank, "mass": 0.3}},
+        {"a": {"kind": "revolute", "between": ["ground", "crank"], "axis": [0, 0, 1]},
+         "b": {"kind": "revolute", "between": ["ground", "rocker"], "at": [[0, 0.2, 0.1], [0] * 3], "axis": [0, 1, 1]},
+         "rod": {"kind": "rod", "between": ["crank", "rocker"], "at": [[0.1, 0, 0], [0.15, 0, 0]], "length": 0.23}},
+        dimension=3, gravity=[G, 0, 0], pose={"a": 0.1, "b": 0.1},
+    )  # fmt: skip
+    native = released(model, {"a": 0.3})
+    assert native.certificate.passed, native.certificate.failures
+    small = of.linkages.minimal_mechanism(model, ["a"], native.state[:2])
+    begin = of.Guess(native.state[[0, 2]], native.period)
+    same = of.find_orbit(of.Problem(small, begin, of.pin(energy=native.energy)))
+    assert same.period == pytest.approx(native.period, rel=1e-11)
+
+
+@pytest.mark.slow
+def test_a_turning_crank_winds_in_both_forms():
+    model = four_bar()
+    state = of.linkages.mechanism_state(model, {"A": 0.0}, {"Adot": 40.0})
+    problem = of.Problem(
+        model, of.Guess(state, of.linkages.first_return(model, state)), of.pin(energy=of.energy(model, state))
+    )
+    native, small = both_forms(problem)
+    assert native.winding == (1, 0, -1) and small.winding == (1,)
+    agree(native, small)
+
+
+def test_the_dead_point_of_a_family_is_named():
+    model = load_problem(GALLERY / "slider-crank-spring.toml").model
+    small = of.linkages.minimal_mechanism(model, ["S"], of.linkages.mechanism_state(model, {"A": 0.8})[:3])
+    far = np.sqrt(0.21**2 - 0.01**2)
+    assert dead_point(small.system, np.array([[0.19, 0.0], [0.195, 0.0]])) == ""
+    said = dead_point(small.system, np.array([[0.19, 0.0], [far - 1e-9, 0.0]]))
+    assert said == "joint 'C' between 'rod' and 'piston' no longer says how A, B follow from S (a dead point)"
+
+
 def test_a_prescribed_joint_moves_as_told():
     """The motion that a force would have to make, found on the whole chain; certificate and search take the forces."""
     whole = chain(3)
@@ -371,6 +473,24 @@ def test_springs_dampers_and_motors_push_as_they_should():
     found = float(model.acceleration(0, [angle], [rate], model.parameter_values))
     assert found == pytest.approx(moment / (0.1 + 2 * 0.25), rel=1e-13)
     assert not model.conservative
+
+
+def test_points_of_bodies_are_contacts_of_impacts():
+    """The end of a double pendulum against a wall: the impact of the mechanism is that of the chain."""
+    flat, known = chain(2, 2), of.chain(2, mass=[1.0, 1.1], inertia=0.08)
+    tip = of.linkages.body_point(flat, "b1", [1.0, 0.0])
+    mine = of.impact(flat, lambda x, p: [0.7 - tip(x, p)[1]], 0.5)
+    theirs = of.impact(known, lambda x, p: [0.7 - ca.sin(x.theta1) - ca.sin(x.theta2)], 0.5)
+    turns, rates = np.array([0.3, 0.4]), np.array([1.0, -0.4])
+    place, rate = np.cumsum(turns), np.cumsum(rates)
+    after = mine.after([*turns, *rates], flat.parameter_values)
+    wanted = theirs.after([*place, *rate], known.parameter_values)
+    after, wanted = (np.array(ca.DM(one)).ravel() for one in (after, wanted))
+    assert np.cumsum(after[2:]) == pytest.approx(wanted[2:], rel=1e-12)
+    with pytest.raises(InputError, match="body: unknown 'b2', did you mean"):
+        of.linkages.body_point(flat, "b2", [0.0, 0.0])
+    with pytest.raises(InputError, match="without loops"):
+        of.linkages.body_point(four_bar(), "crank", [0.0, 0.0])
 
 
 def test_redundant_rows_are_named_and_may_be_dropped():

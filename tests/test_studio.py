@@ -405,7 +405,9 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
     tab.click("save")
     tab.said("files? saved")
     assert tab.driver.get_log("browser") == []
-    hosts = {one.split("/")[2] for one in tab.ask("return performance.getEntries().map(one => one.name)") if "//" in one}
+    hosts = {
+        one.split("/")[2] for one in tab.ask("return performance.getEntries().map(one => one.name)") if "//" in one
+    }
     assert hosts <= {server.address.split("/")[2]}  # nothing from elsewhere: it works offline
 
     server.end(signal.SIGKILL)  # nothing saved is lost

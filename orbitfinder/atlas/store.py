@@ -22,7 +22,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records import store
-from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document
+from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document, refuse_controlled
 from orbitfinder.records.reading import LARGEST_INTEGER, inflated, is_number, json_document, read_as, walked
 from orbitfinder.records.store import kind_of, member
 
@@ -277,6 +277,7 @@ class Atlas:
 
     def add(self, orbit: Orbit) -> tuple[int, bool]:
         """The id of an orbit, and True when it was new to this atlas."""
+        refuse_controlled(orbit, "atlas")
         signature = signature_of(orbit, self.model)
         with explained(self.path), transaction(self.connection):
             known = self.look_up(signature)

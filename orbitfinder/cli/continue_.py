@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,12 +24,13 @@ from orbitfinder.cli.options import (
     trust_option,
 )
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.family import Batch, Family, load_family
+from orbitfinder.records.family import Batch, Family, load_family, number_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.store import member
 
 if TYPE_CHECKING:
     from orbitfinder.families.branches import Branch
+    from orbitfinder.families.curves import Locus
     from orbitfinder.loops.problem import Problem
     from orbitfinder.mechanics.model import Model
 
@@ -49,6 +50,10 @@ if TYPE_CHECKING:
     help="Both ways, the parameter growing or falling, or away from a branch's birth.  [default: both, or away]",
 )  # fmt: skip
 @click.option("--switch", "event", type=click.IntRange(0), metavar="EVENT", help="Switch at the event with this index.")
+@click.option(
+    "--curve", type=click.IntRange(0), metavar="EVENT", help="Follow the event with this index in two parameters."
+)
+@click.option("--parameters", default=None, metavar="A,B", help="The two parameters of --curve.")
 @click.option("--branch", type=click.IntRange(1), default=1, show_default=True, help="Which of the branches there.")
 @click.option(
     "--resolve", type=click.FloatRange(1e-6, 0.15), default=None, metavar="ARCLENGTH",
@@ -61,7 +66,8 @@ if TYPE_CHECKING:
 @trust_option("Execute Python problem files and modules; only what you have read.")
 @json_option
 def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path, **chosen: Any) -> None:
-    """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or a branch of a FAMILY.json.
+    """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or from an event of a FAMILY.json
+    a branch (--switch), or the event itself in two parameters (--curve).
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
     Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
@@ -72,7 +78,9 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
       orbitfinder continue problems/families/triple-mode-2.toml --until -3
       orbitfinder continue orbits/triple-1/orbit.json --at -38,-37,-36 --out families
       orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
+      orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
+    from orbitfinder.families.curves import Locus
     from orbitfinder.families.folder import follow_family, parameter_of
     from orbitfinder.families.point import FamilySettings
     from orbitfinder.problemfile.read import checked_name
@@ -82,8 +90,11 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
     directions = chosen["direction"] or ("both" if chosen["event"] is None else "away")
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     settings = FamilySettings(directions=directions, points=points, **narrowest)
-    origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
-    parameter = parameter or parameter_of(origin)
+    if chosen["curve"] is None and chosen["parameters"] is None:
+        origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
+    else:
+        origin, model = curve_of(file, parameter, chosen), None
+    parameter = parameter or (origin.parameters[0] if isinstance(origin, Locus) else parameter_of(origin))
     name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
     check_writable(out / name)
     with display() as shown:
@@ -105,10 +116,12 @@ def summary(family: Family) -> dict[str, Any]:
     """What `--json` says of a family; its points are in family.json."""
     events = [
         {"kind": one.kind, "detail": one.detail, family.parameter: one.parameter, "period": one.period,
-         "certified": one.certified} for one in family.events
+         "certified": one.certified} | {name: number_of(one, name) for name in family.parameters[1:]}
+        for one in family.events
     ]  # fmt: skip
     return {
-        "name": family.name, "parameter": family.parameter, "points": len(family.points),
+        "name": family.name, "parameter": family.parameter, "parameters": list(family.parameters),
+        "points": len(family.points),
         "certified": sum(one.certified for one in family.points), "events": events,
         "ends": [{"kind": end.kind, "reason": end.reason} for end in family.ends],
     }  # fmt: skip
@@ -141,6 +154,24 @@ def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 
         raise InputError(f"--switch: {file} is not a family.json; give the family.json that the event is in")
     ((_, orbit, model),) = named_orbits([file], trust, pictured=False)
     return orbit, model
+
+
+def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Locus:
+    """The start of a curve of bifurcations from a family.json. `InputError` for options that do not go together."""
+    from orbitfinder.families.curves import curve_start
+    from orbitfinder.mechanics.catalogue import build_model
+
+    if not whole_family(file):
+        raise InputError(f"--curve: {file} is not a family.json; give the family.json that the event is in")
+    if chosen["curve"] is None or chosen["parameters"] is None:
+        missing, given = ("--curve", "--parameters") if chosen["curve"] is None else ("--parameters", "--curve")
+        raise InputError(f"{missing}: missing beside {given}; give --curve EVENT --parameters A,B")
+    if parameter is not None or chosen["event"] is not None:
+        raise InputError("--curve: goes without --parameter and --switch; name the two parameters in --parameters A,B")
+    names = tuple(part.strip() for part in chosen["parameters"].split(",") if part.strip())
+    family = load_family(file)
+    model = build_model(family.system, file.parent if chosen["trust"] else None)
+    return curve_start(family, chosen["curve"], names, model=model)
 
 
 def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:

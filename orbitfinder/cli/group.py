@@ -29,6 +29,7 @@ from orbitfinder.cli.options import (
 )
 from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
+from orbitfinder.cli.section import connect, manifold, section
 from orbitfinder.cli.stabilise import stabilise
 from orbitfinder.cli.studio import studio
 from orbitfinder.cli.sweep import sweep
@@ -38,7 +39,8 @@ from orbitfinder.errors import InputError, OrbitfinderError
 
 DAY = 86_400.0
 LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0, "sweep": 3600.0, "refine": 3600.0,
-          "stabilise": 3600.0, "torus": 3600.0, "prove": DAY, "continue": DAY}  # fmt: skip
+          "stabilise": 3600.0, "torus": 3600.0, "section": 3600.0, "manifold": 3600.0, "connect": 3600.0, "prove": DAY,
+          "continue": DAY}  # fmt: skip
 """s after which a command stops unless --limit says otherwise: the slowest search that we ship, 100 links, takes 46,
 the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
 
@@ -119,7 +121,7 @@ def cli() -> None:
 
 
 for command in (
-    run, verify, simulate, init, guess, sweep, continue_, torus, stabilise, search, atlas, prove, refine, export, plot,
-    animate, page, studio, reproduce, doctor, completion,
+    run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise, search, atlas,
+    prove, refine, export, plot, animate, page, studio, reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

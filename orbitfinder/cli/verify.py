@@ -22,11 +22,12 @@ from orbitfinder.cli.options import (
     trust_option,
 )  # fmt: skip
 from orbitfinder.cli.torus import tori_of
-from orbitfinder.errors import plural
+from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Certificate, certificate_to_document
 from orbitfinder.records.store import member
 
 if TYPE_CHECKING:
+    from orbitfinder.proof.branch import Branch
     from orbitfinder.proof.theorem import Proof, Refined
     from orbitfinder.records.torus import Tori
 
@@ -49,9 +50,14 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
       orbitfinder verify orbits/triple-1/orbit.json
       orbitfinder verify orbits/*/orbit.json --json
       orbitfinder verify families/triple-mode-2/family.json#17
+      orbitfinder verify --proof families/triple-mode-2/branch-proof.json
     """
     results = []
     for file in files:
+        if proof and file.name == BRANCH:
+            results.append({"file": str(file)} | verify_branch(file, trust))
+            text(f"{file}: {results[-1]['message']}")
+            continue
         if (found := tori_of(file)) is not None:
             results += verified_tori(file, found, trust)
             continue
@@ -115,9 +121,13 @@ def symmetry_option(what: str) -> Decorator:
 @click.option("--bits", type=int, default=None, help="Precision of the ball arithmetic.  [default: 106]")
 @click.option("--tolerance", type=FINITE, default=None, help="Remainder allowed in one step.  [default: 1e-18]")
 @click.option("--record/--no-record", default=True, show_default=True, help="Write the proof into the ORBIT.json.")
+@click.option("--from", "low", type=FINITE, default=None, help="Of a FAMILY.json: prove it from this energy (J) ...")
+@click.option("--to", "high", type=FINITE, default=None, help="... to this one, and its events in between.")
 @trust_option(SYSTEM_TRUST)
 @json_option
-def prove(files: tuple[Path, ...], record: bool, trust: bool, **given: Any) -> None:
+def prove(
+    files: tuple[Path, ...], record: bool, low: float | None, high: float | None, trust: bool, **given: Any
+) -> None:
     """Prove that each ORBIT.json is a periodic orbit, by a theorem in ball arithmetic.
 
     Needs the extra `proof` (python-flint). A proof encloses the orbit, its minimal period and its
@@ -128,7 +138,11 @@ def prove(files: tuple[Path, ...], record: bool, trust: bool, **given: Any) -> N
     Examples:
       orbitfinder prove orbits/triple-1/orbit.json
       orbitfinder prove orbits/*/orbit.json --no-record --json
+      orbitfinder prove families/triple-mode-2/family.json --from -37.516219 --to -37.516209
     """
+    if low is not None or high is not None:
+        _prove_branch(files, low, high, record, trust, given)
+        return
     from orbitfinder.atlas.store import load_orbit
     from orbitfinder.proof.record import checked, entry, write_entry
     from orbitfinder.proof.theorem import Options, provable_model
@@ -150,6 +164,70 @@ def prove(files: tuple[Path, ...], record: bool, trust: bool, **given: Any) -> N
         _print_proof(f"{file} ({orbit.name})", proof)
     passed = all(result["proved"] for result in results)
     finish("proof", {"passed": passed, "results": results}, passed)
+
+
+BRANCH = "branch-proof.json"
+"""The record of a proved part of a family, beside its family.json"""
+
+
+def _prove_branch(
+    files: tuple[Path, ...], low: float | None, high: float | None, record: bool, trust: bool, given: dict[str, Any]
+) -> None:
+    """`prove FAMILY.json --from A --to B`."""
+    from orbitfinder.proof.branch import branch_document, prove_branch
+    from orbitfinder.proof.theorem import provable_model
+    from orbitfinder.records.family import load_family
+    from orbitfinder.records.reading import write_json
+
+    if low is None or high is None or len(files) != 1:
+        raise InputError("--from, --to: give both, and one FAMILY.json")
+    unused = [name for name in ("segments", "order", "bits", "tolerance") if given.get(name) is not None]
+    if unused:
+        raise InputError(f"--{unused[0]}: is for single orbits; a branch chooses its own, leave it out")
+    file = files[0]
+    family = load_family(file)
+    if record:
+        check_writable(file.parent, "--record")
+    model = provable_model(family.points[0], file.parent if trust else None)
+    say = lambda line: note(f"{family.name}: {line}")  # noqa: E731
+    found = prove_branch(family, low, high, model, say, given.get("symmetry"))
+    interrupt.check()
+    if found.proved and record:
+        write_json(file.parent / BRANCH, branch_document(found))
+    _print_branch(f"{file} ({family.name})", found)
+    missed = [one for one in found.passages if not one.proved]
+    finish("proof", {"passed": found.proved and not missed} | branch_document(found), found.proved and not missed)
+
+
+def _print_branch(heading: str, found: Branch) -> None:
+    if not found.proved:
+        text(f"{heading}: not proved: {found.reason}")
+        return
+    text(f"{heading}: proved in {found.wall_time:.1f} s")
+    one = f"{found.formulation.symmetry.name} orbit" if found.formulation.symmetry.maps else "orbit"
+    text(f"  {'branch':<12}exactly one {one} for each energy from {found.low!r} to {found.high!r} J in the boxes of "
+         f"{plural(len(found.pieces), 'piece')}, without a gap")  # fmt: skip
+    for event in found.passages:
+        verdict = "proved" if event.proved else "NOT PROVED, no change of sign"
+        more = f"; {event.kept} orbits branch off" if event.kept else ""
+        said = f"{event.kind.replace('_', ' ')}, nu + 1/nu = {event.level:.6g}"
+        text(f"  {'event':<12}{said}: {event.test} from {event.low} to {event.high}: {verdict}{more}")
+
+
+def verify_branch(file: Path, trust: bool = False) -> dict[str, Any]:
+    """Replay a recorded proof of a branch: `passed`, and `message`, one sentence."""
+    from orbitfinder.proof.branch import branch_model, read_branch, replayed
+
+    recorded = read_branch(file)
+    found = replayed(recorded, branch_model(recorded, file.parent if trust else None), note)
+    if not found.proved:
+        return {"passed": False, "message": f"proof REJECTED: {found.reason}"}
+    claimed = [one.kind for one in recorded.passages if one.proved]
+    borne = [one.kind for one in found.passages if one.proved]
+    if claimed != borne:
+        return {"passed": False, "message": f"proof REJECTED: events recorded {claimed}, found {borne}"}
+    what = f"{plural(len(found.pieces), 'piece')}, {plural(len(borne), 'event')}"
+    return {"passed": True, "message": f"proof replayed in {found.wall_time:.1f} s: proved, {what}"}
 
 
 def _print_proof(heading: str, proof: Proof) -> None:

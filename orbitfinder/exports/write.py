@@ -12,7 +12,7 @@ from orbitfinder.exports.auto import auto_files
 from orbitfinder.exports.source import JULIA, C, Source, c_number, c_numbers, samples_of, source_of, straight_line
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import write_atomically
 
 C_FILE = """{heading}
@@ -89,6 +89,8 @@ def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None 
     """
     if to not in FORMATS:
         raise InputError(f"to: unknown format {to!r}; use one of {', '.join(FORMATS)}")
+    if to != "csv":
+        refuse_controlled(orbit, "to")
     model = model or build_model(orbit.system)
     if model.hybrid is not None and to != "csv":
         raise InputError(f"to: {to} files know no events, and this system is hybrid; use csv")

@@ -46,11 +46,6 @@ BLURRED = 1e-6
 """Uncertainty of the stability indices beyond which none of their passages can be told from round-off."""
 
 
-def blur(sample: Sample) -> float:
-    """What round-off in the largest multiplier leaves uncertain in every stability index."""
-    return float(np.finfo(float).eps * np.abs(sample.about.floquet.multipliers).max(initial=1.0))
-
-
 def _slope(name: str) -> Measure:
     return lambda sample: sample.slopes[name]
 
@@ -72,7 +67,7 @@ def bifurcations(interval: Interval, most: int) -> list[tuple[Sample, Test]]:
     """
     if interval.first.indices.shape != interval.last.indices.shape:
         return []
-    if max(blur(interval.first), blur(interval.last)) > BLURRED:
+    if max(interval.first.about.blur, interval.last.about.blur) > BLURRED:
         return []
     if not interval.first.about.conservative:
         return crossings(interval)

@@ -14,6 +14,7 @@ from orbitfinder._runtime import limit, locks
 from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
+from orbitfinder.families.critical import Critical
 from orbitfinder.families.follow import follow
 from orbitfinder.families.members import batch_certified, certified
 from orbitfinder.families.point import FamilySettings
@@ -99,6 +100,8 @@ def follow_family(
         else:
             assert folder is not None
             curve = curve_of(journal.header["curve"], _model_of(origin, journal, model), settings)
+            if isinstance(origin, Branch):  # with what else vanishes along a curve of bifurcations
+                curve = replace(curve, test=origin.start.curve.test, degenerate=origin.start.curve.degenerate)
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
         return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
@@ -159,7 +162,7 @@ def _started(origin: Orbit | Problem | Start | Branch, settings: FamilySettings,
         return start
     start = origin.start if isinstance(origin, Branch) else origin
     free, _ = unknown_parameters(start.curve.equations.model, settings)
-    if free != start.curve.equations.physical:
+    if start.curve.test is None and free != start.curve.equations.physical:
         raise InputError(
             f"parameter: {settings.parameter!r} on a branch of a family in {parameter_of(start)}; leave it out, or "
             "continue one of the branch's orbits (FAMILY.json#K) in it"
@@ -216,10 +219,15 @@ def _header(
         "curve": {
             "symmetry": curve.equations.symmetry.name, "free": list(curve.equations.free),
             "constant": curve.constant, "winding": curve.turns, "weights": curve.weights,
-            **entry_of(curve),
+            **entry_of(curve), **tested(curve),
         },
     })  # fmt: skip
     return header
+
+
+def tested(curve: Curve) -> dict[str, Any]:
+    """What a curve of bifurcations keeps, for its file; nothing of a family in one parameter."""
+    return {"test": curve.test.entry} if isinstance(curve.test, Critical) else {}
 
 
 def directions(

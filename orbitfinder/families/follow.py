@@ -16,6 +16,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.changes import first_lost, test_of
+from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import end_at, end_of_failure, merged, returned, shortest_step
 from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.passages import avoided
@@ -93,7 +94,7 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
     if curve.equations.links and (cut := _cut(run, before, last)) is not None:
         return before, cut
-    if length > settings.narrowest * unit and avoided(sample, last):
+    if curve.test is None and length > settings.narrowest * unit and avoided(sample, last):
         raise ConvergenceError("two families may avoid each other within one step")
     missed = distance(curve, guess.head, raw.place.head)
     where: dict[str, Any] = {
@@ -161,11 +162,13 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
         turned = one.kind == "fold" and one.detail != "period"
-        joined = merged(interval, one.arclength) if turned else None
+        joined = merged(interval, one.arclength) if turned else left_circle(run.curve, one)
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
-            clear = _within(events, origin, reach - ECHO * interval.unit)
+            clear = _within(
+                [each for each in events if each is not event], origin, reach - turned * ECHO * interval.unit
+            )
             return Batch(run.direction, _ordered(_within(points, origin, reach)), (*clear, event), joined)
     ended = ended or returned(run.curve, before, after)
     return Batch(run.direction, (*_ordered(points), after.point), tuple(events), ended)
@@ -203,7 +206,7 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
     if not settings.events:
         return []
     try:
-        return find_events(interval, settings)
+        return find_events(interval, settings) if interval.curve.test is None else find_special(interval, settings)
     except (ConvergenceError, IntegrationError) as error:
         if interval.share > SHORTEST_SEARCH:
             raise

@@ -33,6 +33,8 @@ from orbitfinder.mechanics.model import vector_field as equations
 
 LEAST_SINE = 0.05
 """|sin| of the angle between the two dependent bars below which they count as being in line."""
+LEAST_SHARE = 5e-3
+"""Least over largest singular value of the closures' slopes below which a mechanism is at a dead point."""
 SAMPLES = 200
 ROUGH = ReferenceSettings(relative_tolerance=1e-8, absolute_tolerance=1e-8, max_evaluations=20_000)
 """For a look at where a motion goes; one that takes longer is at a dead point."""
@@ -85,7 +87,7 @@ def _minimal_mechanism(problem: Problem) -> Problem:
     freedom = n - slopes.shape[1]
     margins = {chosen: _margin(slopes, chosen) for chosen in combinations(range(n), freedom)}
     chosen = max(margins, key=lambda one: margins[one])
-    if margins[chosen] < LEAST_SINE:
+    if margins[chosen] < LEAST_SHARE:
         raise InputError(
             "system: whichever coordinates are taken as independent, a loop comes to a dead point of them on the way, "
             "so that no choice of minimal coordinates covers this motion and its family cannot be followed"
@@ -184,7 +186,7 @@ def _mechanism_dead_point(native: Model, system: Mapping[str, Any], states: np.n
     rest = [k for k in range(slopes.shape[2]) if k not in picked]
     values = np.linalg.svd(slopes[:, :, rest], compute_uv=False)
     worst = int((values[:, -1] / values[:, 0]).argmin())
-    if values[worst, -1] > LEAST_SINE * values[worst, 0]:
+    if values[worst, -1] > LEAST_SHARE * values[worst, 0]:
         return ""
     row = int(np.abs(np.linalg.svd(slopes[worst][:, rest])[0][:, -1]).argmax())
     return (

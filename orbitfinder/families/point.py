@@ -108,6 +108,8 @@ def make_point(
         scale=grown,
         floquet_multipliers=about.floquet.multipliers,
         pair_defect=about.floquet.pair_defect,
+        multiplier_errors=about.errors,
+        multiplier_method=about.method,
         stability=about.floquet.stability,
         krein=about.krein,
         symmetry=p.symmetry.name,

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from math import gcd
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from orbitfinder.errors import ConvergenceError
+from orbitfinder.integrate.march import QUANTUM
 from orbitfinder.loops.continued import Curve, Solution
-from orbitfinder.orbits.floquet import AREA, Floquet, analyse, complement, generated, reciprocal_pairs, symplectic_unit
+from orbitfinder.loops.loop import Unknowns
+from orbitfinder.orbits.floquet import AREA, Floquet, analyse, complement, generated, judged, symplectic_unit
+from orbitfinder.orbits.product import Product, product
+from orbitfinder.records.family import METHODS
 
-UNRESOLVED = 1e7
-"""The reciprocal of a multiplier beyond this is taken from it, not from the eigenvalue solver."""
+SPREAD = 1e8
+"""Multipliers farther apart than this are found factor by factor: multiplied out, their matrix has lost eight digits of
+the smallest."""
+STRETCHED = 1e4
+"""Condition of a factor up to which steps are multiplied out"""
+ACCURACY = 1e-14
+"""Relative error of a state-transition matrix of a few steps at least."""
 
 STILL = 1e-12
 """A driven motion that extends no farther than this, in the family's metric, is at rest."""
@@ -29,6 +41,8 @@ class Spectrum:
     a reciprocal pair) are what bifurcations are read from. `krein` is +1 or -1 for each multiplier on
     the unit circle off the real axis, 0 for the others. `turns` says for each index which of its two
     root multipliers has Krein sign +1: +1 the upper, -1 the lower, 0 where it is not on the circle.
+    `values` and `vectors` (columns) are the root map's, `chain` is that map factor by factor where multiplied out
+    it has lost multipliers.
     """
 
     floquet: Floquet
@@ -37,54 +51,173 @@ class Spectrum:
     turns: np.ndarray
     krein: tuple[int, ...]
     reduced: np.ndarray
+    values: np.ndarray
+    vectors: np.ndarray
     conservative: bool = True
+    form: np.ndarray | None = None
+    chain: Chain | None = None
+
+    @property
+    def method(self) -> str:
+        """How the multipliers were found, one of `records.family.METHODS`."""
+        return METHODS[self.chain is not None]
+
+    @cached_property
+    def root_errors(self) -> np.ndarray:
+        """Estimated relative error of each of the `values`: what errors of the matrices make of it, to first order.
+
+        Their size is measured, by how far they are from symplectic; that of the orbit is not in it.
+        """
+        if self.chain is not None:
+            return self.chain.product.errors(np.full(len(self.chain.product.upper), max(self.chain.missed, ACCURACY)))
+        missed = 0.0 if self.form is None else asymplectic(self.reduced, self.form, self.form)
+        try:
+            left = np.abs(np.linalg.inv(self.vectors)).sum(axis=1)
+        except np.linalg.LinAlgError:  # as of several multipliers that resets have made 0
+            return np.ones(self.values.size)
+        with np.errstate(over="ignore"):
+            sizes = np.maximum(np.abs(self.values), 1e-300)
+            return np.asarray(max(missed, ACCURACY) * np.linalg.norm(self.reduced) * left / sizes)
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Estimated relative error of each multiplier; 1 where nothing is known of it, as of one that is 0."""
+        if not self.values.size:
+            return np.zeros(0)
+        order = np.abs(self.values**self.root - self.floquet.multipliers[:, None]).argmin(axis=1)
+        return np.asarray(np.minimum(self.root * self.root_errors[order], 1.0))
+
+    @cached_property
+    def blur(self) -> float:
+        """What is uncertain in every stability index: round-off in the largest multiplier, relative of a chain."""
+        if self.chain is not None:
+            return float(self.root_errors.max(initial=0.0))
+        return float(np.finfo(float).eps * np.abs(self.floquet.multipliers).max(initial=1.0))
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The root map of an orbit factor by factor, reduced; `missed` is how far its factors are from symplectic."""
+
+    product: Product
+    missed: float
 
 
 def spectrum(curve: Curve, found: Solution) -> Spectrum:
     """Reduced multipliers of a corrected orbit, composed from its segments and its symmetry."""
-    p, place, units = curve.equations, found.place, curve.units
-    root_map, root = _root_map(curve, found)
-    gradients, directions = _frame(curve, found)
-    basis = complement(gradients * units, directions / units)
-    root_map = root_map * units / units[:, None]
-    reduced = np.asarray(basis.T @ root_map @ basis)
+    p, place = curve.equations, found.place
+    reduced, basis, root = reduced_map(curve, found)
+    conservative = keeps_pairs(curve, reduced)
+    whole = np.linalg.matrix_power(reduced, root)
+    floquet, chain = analyse(whole, conservative), None
+    values, vectors = np.linalg.eig(reduced)
+    if not p.links and _lost(floquet):
+        chain = _chain(curve, found)
+        values, vectors = chain.product.values, np.zeros((0, 0))
+        floquet = judged(values**root, conservative)
+    indices = judged(values).indices if conservative else floquet.indices
+    krein: tuple[int, ...] = ()
+    turns, form = np.zeros(indices.size, int), None
+    if conservative:
+        form = _form(curve, place.nodes[0], place, basis)
+        upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
+        if chain is not None and any(map(_turning, [*floquet.multipliers, *upper])):
+            vectors = chain.product.vectors
+        both = (values**root, vectors) if root == 1 or chain is not None else np.linalg.eig(whole)
+        krein = _krein(form, *both, floquet.multipliers)
+        on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
+        turns = np.where(on_circle, _krein(form, values, vectors, upper), 0)
+    return Spectrum(floquet, root, indices, turns, krein, reduced, values, vectors, conservative, form, chain)
+
+
+def reduced_map(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray, int]:
+    """The root map without the trivial multipliers (r x r), the basis (d x r) that it is in, and the map's root."""
+    units, (root_map, root) = curve.units, _root_map(curve, found)
+    p, place = curve.equations, found.place
+    basis = _basis(curve, place.nodes[0], _flow(curve, found), p.quantities_at(place)[1])
+    reduced = np.asarray(basis.T @ (root_map * units / units[:, None]) @ basis)
     if not np.all(np.isfinite(reduced)):
         raise ConvergenceError("the multipliers overflow, as where a guard is grazed; take a smaller step")
-    area = abs(np.linalg.det(reduced)) if p.links and reduced.size else 1.0
-    conservative = p.symplectic and abs(area - 1.0) < AREA  # resets need not keep areas
-    whole = np.linalg.matrix_power(reduced, root)
-    floquet = _resolved(analyse(whole, conservative)) if conservative else analyse(whole, False)
-    indices = analyse(reduced).indices if conservative else floquet.indices
-    krein: tuple[int, ...] = ()
-    turns = np.zeros(indices.size, int)
-    if conservative:
-        lift = (p.momentum_slopes(place.nodes[0], place.free) * units) @ basis
-        form = np.asarray(lift.T @ symplectic_unit(p.size // 2) @ lift)
-        krein = _krein(form, whole, floquet.multipliers)
-        upper = np.exp(1j * np.arccos(np.clip(indices.real / 2, -1.0, 1.0)))
-        on_circle = (np.abs(indices.imag) < 1e-7) & (np.abs(indices.real) < 2.0)
-        turns = np.where(on_circle, _krein(form, reduced, upper), 0)
-    return Spectrum(floquet, root, indices, turns, krein, reduced, conservative)
+    return reduced, basis, root
 
 
-def _resolved(floquet: Floquet) -> Floquet:
-    """Multipliers too small for the matrix's round-off replaced by the reciprocals of their partners.
+def keeps_pairs(curve: Curve, reduced: np.ndarray) -> bool:
+    """Whether multipliers come in reciprocal pairs; resets need not keep areas."""
+    area = abs(np.linalg.det(reduced)) if curve.equations.links and reduced.size else 1.0
+    return bool(curve.equations.symplectic and abs(area - 1.0) < AREA)
 
-    A product of norm 1e12 knows its largest eigenvalue to round-off and one of 1e-12 not at all; the
-    pair defect is then that of the pairs which are resolved, and the verdict that of the largest.
+
+def _lost(floquet: Floquet) -> bool:
+    """Whether the round-off of the largest multiplier has swallowed digits of the smallest."""
+    sizes = np.abs(floquet.multipliers)
+    return bool(sizes.size and sizes.max() > SPREAD * sizes.min())
+
+
+def _chain(curve: Curve, found: Solution) -> Chain:
+    """The root map of an orbit in factors of a few steps each, every one on the level sets of the invariants modulo the
+    symmetry directions where it begins and ends.
     """
-    mu = floquet.multipliers.copy()  # the largest first
-    largest = float(np.abs(mu).max(initial=1.0))
-    if largest < UNRESOLVED:
-        return floquet
-    told = 1e-3 / (np.finfo(float).eps * largest)
-    large = min(int(np.sum(np.abs(mu) > np.clip(told, 1.0, UNRESOLVED))), mu.size // 2)
-    middle = slice(large, mu.size - large)
-    first, second = reciprocal_pairs(mu[middle])
-    defect = float(np.abs(mu[middle][first] * mu[middle][second] - 1.0).max(initial=0.0))
-    mu[mu.size - large :] = 1.0 / mu[:large][::-1]
-    indices = np.concatenate([mu[:large] + 1.0 / mu[:large], mu[middle][first] + mu[middle][second]])
-    return Floquet(mu, defect, indices, "unstable")
+    p, w, units = curve.equations, found.place, curve.units
+    each = gcd(w.steps, QUANTUM)
+    states = p.march.states(w.nodes, w.mesh, w.tail)[::each]
+    matrices = p.march.varied(states[:-1], w.mesh, w.tail).transitions * units / units[:, None]
+    matrices, places = _merged(matrices)
+    states, last, symmetry = states[places], len(matrices), p.symmetry
+    there = list(range(1, last + 1))
+    if symmetry.reverses:  # out, turned, back, turned
+        stops = [0, *there, *reversed(there), 0, 0]
+    else:  # a whole period ends where it began, a part is taken there by the symmetry
+        stops = [0, *there, 0] if symmetry.forward is not None else [0, *there[:-1], 0]
+    factors = symmetry.root(
+        list(matrices),
+        lambda other: other + list(np.linalg.inv(matrices[::-1])),
+        p.size,
+        made=lambda matrix: [matrix * units / units[:, None]],
+        times=lambda after, before: before + after,
+    )[0]
+    flows = p.march.rates(states, w.tail)
+    slopes = [p.march.at(p.quantities, x, w.free)[1] for x in states]
+    bases = [_basis(curve, *one) for one in zip(states, flows, slopes, strict=True)]
+    reduced = [bases[b].T @ one @ bases[a] for one, (a, b) in zip(factors, pairwise(stops), strict=True)]
+    missed = 0.0
+    if p.symplectic:
+        forms = [_form(curve, x, w, basis) for x, basis in zip(states, bases, strict=True)]
+        missed = max(
+            asymplectic(one, forms[a], forms[b])
+            for one, (a, b) in zip(reduced, pairwise(stops[: last + 1]), strict=False)
+        )
+    return Chain(product(reduced), missed)
+
+
+def _merged(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices (p x d x d) multiplied two by two for as long as none stretches much; and where the products begin and
+    end, in numbers of the first ones.
+    """
+    places = np.arange(len(matrices) + 1)
+    while len(matrices) > 1:
+        pairs = matrices[1::2] @ matrices[: len(matrices) // 2 * 2 : 2]
+        sizes = np.linalg.norm(pairs, axis=(1, 2)) * np.linalg.norm(np.linalg.inv(pairs), axis=(1, 2))
+        if sizes.max() > STRETCHED:
+            break
+        alone = len(matrices) % 2
+        matrices = np.concatenate([pairs, matrices[len(matrices) - alone :]])
+        places = np.append(places[:-1:2], places[-1])
+    return matrices, places
+
+
+def asymplectic(matrix: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
+    """Least relative error of a matrix A that should take a form W to W': |A^T W' A - W| / 2 |W' A| |A|."""
+    if not matrix.size:
+        return 0.0
+    moved = after @ matrix
+    return float(np.linalg.norm(matrix.T @ moved - before) / (2 * np.linalg.norm(moved) * np.linalg.norm(matrix)))
+
+
+def _form(curve: Curve, x: np.ndarray, w: Unknowns, basis: np.ndarray) -> np.ndarray:
+    """The symplectic form at a state (d) on a basis (columns, in the curve's units)."""
+    places, momenta = np.split((curve.equations.momentum_slopes(x, w.free) * curve.units) @ basis, 2)
+    half = places.T @ momenta
+    return np.asarray(half - half.T)
 
 
 def _root_map(curve: Curve, found: Solution) -> tuple[np.ndarray, int]:
@@ -122,33 +255,44 @@ def _inverse(curve: Curve, found: Solution, matrix: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.solve(before, -unit @ canonical.T @ unit @ after))
 
 
-def _frame(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients of the invariants and symmetry directions, the flow (unless forced) first, at x(0).
-
-    Raises `ConvergenceError`.
+def _basis(curve: Curve, x: np.ndarray, flow: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """The basis (columns), in the curve's units, of what is neither along the flow (d) at a state (d) nor along another
+    symmetry, nor changes an invariant, whose `slopes` (k x d) are given.
     """
-    p, place, x = curve.equations, found.place, found.place.nodes[0]
-    flow = p.march.rates(x[None], place.tail)[: not p.model.forced]
+    p = curve.equations
+    directions = np.vstack([*([] if p.model.forced else [flow]), generated(p.model, x)])
+    return complement(slopes[: p.energy] * curve.units, directions / curve.units)
+
+
+def _flow(curve: Curve, found: Solution) -> np.ndarray:
+    """The field (d) at x(0). Raises `ConvergenceError` unless the orbit moves."""
+    p, place = curve.equations, found.place
+    flow = p.march.rates(place.nodes[:1], place.tail)[0]
     moving = np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) > STILL
     if not np.any(moving if p.model.forced else flow):
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
-    return p.quantities_at(place)[1][: p.energy], np.vstack([flow, generated(p.model, x)])
+    return np.asarray(flow)
 
 
-def _krein(form: np.ndarray, whole: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:
-    """Sign of i u^* J u for each eigenvector u of a map, 0 off the unit circle.
+def _krein(form: np.ndarray, values: np.ndarray, vectors: np.ndarray, wanted: np.ndarray) -> tuple[int, ...]:
+    """Sign of i u^* J u for each eigenvector u of a map with these eigenvalues, 0 off the unit circle.
 
     Source: V. A. Yakubovich, V. M. Starzhinskii, Linear Differential Equations with Periodic
     Coefficients (1975), chapter III.
     """
-    values, vectors = np.linalg.eig(whole)
     signs = []
     for mu in wanted:
+        if not _turning(mu):
+            signs.append(0)
+            continue
         vector = vectors[:, np.argmin(np.abs(values - mu))]
-        value = float((1j * vector.conj() @ form @ vector).real)
-        on_circle = abs(abs(mu) - 1.0) < 1e-6 and abs(mu.imag) > 1e-6
-        signs.append(int(np.sign(value)) if on_circle else 0)
+        signs.append(int(np.sign((1j * vector.conj() @ form @ vector).real)))
     return tuple(signs)
+
+
+def _turning(mu: complex) -> bool:
+    """Whether a multiplier is on the unit circle, off the real axis."""
+    return bool(abs(abs(mu) - 1.0) < 1e-6 and abs(mu.imag) > 1e-6)
 
 
 def matching(expected: np.ndarray, found: np.ndarray) -> np.ndarray:

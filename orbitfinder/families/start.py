@@ -37,7 +37,7 @@ from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.find import find_orbit, natural_pin
 from orbitfinder.orbits.hybrid import first_unknowns
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.orbit import Orbit, refuse_controlled
 from orbitfinder.records.reading import read_as
 
 FIRST_STEPS = 160
@@ -97,6 +97,7 @@ def _found_first(problem: Problem, free: tuple[str, ...]) -> Start:
 
 def as_problem(origin: Problem | Orbit, model: Model | None = None) -> Problem:
     """The Problem whose solution an orbit is, in minimal coordinates."""
+    refuse_controlled(origin, "continue")
     if isinstance(origin, Problem):
         return minimal_problem(origin)
     model = knowing(model or build_model(origin.system), origin.symmetry)

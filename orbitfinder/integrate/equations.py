@@ -40,6 +40,11 @@ def invariant_gradients(model: Model) -> ca.Function:
     return _remembered(model, _gradients)
 
 
+def conserved(model: Model) -> ca.Function:
+    """x -> the values (k) of a Model's invariants and, one after another, their gradients, as one column (k + k d)."""
+    return _remembered(model, _conserved)
+
+
 def at_rest(model: Model) -> ca.Function:
     """(q, u) -> M u, K u and dV/dq of a Model at rest: column by column, Hessians of 2000 links take minutes."""
     return _remembered(model, _at_rest)
@@ -106,6 +111,13 @@ def _gradients(model: Model) -> ca.Function:
     x = ca.MX.sym("x", len(model.state_names))
     rows = [ca.gradient(one.value(x[:n], x[n:], p), x).T for one in model.invariants]
     return ca.Function("gradients", [x], [ca.densify(ca.vertcat(*rows)) if rows else ca.MX(0, x.numel())])
+
+
+def _conserved(model: Model) -> ca.Function:
+    n, p, gradients = model.degrees_of_freedom, ca.DM(model.parameter_values), invariant_gradients(model)
+    x = ca.MX.sym("x", len(model.state_names))
+    values = [one.value(x[:n], x[n:], p) for one in model.invariants]
+    return ca.Function("conserved", [x], [ca.densify(ca.vertcat(*values, ca.vec(gradients(x).T)))])
 
 
 def _at_rest(model: Model) -> ca.Function:

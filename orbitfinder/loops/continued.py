@@ -7,7 +7,7 @@ kernel, the tangent of the family (Muñoz-Almaraz et al., Physica D 181 (2003) 1
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +30,14 @@ FEWEST_STEPS = 16
 NEWTON_FLOOR = 1e-9
 """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
 MOST_NEWTON = 12
+TESTED = 1e3
+"""What a test function is measured in: it may be so much farther from 0 before the last step, whose row is exact."""
+SLOW = 0.1
+"""A step that leaves more than this share of the residual asks for the differences of a test function anew."""
+ACROSS = 1e-3
+"""A step of which less than this share, squared, leads off the surface of orbits tells how a test changes along it."""
+DIFFERENCE = 1e-4
+"""Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +45,14 @@ class Curve(Loop):
     """One family's loop, and its metric.
 
     `weights` measures a head (x(0), T, free): coordinates by `mechanics.scales.lengths` (angles in rad), rates by the
-    time scale of the starting orbit, period and parameters relative to their starting values.
+    time scale of the starting orbit, period and parameters relative to their starting values. A curve of bifurcations
+    has a `test` too, a function of an orbit that vanishes along it, and one parameter more is free; `degenerate` where
+    the equations without it lose a rank there, as at a branch point, which a symmetry must keep.
     """
 
     weights: np.ndarray = field(kw_only=True)
+    test: Callable[[Curve, Solution], float] | None = field(default=None, kw_only=True)
+    degenerate: bool = field(default=False, kw_only=True)
 
     @cached_property
     def shares(self) -> np.ndarray:
@@ -67,9 +79,12 @@ class Curve(Loop):
         return 1.0 if self.equations.model.angular.any() else float(self.weights[0])
 
 
+NO_ROWS = np.zeros((0, 0))
+
+
 @dataclass(frozen=True)
 class Solution:
-    """A corrected orbit with the integration it came from and the Jacobian of all rows but the aim."""
+    """A corrected orbit with the integration it came from and the Jacobian of all rows, a test's too, but the aim."""
 
     place: Unknowns
     march: Varied
@@ -100,8 +115,9 @@ def make_curve(
 
 
 def _row_units(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> np.ndarray:
-    """What each row is measured in, an aim's last, when every unknown is measured as the family's metric does."""
-    return curve.row_units(w, 1.0 / np.sqrt(curve.weights), slopes)
+    """What each row is measured in, a test's and then an aim's last, unknowns being measured as the metric does."""
+    units = curve.row_units(w, 1.0 / np.sqrt(curve.weights), slopes)
+    return units if curve.test is None else np.insert(units, len(units) - (slopes is not None), TESTED)
 
 
 def _all_rows(curve: Curve, w: Unknowns, ends: np.ndarray, aim: Condition, lost: np.ndarray) -> np.ndarray:
@@ -159,24 +175,30 @@ def correct(
     family, curve = curve, curve.through(reference or guess)
     slopes = curve.slopes(guess, (*curve.conditions, aim))
     w, previous, units, lost = guess, np.inf, _row_units(curve, guess, slopes), curve.lost(guess, (aim,), slopes)
-    if slope is not None:
+    border = None if curve.test is None else Border(curve, slope)
+    if slope is not None and border is None:
         w = _approached(curve, guess, aim, np.vstack([slope, guess.spread(slopes[-1])]), (units, lost))
     for iteration in range(MOST_NEWTON):
         path = curve.equations.varied(w, states=True)
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
+        if border is not None:
+            rows = np.insert(rows, -1, border.value(Solution(w, path, jacobian, 0.0)))
         largest = float(np.abs(rows / units).max())
-        ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > 0.1 * previous)
+        stays = 0.1 if border is None else 0.7  # by less it shrinks where the border is not yet known
+        ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > stays * previous)
         if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
         if not np.isfinite(jacobian).all():
             raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")
+        if border is not None:
+            slow = iteration > 0 and largest > SLOW * previous
+            jacobian = np.vstack([jacobian, border.row(w, jacobian, ready or slow)])
         whole = np.vstack([jacobian, w.spread(curve.slopes(w, (aim,))[0])])
-        try:
-            step = -Factors(whole).solve(rows)
-        except np.linalg.LinAlgError:
-            step = np.linalg.lstsq(whole, -rows, rcond=1e-12)[0]
+        step = -_solved(curve, w, whole, rows)
         moved = w.moved(step)
         if ready:
+            if border is not None:  # by so much off the bifurcation was the march
+                return Solution(moved, curve.equations.varied(moved, states=True), jacobian, largest)
             return Solution(moved, path, jacobian, largest, distance(curve, moved.head, w.head))
         if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
@@ -187,6 +209,86 @@ def correct(
     raise ConvergenceError(f"the corrector did not finish in {MOST_NEWTON} steps; take a smaller step")
 
 
+class Border:
+    """The row of a curve's test over w.
+
+    Its derivatives along what the other rows leave free, and in the direction across it in which an orbit was
+    corrected, are differences; in between they follow from how the test changes (a secant update).
+    """
+
+    def __init__(self, curve: Curve, slope: np.ndarray | None = None) -> None:
+        assert curve.test is not None
+        self.curve, self.test = curve, curve.test
+        self._row = np.zeros(0) if slope is None else slope[-1]
+        self._last: tuple[np.ndarray, float] | None = None
+        self._free, self._across = np.zeros((0, 0)), np.zeros((0, 0))
+        self._value = np.inf
+
+    def value(self, found: Solution) -> float:
+        """The test at an orbit."""
+        self._value = self.test(self.curve, found)
+        return self._value
+
+    def row(self, w: Unknowns, jacobian: np.ndarray, exact: bool = True) -> np.ndarray:
+        """The row where `value` was asked for last; `jacobian` is that of the other rows."""
+        columns, known = _columns(self.curve, w), self._row.size == w.vector.size
+        before, self._last = self._last, (w.vector, self._value)
+        if known and not exact and before is None:
+            return self._row
+        if exact or not known or not self._free.size:
+            self._free = _left_free(self.curve, w, jacobian)
+        moved = np.zeros(columns.size) if before is None else (w.vector - before[0]) / columns
+        across = moved - (self._free @ moved) @ self._free
+        length = float(np.linalg.norm(across))
+        if not self._across.size and length > 0.0:
+            self._across = across[None] / length
+        if exact or not known:
+            row = self._differenced(w, columns)
+        else:
+            row = self._row * columns
+            told = across if length**2 > ACROSS * (moved @ moved) else moved
+            change = self._value - (before[1] if before else self._value)
+            row = row + (change - row @ moved) / max(told @ told, 1e-300) * told
+        self._row = np.asarray(row / columns)
+        return self._row
+
+    def _differenced(self, w: Unknowns, columns: np.ndarray) -> np.ndarray:
+        """The row over unknowns in units of the metric, 0 along what nothing was moved in."""
+        free = np.array([self._at(w, columns * one) - self._at(w, -columns * one) for one in self._free]) / 2
+        found = free @ self._free
+        for one in self._across:
+            beside = one - (self._free @ one) @ self._free
+            found = found + (self._at(w, columns * one) - self._value - DIFFERENCE * found @ one) * beside
+        return np.asarray(found / DIFFERENCE)
+
+    def _at(self, w: Unknowns, direction: np.ndarray) -> float:
+        """The test a small step along a direction."""
+        near = w.moved(DIFFERENCE * direction)
+        return self.test(self.curve, Solution(near, self.curve.equations.varied(near, states=True), NO_ROWS, 0.0))
+
+
+def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (k x whole), in units of the metric, of the kernel of all rows but the test and the aim."""
+    matrix, _ = _measured(curve, w, jacobian)
+    if curve.degenerate:
+        return np.asarray(np.linalg.svd(matrix)[2][len(matrix) - 1 :])
+    return np.asarray(np.linalg.qr(matrix.T, mode="complete")[0][:, len(matrix) :].T)
+
+
+def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """matrix^-1 right, of all rows; where they are degenerate without the direction that they leave to a symmetry."""
+    if not curve.degenerate:
+        try:
+            return Factors(matrix).solve(right)
+        except np.linalg.LinAlgError:
+            return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
+    columns = _columns(curve, w)
+    measured = matrix * columns
+    rows = np.maximum(np.linalg.norm(measured, axis=1), 1e-300)
+    left, sizes, across = np.linalg.svd(measured / rows[:, None])
+    return np.asarray(columns * (across[:-1].T @ ((left.T @ (right / rows))[:-1] / sizes[:-1])))
+
+
 def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> Condition:
     """The aim in the hyperplane through w, or so far ahead of it, normal to a direction over the head."""
     normal = curve.weights * along
@@ -195,11 +297,19 @@ def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> C
 
 def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian of all rows but the aim in units of the metric, and those of its columns."""
-    w, size = found.place, curve.equations.size
-    head = 1.0 / np.sqrt(curve.weights)
-    columns = w.joined(head[:size], head[size], 1.0 / w.period, head[size + 1 :])
-    rows = _row_units(curve.through(w), w)
-    return found.jacobian * columns / rows[:, None], columns
+    return _measured(curve, found.place, found.jacobian)
+
+
+def _measured(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    columns = _columns(curve, w)
+    rows = _row_units(curve.through(w), w)[: len(jacobian)]
+    return jacobian * columns / rows[:, None], columns
+
+
+def _columns(curve: Curve, w: Unknowns) -> np.ndarray:
+    """What every unknown is measured in, in the metric."""
+    head, size = 1.0 / np.sqrt(curve.weights), curve.equations.size
+    return w.joined(head[:size], head[size], 1.0 / w.period, head[size + 1 :])
 
 
 def distance(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:
@@ -212,14 +322,18 @@ def tangent(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
     row = found.place.spread(curve.weights * along)
     right = np.zeros(len(found.jacobian) + 1)
     right[-1] = 1.0
-    whole = Factors(np.vstack([found.jacobian, row])).solve(right)
+    matrix = np.vstack([found.jacobian, row])
+    whole = _solved(curve, found.place, matrix, right)
     return np.asarray(whole / np.sqrt(curve.weights @ found.place.head_of(whole) ** 2))
 
 
 def kernel(curve: Curve, found: Solution) -> np.ndarray:
     """The same without a direction to go by: the right singular vector of the smallest singular value."""
     matrix, units = scaled(curve, found)
-    whole = units * np.linalg.svd(matrix)[2][-1]
+    last = np.linalg.svd(matrix)[2][-2:]
+    if curve.degenerate:  # the direction in which a symmetry is lost is the kernel's too, and moves no parameter
+        last = np.linalg.svd(last[:, -found.place.free.size :])[0].T[:1] @ last
+    whole = units * last[-1]
     return np.asarray(whole / np.sqrt(curve.weights @ found.place.head_of(whole) ** 2))
 
 
@@ -231,7 +345,12 @@ def advanced(w: Unknowns, whole: np.ndarray, length: float, curvature: np.ndarra
 def at_place(curve: Curve, w: Unknowns) -> Solution:
     """A Solution out of unknowns that are already on the family (those read from a file)."""
     path = curve.equations.varied(w, states=True)
-    return Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0.0)
+    found = Solution(w, path, curve.through(w).linearised(w, path).matrix(), 0.0)
+    if curve.test is None:
+        return found
+    border = Border(curve)
+    border.value(found)
+    return replace(found, jacobian=np.vstack([found.jacobian, border.row(w, found.jacobian)]))
 
 
 def bend(curve: Curve, w: Unknowns, whole: np.ndarray, other: Unknowns) -> np.ndarray:

@@ -421,6 +421,7 @@ class Loop:
     def stated(self, nodes: Sequence[ca.MX], period: ca.MX, free: ca.MX, ends: Sequence[ca.MX]) -> ca.MX:
         """The same rows as an expression of CasADi."""
         first, last = (ca.sparsify(ca.DM(one)) for one in self.equations.boundary)
+        ends, guards = self._passed(ends, free)
         rows = [end - node for end, node in zip(ends, nodes[1:], strict=False)]
         rows.append(first @ nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant))
         rows += [ca.dot(ca.DM(normal), nodes[0] - self.reference) for normal in self.normals]
@@ -434,7 +435,18 @@ class Loop:
             if one.quantity is not None:
                 row += one.weight * named[one.quantity]
             rows.append(row)
-        return ca.vertcat(*rows)
+        return ca.vertcat(*rows, *guards)
+
+    def _passed(self, ends: Sequence[ca.MX], free: ca.MX) -> tuple[Sequence[ca.MX], list[ca.MX]]:
+        """Ends with those of arcs reset, and the guards, of CasADi."""
+        model, links = self.equations.model, self.equations.links
+        if not links:
+            return ends, []
+        after, p, guards = list(ends), model.parameters(self.equations.free, free), []
+        for (_, one), place in zip(model.hybrid.arcs, links.ends(len(after)), strict=True):
+            guards.append(one.guard(after[place], p))
+            after[place] = one.reset(after[place], p)
+        return after, guards
 
     def linearised(self, w: Unknowns, path: Varied) -> Linearised:
         """The derivatives of the rows."""

@@ -22,11 +22,12 @@ from orbitfinder.loops.conditions import (
     check_pin,
     is_parameter,
 )
+from orbitfinder.loops.control import Control
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns
 from orbitfinder.loops.symmetry import Shift, Symmetry, beside, knowing, named, related, shifts_of, time_dependent
 from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.chain import maximal_states
-from orbitfinder.mechanics.controls import check_constant
+from orbitfinder.mechanics.controls import actuated, check_constant
 from orbitfinder.mechanics.hybrid import with_cycle
 from orbitfinder.mechanics.model import Model, counted
 from orbitfinder.mechanics.scales import proportions
@@ -127,9 +128,13 @@ class Problem:
     constraints: tuple[Constraint, ...] = ()
     phase_condition: Expression | None = None
     relative: tuple[str, ...] = ()
+    control: Control | None = None
+    """how the model's controls vary in time, and at what cost: `find_orbit` then finds the motion that costs least"""
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.control is not None:
+            self._actuate()
         object.__setattr__(self, "model", knowing(self.model, self.symmetry))
         if self.model.constraint is not None and self.model.constraint.lift is not None:
             self._lift(self.model.degrees_of_freedom // 3)
@@ -137,6 +142,22 @@ class Problem:
         if self.model.hybrid is not None:
             self._settle_cycle()
         _check(self)
+
+    def _actuate(self) -> None:
+        """The model as its controls act on it. Raises `InputError`."""
+        if not self.model.controls:
+            raise InputError("control: this system has no controls; give motors or controls to the system")
+        if self.model.forced or self.model.constraint is not None:
+            raise InputError(
+                "control: not of systems forced in time or under constraints; make the clock a state, or describe the "
+                "mechanism in minimal coordinates (of.linkages.minimal_linkage, lagrange)"
+            )
+        for name in ("objective", "constraints", "phase_condition", "coordinate"):
+            if getattr(self, name) not in ("nearest", (), None):
+                raise InputError(f"{name}: is for motions without control; give a cost and tasks in the control")
+        if taken := sorted(set(self.free) & set(self.model.controls)):
+            raise InputError(f"free: {taken[0]!r} is a control and varies in time; leave it out")
+        object.__setattr__(self, "model", actuated(self.model))
 
     def _settle(self) -> None:
         """Guessed values of freed parameters, and pins of others, become the model's."""
@@ -215,6 +236,8 @@ class Problem:
     def check_count(self) -> Count:
         """The count of a solvable problem; `CountError` with count and reason otherwise."""
         count = self.count()
+        if self.control is not None:  # coefficients are many; IPOPT says when they are too few
+            return count
         if count.freedom < 0:
             room = len(self.pin) + count.freedom
             isolated = "" if self.model.invariants else " (nothing is conserved, so its orbits stand alone)"

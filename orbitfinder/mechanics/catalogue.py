@@ -16,6 +16,7 @@ from typing import Any
 from orbitfinder.errors import InputError, closest
 from orbitfinder.mechanics.chain import chain, chain_dae
 from orbitfinder.mechanics.controls import check_constant, with_controls
+from orbitfinder.mechanics.driven import DRIVEN
 from orbitfinder.mechanics.hybrid import at_numbers, with_cycle
 from orbitfinder.mechanics.library import BUILT_IN, FUNCTIONS
 from orbitfinder.mechanics.linkage import linkage, minimal_linkage
@@ -128,7 +129,7 @@ def module_file(module: str, folder: Path) -> Path | None:
 
 
 def _built_in(name: str) -> Callable[..., Any]:
-    functions = FUNCTIONS | MACHINES
+    functions = FUNCTIONS | MACHINES | DRIVEN
     if name not in functions:
         known = ", ".join(functions)
         raise InputError(f"system.function: {BUILT_IN} has no {name!r}{closest(name, functions)}; it has {known}")

@@ -30,6 +30,8 @@ class Ingredients:
     t: ca.SX
     values: Mapping[str, float]
     parameters: ca.SX
+    controls: tuple[str, ...] = ()
+    """parameters that are no arguments of the function: what varies in time, 0 without"""
 
     def __getitem__(self, name: str) -> Any:
         """The symbol of one parameter."""
@@ -57,12 +59,15 @@ class Ingredients:
         return hamiltonian(energy, coordinates, momenta, self.values, system=self._described(function), **parts)
 
     def _described(self, function: str, fixed: Any = None) -> dict[str, Any]:
-        arguments = {**(fixed or {}), **self.values}
+        arguments = {**(fixed or {}), **{k: value for k, value in self.values.items() if k not in self.controls}}
         return {"kind": "python", "module": BUILT_IN, "function": function, "arguments": arguments}
 
 
 def ingredients(
-    count: int, positive: Mapping[str, float] | None = None, signed: Mapping[str, float] | None = None
+    count: int,
+    positive: Mapping[str, float] | None = None,
+    signed: Mapping[str, float] | None = None,
+    controls: tuple[str, ...] = (),
 ) -> Ingredients:
     """Symbols for `count` coordinates and these parameters; `InputError` for a number that cannot be meant."""
     values: dict[str, float] = {}
@@ -72,8 +77,9 @@ def ingredients(
         if name in (positive or {}) and value <= 0:
             raise InputError(f"system.arguments.{name}: must be positive, got {value!r}; check the sign and the unit")
         values[name] = float(value)
+    values |= dict.fromkeys(controls, 0.0)
     return Ingredients(
-        ca.SX.sym("q", count), ca.SX.sym("v", count), ca.SX.sym("t"), values, ca.SX.sym("p", len(values))
+        ca.SX.sym("q", count), ca.SX.sym("v", count), ca.SX.sym("t"), values, ca.SX.sym("p", len(values)), controls
     )
 
 
@@ -152,6 +158,19 @@ def forced_pendulum(
     return made.model(
         "forced_pendulum", kinetic, potential, forces=drive, names=["theta"], angles=[True], points=_rod(made)
     )
+
+
+def coupled_pendula(damping: float = 0.1, torque: float = 0.2, coupling: float = 0.175) -> Model:
+    """theta_i'' + damping theta_i' + sin(theta_i) = torque + coupling (theta_j - theta_i): two pendula, or junctions.
+
+    Driven hard enough they run round together. Source: D. G. Aronson, E. J. Doedel, H. G. Othmer, Physica D 25 (1987)
+    20-104; the demo `pen` of AUTO, where damping is eps, torque I and coupling gamma.
+    """
+    made = ingredients(2, signed={"damping": damping, "torque": torque, "coupling": coupling})
+    q, v = made.q, made.v
+    potential = -ca.sum1(ca.cos(q)) + made["coupling"] * (q[0] - q[1]) ** 2 / 2
+    push = made["torque"] - made["damping"] * v
+    return made.model("coupled_pendula", ca.sumsqr(v) / 2, potential, forces=push, angles=[True, True])
 
 
 def vibrated_pendulum(
@@ -525,7 +544,8 @@ def hodgkin_huxley(current: float = 10.0) -> Model:
 FUNCTIONS: dict[str, Callable[..., Model]] = {
     one.__name__: one
     for one in (
-        brusselator, cart_chain, double_well, duffing, fitzhugh_nagumo, forced_duffing, forced_pendulum, henon_heiles,
+        brusselator, cart_chain, coupled_pendula, double_well, duffing, fitzhugh_nagumo, forced_duffing,
+        forced_pendulum, henon_heiles,
         hodgkin_huxley, lorenz, pendulum_on_cart, planar_oscillator, restricted_three_body,
         restricted_three_body_canonical, rossler, rotating_hoop, spherical_pendulum, spring_pendulum, swinging_spring,
         three_bodies, turning_three_bodies, van_der_pol, vibrated_pendulum,

@@ -45,7 +45,7 @@ def _wall(name: str) -> Any:
     return lambda x, p: ca.vertcat(ca.SX([[-REACH, REACH]]), ca.horzcat(p[name], p[name]))
 
 
-def _level(x: Named, p: Named) -> Any:
+def level_ground(x: Named, p: Named) -> Any:
     """Level ground through the origin."""
     del x, p
     return ca.SX([[0.0, 0.0], [-REACH, REACH]])
@@ -118,8 +118,8 @@ class _Legs:
 class _Compass(_Legs):
     """Two straight legs and a hip."""
 
-    def __init__(self, made: Ingredients) -> None:
-        super().__init__("compass_gait", made, 2)
+    def __init__(self, made: Ingredients, function: str = "compass_gait") -> None:
+        super().__init__(function, made, 2)
         self.hip = self.foot + (made["a"] + made["b"]) * self.along[0]
         self.tip = self.hip - (made["a"] + made["b"]) * self.along[1]
         places = [self.foot + made["a"] * self.along[0], self.hip, self.hip - made["b"] * self.along[1]]
@@ -177,12 +177,24 @@ def compass_gait(
     stance + swing = -2 slope, and the legs change their names.
     Source: A. Goswami, B. Thuilot, B. Espiau, INRIA research report 2996 (1996).
     """
+    return compass("compass_gait", slope, a, b, mass, hip_mass, gravity)
+
+
+def compass(
+    function: str, slope: float, a: float, b: float, mass: float, hip_mass: float, gravity: float,
+    controls: tuple[str, ...] = (),
+) -> Model:  # fmt: skip
+    """The compass gait of a function's name, of which `controls` are the torques of hip and ankle."""
     if not hip_mass >= 0:
         raise InputError(f"system.arguments.hip_mass: must not be negative, got {hip_mass!r}; check the value")
     numbers = {"a": a, "b": b, "mass": mass, "gravity": gravity}, {"slope": slope, "hip_mass": hip_mass}
-    fixed, floating = (_Compass(ingredients(count, *numbers)) for count in (2, 4))
+    fixed, floating = (_Compass(ingredients(count, *numbers, controls), function) for count in (2, 4))
+    torques: dict[str, Any] = {"controls": controls}
+    if controls:
+        hip, ankle = (fixed.made[name] for name in controls)
+        torques["forces"] = ca.vertcat(ankle - hip, hip)
     names, drawn = ["stance", "swing"], ca.horzcat(ca.SX.zeros(2), _downwards(fixed.hip), _downwards(fixed.tip))
-    model = fixed.model(names=names, angles=[True, True], points=drawn)
+    model = fixed.model(names=names, angles=[True, True], points=drawn, **torques)
     lifted = floating.model(names=["x", "y", *names], angles=[False, False, True, True])
     foot, ground = fixed.swing_foot(), fixed.ground_force(model)
     struck, whole = _struck(lifted, floating.swing_foot())
@@ -389,7 +401,7 @@ def slip_runner(
     holds = {"height": lambda x, p: x.y}
     return hybrid(
         [Mode("flight", flight, holds), Mode("stance", stance, holds)], transitions,
-        ["touchdown", "liftoff", "apex"], conserved=["energy"], system=flight.system, ground=_level,
+        ["touchdown", "liftoff", "apex"], conserved=["energy"], system=flight.system, ground=level_ground,
     )  # fmt: skip
 
 
@@ -449,7 +461,9 @@ def slip_walker(
         ),
     ]  # fmt: skip
     cycle = ["touchdown", "liftoff"]
-    return hybrid([single, double], transitions, cycle, conserved=["energy"], system=single.model.system, ground=_level)
+    return hybrid(
+        [single, double], transitions, cycle, conserved=["energy"], system=single.model.system, ground=level_ground
+    )
 
 
 def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float = 9.81) -> Model:
@@ -471,7 +485,7 @@ def vertical_hopper(mass: float = 1.0, stiffness: float = 100.0, gravity: float 
     ]
     modes = [Mode("ground", ground), Mode("flight", flight, {"height": lambda x, p: x.y})]
     cycle = ["liftoff", "touchdown"]
-    return hybrid(modes, transitions, cycle, conserved=["energy"], system=flight.system, ground=_level)
+    return hybrid(modes, transitions, cycle, conserved=["energy"], system=flight.system, ground=level_ground)
 
 
 def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
@@ -494,7 +508,7 @@ def rocking_block(angle: float = 0.3, stiffness: float = 0.75) -> Model:
     )
     holds = {"gap": lambda x, p: x.phi}
     parts = [Mode("rocking", model, holds)], [bounce], ["bounce"]
-    return hybrid(*parts, conserved=["energy"], system=model.system, ground=_level)
+    return hybrid(*parts, conserved=["energy"], system=model.system, ground=level_ground)
 
 
 def gravity_wedge(angle: float = 0.6, gravity: float = 1.0) -> Model:

@@ -15,7 +15,7 @@ a mode is a mode and a multiplier a multiplier; where the second angle is +-90 d
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -1309,6 +1309,26 @@ def _indexed(known: Mapping[str, float], names: Sequence[str], what: str, suffix
             raise InputError(f"{name}: unknown {what}{closest(name, labels)}; this mechanism has {', '.join(labels)}")
         _number(name, value)
     return {labels.index(name): float(value) for name, value in known.items()}
+
+
+def body_point(model: Model, body: str, at: Sequence[float]) -> Callable[[Sequence[Any], Sequence[Any]], ca.SX]:
+    """point(x, p): where a point (m, in its own axes) of a body of a mechanism without loops is (2 or 3, m), for the
+    contacts of `of.impact`, the guards of `of.Transition` and the like. x are the states and p the parameters in order.
+    """
+    system, names = model.system, model.state_names[: model.degrees_of_freedom]
+    if system.get("kind") != "mechanism" or model.constraint is not None or "independent" in system or model.forced:
+        raise InputError("body_point: needs a mechanism without loops and prescribed motions")
+    numbers = _Numbers(system.get("parameters", {}), system.get("values", {}))
+    made, q = _drawn(system, numbers), ca.SX.sym("q", len(names))
+    if body not in made.bodies:
+        raise InputError(f"body: unknown {body!r}{closest(body, made.bodies)}; bodies are {', '.join(made.bodies)}")
+    for node in made.nodes:
+        node.q = q[names.index(node.name)]
+    place = np.zeros(3)
+    place[: len(at)] = at
+    found = ca.densify(made.point(made.frames(), body, ca.SX(place)))[: made.dimension]
+    function = ca.Function("point", [q, numbers.vector], [found])
+    return lambda x, p: function(ca.vertcat(*x[: len(names)]), ca.vertcat(*p[: len(numbers.names)]))
 
 
 def minimal_mechanism(model: Model, independent: Sequence[str], near: np.ndarray | None = None) -> Model:

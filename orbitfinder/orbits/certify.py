@@ -16,6 +16,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.hybrid import as_recorded
 from orbitfinder.mechanics.model import Invariant, Model, counted, energy, wrapped
 from orbitfinder.orbits.closure import EPSILON, LARGEST_SCALE, ROUND_OFF, alone, between, extents, shift_along
+from orbitfinder.orbits.control import ControlledEvidence, gather_controlled
 from orbitfinder.orbits.evidence import VARIED, Evidence, constraint_defect, gather, native_closure, second_closure
 from orbitfinder.orbits.floquet import Floquet
 from orbitfinder.orbits.hybrid import HybridEvidence, gather_hybrid, held, off_motion, second_gap, turned_further
@@ -74,6 +75,8 @@ class Tolerances:
     multipliers: float = 1e-6
     transversal: float = 1e-4
     holds: float = 1e-9
+    stationarity: float = 1e-6
+    between: float = 1e-3
 
 
 @one_thread()
@@ -85,14 +88,14 @@ def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | N
     the true orbit to be within 1e-9 of the motion (see `closure`). `model` is needed for systems that no file
     describes.
     """
-    allowed = tolerances or Tolerances()
-    model = _model_of(orbit, model)
+    allowed, model = tolerances or Tolerances(), _model_of(orbit, model)
     whole = _turns(orbit, model)
     turns = turned(model, whole, orbit.shift)
     if not (np.all(np.isfinite(orbit.state)) and np.isfinite(orbit.period) and orbit.period > 0):
         return Certificate((Check("finite", float("nan"), 0.0, False, "state or period is not a number"),))
-    if model.hybrid is not None:
-        return _hybrid_certificate(orbit, model, whole, allowed)
+    special = _controlled_certificate if orbit.control is not None else _hybrid_certificate
+    if orbit.control is not None or model.hybrid is not None:
+        return special(orbit, model, whole, allowed)
     cycles, pictured = model.forcing_cycles(orbit.period), _pictured(orbit)
     apart = beside(whole, [shifts_of(model)[name].direction for name in orbit.shift])
     covers = [k for k in COVERS if cycles % k == 0 and not np.any(apart % k)]
@@ -183,6 +186,104 @@ def _hybrid_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: 
         *(Check("ignored", 0.0, 0.0, True, text) for text in model.hybrid.ignored),
     ]  # fmt: skip
     return Certificate(tuple(check for check in checks if check), scale, evidence.closure)
+
+
+def _controlled_certificate(orbit: Orbit, model: Model, turns: np.ndarray, allowed: Tolerances) -> Certificate:
+    """The certificate of a controlled orbit: its motion, cost and costate, from state, period and control alone."""
+    assert orbit.control is not None
+    try:
+        found = gather_controlled(
+            model, orbit.state, orbit.period, turns, orbit.control, orbit.symmetry, tuple(orbit.shift)
+        )
+    except IntegrationError as error:
+        return Certificate((Check("integration", float("inf"), 0.0, False, str(error)),))
+    scale = min(found.closes.amplification, LARGEST_SCALE)
+    bound, recorded = min(orbit.tolerance, allowed.closure) * scale, orbit.control.get("cost", np.nan)
+    room = allowed.record + 10 * found.closes.gap
+    pair = f"H varies by {found.drift:.2g}; 0 at the optimum over all controls, of any form"
+    checks = [
+        _at_most("closure", found.closes.gap, bound, f"DOP853, the recorded control; errors grow {scale:.3g} times"),
+        _at_most("distance", found.closes.distance, allowed.distance, "of the true orbit and control, in extents"),
+        _at_most("second_closure", found.second, allowed.second_closure * scale, "DOP853 at a second tolerance"),
+        _at_least("not_equilibrium", _extent(found.states, model), allowed.motion, "extent of the motion"),
+        _covered(found, turns, allowed.cover),
+        *(_task_check(name, value, allowed) for name, value in found.tasks.items()),
+        *(_at_most(f"event: {name}", miss, allowed.distance, "miss of its guard, in periods") for name, miss, _ in
+          found.events),
+        *(_at_most(f"earlier: {name}", early, 0.0, "crossings of its guard before") for name, _, early in found.events),
+        *(_at_least(f"holds: {name}", least, -allowed.holds, "least value along the motion") for name, least in
+          found.held),
+        _at_most("cost", abs(recorded - found.cost) / found.cost_size, room, RECORDED),
+        _at_most("stationarity", found.stationarity, allowed.stationarity,
+                 f"the costate, gradients and multipliers' signs; worst: {found.worst}"),
+        _at_most("phase_multiplier", found.phase, allowed.stationarity if orbit.control["shape"] == "fourier" else
+                 allowed.between, "what fixing the phase costs, relative") if orbit.control["normals"] else None,
+        Check("continuous_optimum", found.pointwise, 0.0, True, f"largest |H_u| in instants, relative, and {pair}"),
+        Check("optimum", 0.0, 0.0, True, "local: that nothing else costs less is not shown"),
+        *_controlled_record_checks(orbit, found, model, allowed, scale),
+        *_expected_checks(orbit, model),
+    ]  # fmt: skip
+    return Certificate(tuple(check for check in checks if check), scale, found.closure)
+
+
+def _task_check(name: str, value: float, allowed: Tolerances) -> Check:
+    """How far a task is violated, relative; what holds always is asked for at points and looked at between them."""
+    between = name.endswith((" always", " within limits"))
+    note = "largest violation, also between the points at which it was asked for" if between else "violation"
+    return _at_most(f"task: {name}", value, allowed.between if between else allowed.distance, note)
+
+
+def _covered(found: ControlledEvidence, turns: np.ndarray, tolerance: float) -> Check | None:
+    """The motion does not come back at all times after a part of its period."""
+    if found.events:
+        return None
+    nodes, away = found.nodes, {}
+    for k in COVERS:
+        if len(nodes) % k == 0 and not np.any(turns % k):
+            moved = np.roll(nodes, -(len(nodes) // k), axis=0)[: len(nodes) - len(nodes) // k]
+            part = np.concatenate([2 * np.pi * turns / k, np.zeros(nodes.shape[1] - turns.size)])
+            away[k] = float(np.abs((moved - nodes[: len(moved)] - part) / found.extents).max())
+    if not away:
+        return None
+    least = min(away, key=lambda k: away[k])
+    return _at_least("minimal_period", away[least], tolerance, f"least distance, after 1/{least} of the period")
+
+
+def _controlled_record_checks(
+    orbit: Orbit, found: ControlledEvidence, model: Model, allowed: Tolerances, scale: float
+) -> list[Check]:
+    """What the record of a controlled orbit claims against what was recomputed."""
+    assert orbit.control is not None
+    size, room = float(found.extents.max()), allowed.record + 10 * found.closes.gap
+    own, level = {name: list(pair) for name, pair in model.limits.items()}, energy(model, orbit.state)
+    far = (
+        np.inf if orbit.nodes.shape != found.nodes.shape else np.abs((orbit.nodes - found.nodes) / found.extents).max()
+    )
+    checks = [
+        _at_most("action", abs(orbit.action - found.action) / max(abs(found.action), 1e-300), room, RECORDED),
+        _at_most("energy", abs(orbit.energy - level) / max(abs(level), 1e-300), allowed.record, RECORDED)
+        if np.isfinite(level) or np.isfinite(orbit.energy)
+        else None,
+        _at_most("recorded_closure", abs(orbit.closure - found.closure) / size, allowed.closure * scale, RECORDED),
+        _at_most("floquet_multipliers", _multiplier_distance(orbit, found.floquet), allowed.multipliers, "relative"),
+        _same("stability", orbit.stability, found.floquet.stability),
+        _at_most("symmetry", found.symmetry, allowed.distance, f"{orbit.symmetry}: off it, in extents of the motion")
+        if orbit.symmetry != NONE.name
+        else None,
+        _at_most("nodes", far, NODES_OFF * max(scale, 1.0), "off the recomputed motion"),
+        _at_most("limits", 0.0 if not own or own == orbit.control["limits"] else 1.0, 0.0, "those of the system"),
+        _at_most("unfolding", orbit.period * max(map(abs, orbit.unfolding)), allowed.unfolding, "back at 0")
+        if any(orbit.unfolding)
+        else None,
+    ]  # fmt: skip
+    if orbit.samples.size:
+        room = min(max(SAMPLES_OFF, 1e-12 * found.closes.amplification), LARGEST_PICTURE)
+        alike = orbit.samples.shape == found.states.shape
+        away = float(np.abs((orbit.samples - found.states) / found.extents).max()) if alike else np.inf
+        checks.append(_at_most("samples", away, room, "off the recomputed motion"))
+    if orbit.record is not None:
+        checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
+    return [check for check in checks if check]
 
 
 def _hybrid_premises(model: Model, evidence: HybridEvidence, turns: np.ndarray) -> Iterator[Check]:

@@ -74,7 +74,8 @@ def alone(moved: np.ndarray, angular: np.ndarray | None = None) -> np.ndarray:
 
 
 def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:
-    """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, and f T (m) or None.
+    """The `Closure` of a loop from its gap (m), the state-transition matrices of its pieces, and f T (m) or None, or
+    whatever else may be corrected (m x k).
 
     All in extents of the motion; `sizes` (m) are those of the state's components, `rate` is None where the
     period is prescribed.

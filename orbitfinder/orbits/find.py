@@ -42,6 +42,7 @@ from orbitfinder.mechanics.catalogue import with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.certify import certified
 from orbitfinder.orbits.closure import between, extents_of, gap
+from orbitfinder.orbits.control import find_controlled
 from orbitfinder.orbits.long_chain import find_long_chain, suits
 from orbitfinder.orbits.measure import dense, measure, provenance, shift_of
 from orbitfinder.orbits.objectives import chosen
@@ -206,6 +207,9 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     began = time.perf_counter()
     problem.check_count()
     hint(degrees_taken_for_radians(problem))
+    if problem.control is not None:
+        orbit, model = find_controlled(problem, settings)
+        return certified(orbit, model) if settings.with_certificate else orbit
     if problem.model.hybrid is not None:
         return _found_hybrid(problem, settings, began)
     if suits(problem):

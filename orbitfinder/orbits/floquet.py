@@ -75,7 +75,12 @@ def analyse(reduced: np.ndarray, conservative: bool = True) -> Floquet:
     when one is clearly outside, "marginal" when the error bar decides. Dissipative:
     "asymptotically stable" | "unstable" | "marginal" by the largest |mu|.
     """
-    multipliers = np.linalg.eigvals(reduced).astype(complex) if reduced.size else np.zeros(0, complex)
+    return judged(np.linalg.eigvals(reduced) if reduced.size else np.zeros(0), conservative)
+
+
+def judged(multipliers: np.ndarray, conservative: bool = True) -> Floquet:
+    """The same of multipliers in any order."""
+    multipliers = multipliers.astype(complex)
     order = np.lexsort((multipliers.imag, -multipliers.real, -np.round(np.abs(multipliers), 9)))
     multipliers = multipliers[order]
     if not conservative:

@@ -23,6 +23,7 @@ from orbitfinder.errors import InputError, plural
 from orbitfinder.guesses.modes import linkage_equilibrium, linkage_mode, normal_mode, rest_near
 from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrences
 from orbitfinder.loops.conditions import pin
+from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import maximal_states
@@ -30,7 +31,16 @@ from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, l
 from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.robot import robot
-from orbitfinder.problemfile.schema import SYSTEMS, FindTable, GuessTable, ProblemTable, Table, check_name, sentence
+from orbitfinder.problemfile.schema import (
+    SYSTEMS,
+    ControlTable,
+    FindTable,
+    GuessTable,
+    ProblemTable,
+    Table,
+    check_name,
+    sentence,
+)
 from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
 
@@ -179,10 +189,19 @@ def _problem(name: str, model: Model, guess: Guess, table: ProblemTable) -> Prob
         coordinate=find.coordinate,
         bounds={key: (float(low), float(high)) for key, (low, high) in find.bounds.items()},
         expected=_expected(table, model),
+        control=_control(table.control),
         name=name,
         title=table.title,
         source=table.source,
     )
+
+
+def _control(table: ControlTable | None) -> Control | None:
+    """How controls are chosen."""
+    if table is None:
+        return None
+    given = {name: getattr(table, name) for name in ControlTable.model_fields if name != "task"}
+    return Control(**given, tasks=tuple(Task(**one.model_dump(exclude_none=True)) for one in table.task))
 
 
 def _expected(table: ProblemTable, model: Model) -> dict[str, tuple[float, float]]:

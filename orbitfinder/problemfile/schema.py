@@ -103,6 +103,12 @@ class LinkageSystem(Table):
         [10.0, 10.0], min_length=2, max_length=2,
         description="stabilisation [alpha, beta] of the constraints in 1/s, both positive",
     )  # fmt: skip
+    independent: list[int] | None = Field(
+        None, description="bars whose angles are the coordinates, n - 2 of them: the linkage in minimal coordinates"
+    )
+    branch: Literal[1, -1] = Field(
+        1, description="with independent: the sign of sin(theta_j - theta_i) of the other two bars i < j"
+    )
     motors: list[int] | None = Field(
         None, description="joints with a motor, whose torque (torque1, ... in N m) may vary in time; 1 is the first "
         "pivot, n + 1 the last",
@@ -514,6 +520,41 @@ class ExpectedTable(Table):
     )
 
 
+class TaskTable(Table):
+    """What a controlled motion must do: an expression at a phase, always, or on average."""
+
+    expression: Line = Field(
+        description="text of states, controls, physical parameters and the period, such as 'cos(theta1) - 0.5'"
+    )
+    at: float | Literal["always", "mean"] = Field(
+        "always", description="a phase of the period, 0 to below 1; always; or mean, the average over the period"
+    )
+    equals: float | None = Field(None, description="the value asked for; not with lowest and highest")
+    lowest: float | None = Field(None, description="the least value allowed")
+    highest: float | None = Field(None, description="the largest value allowed")
+
+
+class ControlTable(Table):
+    """How the controls vary in time: in which form, at what cost, doing what."""
+
+    cost: Line = Field(
+        description="what is integrated over the period: text of states, controls and parameters by name, with "
+        "+ - * / **, sin, cos, tan, sqrt, exp, log, tanh, atan2 and pi, such as 'torque1**2'"
+    )
+    average: bool = Field(False, description="whether the mean is meant instead of the integral")
+    final: str = Field("", description="a cost that is no integral: of the state at t = 0, parameters and the period")
+    shape: Literal["zero-order", "linear", "cubic", "fourier"] = Field(
+        "linear", description="held in each interval, linear or cubic (spline) between them, or a Fourier series"
+    )
+    intervals: int = Field(20, description="intervals of the period, of a hybrid system of each arc")
+    harmonics: int = Field(5, description="of a Fourier series, beside its constant")
+    method: Literal["shooting", "collocation"] = Field("shooting", description="how intervals are integrated")
+    guess: dict[str, float | list[float]] = Field(
+        {}, description="where coefficients start, by control, one number or all of them; 0 when left out"
+    )
+    task: list[TaskTable] = Field([], description="what the motion must do, each as [[control.task]]")
+
+
 class ProblemTable(Table):
     """The whole file."""
 
@@ -527,6 +568,7 @@ class ProblemTable(Table):
     system: Annotated[Any, BeforeValidator(_system_of_its_kind)] = Field(description="the mechanical system")
     guess: GuessTable | None = Field(None, description="where the search starts")
     find: FindTable = Field(FindTable(), description="which orbit is meant")
+    control: ControlTable | None = Field(None, description="how controls vary in time; the motion of least cost")
     search: SearchTable | None = Field(None, description="what `orbitfinder search` looks for")
     simulate: SimulateTable = Field(SimulateTable(), description="what `orbitfinder simulate` does")
     expected: ExpectedTable = Field(ExpectedTable(), description="numbers that the orbit must reproduce")

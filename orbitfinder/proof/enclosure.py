@@ -218,6 +218,7 @@ class Cloud:
     turned: Any
     rest: Any
     start: Any
+    along: Any = None
 
     @property
     def point(self) -> Vector:
@@ -235,13 +236,21 @@ class Cloud:
     def hull(self) -> Vector:
         """Enclosure (d + 2) of all solutions: the mean value theorem from the centre."""
         size = self.frame.nrows()
-        moved = (self.derivatives * self.start).entries()
-        constants = [c + d for c, d in zip(self.centre[size:], self.start.entries()[size:], strict=True)]
+        slopes, start = self.derivatives, self.start
+        moved = (slopes * start).entries()
+        if self.along is not None:
+            direction, span = self.along
+            moved = [x + y * span for x, y in zip(moved, (slopes * direction).entries(), strict=True)]
+            start += direction * span
+        constants = [c + d for c, d in zip(self.centre[size:], start.entries()[size:], strict=True)]
         return [x + d for x, d in zip(self.point[:size], moved, strict=True)] + constants
 
 
-def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
-    """The Cloud of a box z (d + 2 balls) at the start, about a point of it (balls; its centre if absent)."""
+def cloud(box: Sequence[Any], point: Sequence[Any] | None = None, along: Any = None) -> Cloud:
+    """The Cloud of a box z (d + 2 balls) at the start, about a point of it (balls; its centre if absent).
+
+    `along` (column d + 2, ball) is a direction in which it is moved besides, and by how much.
+    """
     size = len(box) - 2
     about = list(point) if point is not None else midpoints(box)
     centre = midpoints(about)
@@ -253,6 +262,7 @@ def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
         turned=identity(size),
         rest=arb_mat(size, size + 2),
         start=column([x - c for x, c in zip(box, about, strict=True)]),
+        along=along,
     )
 
 

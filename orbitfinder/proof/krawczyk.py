@@ -51,12 +51,21 @@ class Krawczyk:
     arcs: list[Arc]
 
 
-def arcs_over(equations: Equations, box: Vector, centre: Vector, settings: Settings) -> list[Arc]:
-    """Every segment integrated from the nodes of a box of unknowns, about its centre."""
+def arcs_over(
+    equations: Equations, box: Vector, centre: Vector, settings: Settings, along: tuple[Vector, Any] | None = None
+) -> list[Arc]:
+    """Every segment integrated from the nodes of a box of unknowns, about its centre; with `along`, of that box moved
+    in a direction (of the unknowns) by every amount in a ball.
+    """
     found = []
     nodes = equations.formulation.nodes
-    for node, point in zip(nodes(box), nodes(centre), strict=True):
-        end, steps = integrate(equations.field, cloud(node, point), settings)
+    slants: list[Any] = [None] * equations.formulation.segments
+    if along is not None:
+        still = nodes([arb(0)] * len(box))
+        moved = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(along[0]), still, strict=True)]
+        slants = [(column(one), along[1]) for one in moved]
+    for node, point, slant in zip(nodes(box), nodes(centre), slants, strict=True):
+        end, steps = integrate(equations.field, cloud(node, point, slant), settings)
         found.append((end.point[: equations.field.dimension], end.derivatives, end.hull, steps))
     return found
 

@@ -21,7 +21,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import Vector, arb, decimal, magnitude, precision, radius
 from orbitfinder.proof.enclosure import Settings
 from orbitfinder.proof.field import Programs, make_field, programs
-from orbitfinder.proof.formulation import Approach, approach
+from orbitfinder.proof.formulation import Approach, Formulation, approach
 from orbitfinder.proof.invariance import has_symmetry, turns_leave, usable_symmetry
 from orbitfinder.proof.krawczyk import Equations, Krawczyk, krawczyk, solve
 from orbitfinder.proof.trajectory import (
@@ -35,7 +35,7 @@ from orbitfinder.proof.trajectory import (
     stability,
     trajectory,
 )
-from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.orbit import Orbit, refuse_controlled
 
 STATEMENT = 1
 """version of the theorem in docs/proof.md that a record refers to"""
@@ -129,6 +129,7 @@ def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | No
 
 def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
     """The Model of an orbit; of a chain in the formulation with the fewest operations."""
+    refuse_controlled(orbit, "prove")
     system = dict(orbit.system)
     if system.get("kind") == "chain":
         system["formulation"] = "recursive"
@@ -139,7 +140,7 @@ def _prove(
     orbit: Orbit, model: Model, codes: Programs, symmetry: Symmetry, options: Options, say: Progress
 ) -> dict[str, Any]:
     start = approach(model, orbit, symmetry, options.segments)
-    check_symmetries(codes, start, model)
+    check_graph(codes, start.formulation, model)
     equations = make_equations(model, codes, start, level(orbit, codes))
     centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
     pieces = plural(start.formulation.segments, "segment")
@@ -172,9 +173,8 @@ def make_equations(model: Model, codes: Programs, start: Approach, energy: Any) 
     return Equations(make_field(model, codes), start.formulation, energy, section)
 
 
-def check_symmetries(codes: Programs, start: Approach, model: Model) -> None:
+def check_graph(codes: Programs, form: Formulation, model: Model) -> None:
     """`NotProved` unless the symmetry used (and whole turns, where they occur) follow from the graphs."""
-    form = start.formulation
     if not form.square:
         raise NotProved(f"{form.symmetry.name} does not fix the orbit in the state space of this system; use none")
     if not has_symmetry(codes.rates, codes.energy, form.symmetry, form.size):
@@ -333,7 +333,7 @@ def refine(
         image, reason = centre, "not asked for"
         if enclose:
             try:
-                check_symmetries(codes, start, model)
+                check_graph(codes, start.formulation, model)
                 box = [x + arb(0, 10.0 ** -max(digits - GUARD, 8)) for x in centre]
                 found = krawczyk(equations, box, settings)
                 image, reason = (found.image, "") if found.proved else (centre, f"contraction {found.contraction:.3g}")

@@ -14,7 +14,7 @@ from orbitfinder.proof.balls import Vector, arb, arb_mat, between, block, fmpq, 
 from orbitfinder.proof.enclosure import Settings, Step
 from orbitfinder.proof.field import Field
 from orbitfinder.proof.formulation import Formulation, image
-from orbitfinder.proof.krawczyk import Equations, krawczyk
+from orbitfinder.proof.krawczyk import Arc, Equations, krawczyk
 
 PIECES = 8
 """Parts of a step over which the field's sign is looked at"""
@@ -60,12 +60,16 @@ class Trajectory:
 def trajectory(equations: Equations, box: Vector, settings: Settings) -> Trajectory:
     """The trajectories from a box of unknowns that holds every zero, itself made smaller by the operator once more."""
     again = krawczyk(equations, box, settings)
-    both = [x.intersection(y) for x, y in zip(box, again.image, strict=True)]
+    return horizon(equations, [x.intersection(y) for x, y in zip(box, again.image, strict=True)], again.arcs)
+
+
+def horizon(equations: Equations, box: Vector, arcs: Sequence[Arc]) -> Trajectory:
+    """The trajectories from a box of unknowns by the arcs from a box that holds it."""
     size = equations.field.dimension
     total = identity(size)
-    for arc in again.arcs:
+    for arc in arcs:
         total = block(arc[1], size, 0, size) * total
-    return Trajectory(equations.field, equations.formulation, both, [arc[3] for arc in again.arcs], total)
+    return Trajectory(equations.field, equations.formulation, box, [arc[3] for arc in arcs], total)
 
 
 def monodromy(found: Trajectory) -> Any:

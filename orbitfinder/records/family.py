@@ -48,6 +48,8 @@ DENSE = {"nodes": "shooting_nodes", "mesh": "mesh", "tangent": "tangent"}
 """What goes into family.npz instead of family.json, and what it is called here."""
 CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
+METHODS = ("product", "periodic QR")
+"""How multipliers were found: as eigenvalues of the state-transition matrices' product, or factor by factor."""
 SEAL = "digest"
 """The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
 SEAL_DIGITS = 16
@@ -87,6 +89,10 @@ class FamilyPoint(Orbit):
     role: str = "step"
     wall_time: float = 0.0
     defect: float = 0.0
+    multiplier_errors: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """estimated relative error of each multiplier, by errors of the state-transition matrices; none in older files"""
+    multiplier_method: str = ""
+    """one of `METHODS`"""
     certified: bool = False
     """whether it has every check of a certificate and not only those of its closure"""
     curve: Mapping[str, Any] = field(default_factory=dict)
@@ -98,7 +104,9 @@ class Event:
     """Something that happens between two points, located on the family.
 
     `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change, of hybrid systems
-    grazing | cycle_change | holds. `detail` says what exactly (of what the fold is, q of the resonance, what changed);
+    grazing | cycle_change | holds; along a curve of bifurcations in two parameters cusp | isola_centre | transcritical
+    | strong_resonance | fold_doubling | fold_torus | doubling_torus.
+    `detail` says what exactly (of what the fold is, q of the resonance, what changed);
     `multiplier` is the critical multiplier of the root map, `order` the number of periods after which the branch
     closes.
     """
@@ -147,7 +155,8 @@ class Batch:
 class Family:
     """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
 
-    `curve` is what rebuilds the equations (see `start.curve_of`), `source` what the family was started from.
+    `curve` is what rebuilds the equations (see `start.curve_of`), `source` what the family was started from. A curve of
+    bifurcations has two `parameters`, of which the first is its `parameter`, and in `curve` the `test` that it keeps.
     """
 
     __repr__ = brief("name", "parameter", "points", "events", "ends")
@@ -171,6 +180,19 @@ class Family:
         return {"energy": "J", "period": "s"}.get(self.parameter, "")
 
     @property
+    def parameters(self) -> tuple[str, ...]:
+        """What varies along it: one parameter, or the two of a curve of bifurcations."""
+        test = self.curve.get("test")
+        return tuple(map(str, test["parameters"])) if isinstance(test, Mapping) else (self.parameter,)
+
+    @property
+    def places(self) -> np.ndarray:
+        """The values (k x 1 or k x 2) of what varies at every point and then at every event."""
+        members: tuple[FamilyPoint | Event, ...] = (*self.points, *self.events)
+        rows = [[number_of(one, name) for name in self.parameters] for one in members]
+        return np.array(rows, float).reshape(-1, len(self.parameters))
+
+    @property
     def counts(self) -> str:
         """How many orbits are closed and how many of them certified, in words."""
         sure = [sum(one.certified for one in some) for some in (self.points, self.events)]
@@ -182,6 +204,15 @@ class Family:
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
         return display.html(self)
+
+
+def number_of(one: FamilyPoint | Event, name: str) -> float:
+    """The value of a freed parameter, or else the energy or the period, of a point or event; of another its value."""
+    if name in one.free:
+        return float(one.free[name])
+    if name in ("energy", "period"):
+        return float(getattr(one, name))
+    return one.value if isinstance(one, FamilyPoint) else one.parameter
 
 
 @dataclass(frozen=True)

@@ -114,6 +114,9 @@ class Orbit:
     shift: Mapping[str, float] = field(default_factory=dict)
     """how far it comes back from where it was along the cyclic coordinates that it is relative in (rad, m)"""
 
+    control: Mapping[str, Any] | None = None
+    """of a controlled motion its control: shape, coefficients, what was asked, cost, multipliers"""
+
     def _repr_html_(self) -> str | None:
         """How a notebook shows it."""
         return display.html(self)
@@ -138,8 +141,17 @@ def orbit_to_document(orbit: Orbit) -> dict[str, Any]:
     document |= {name: walked(in_words.get(name, getattr(orbit, name)), plain_numbers) for name in ENTRIES}
     if orbit.shift:
         document["shift"] = dict(orbit.shift)
+    if orbit.control is not None:
+        document["control"] = walked(dict(orbit.control), plain_numbers)
     document["record"] = digest(document)
     return document if orbit.proof is None else document | {"proof": dict(orbit.proof)}
+
+
+def refuse_controlled(orbit: Any, what: str) -> None:
+    """`InputError` where something is asked of a controlled orbit that only motions without control have."""
+    if getattr(orbit, "control", None) is not None:
+        raise InputError(f"{what}: {orbit.name} is a controlled orbit; give one without control, or state the problem "
+                         "again with other pins and limits (of.Control)")  # fmt: skip
 
 
 def unconserved(orbit: Orbit) -> bool:
@@ -193,7 +205,7 @@ def system_at(system: Mapping[str, Any], values: Mapping[str, float]) -> Mapping
 
 def digest(document: Mapping[str, Any]) -> str:
     """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
-    relative = {"shift": document["shift"]} if document.get("shift") else {}
+    relative = {name: document[name] for name in ("shift", "control") if document.get(name)}
     return content_digest({name: document.get(name) for name in DIGESTED} | relative)
 
 
@@ -304,6 +316,7 @@ def orbit_from_document(
             provenance=dict(document.get("provenance") or {}), title=str(document.get("title", "")),
             source=str(document.get("source", "")), record=document.get("record"),
             shift={str(name): float(by) for name, by in (document.get("shift") or {}).items()},
+            control=dict(document["control"]) if isinstance(document.get("control"), Mapping) else None,
             proof=dict(document["proof"]) if isinstance(document.get("proof"), Mapping) else None,
         )  # fmt: skip
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:

@@ -18,6 +18,7 @@ from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.members import Motion, amplitudes, motions, whole
+from orbitfinder.loops.control import history
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.orbits.course import Course, course_of
@@ -51,7 +52,9 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
         "time_histories": time_histories(orbit, model),
         "phase_portraits": phase_portraits(orbit, model),
     }
-    if np.isfinite(orbit.energy) and (model.hybrid is None or model.conservative):
+    if orbit.control is not None:
+        figures["controls"] = controls(orbit)
+    elif np.isfinite(orbit.energy) and (model.hybrid is None or model.conservative):
         figures["energy_error"] = energy_error(orbit, model)
     if has_path(model):
         figures["path"] = path_views(orbit, model)
@@ -131,6 +134,23 @@ def mark_events(panels: Sequence[Any], course: Course) -> None:
                 name, (moment, 1.0), (0, 2), xycoords=("data", "axes fraction"), textcoords="offset points",
                 ha="right" if moment == course.period else "center", fontsize=8, color="0.3",
             )  # fmt: skip
+
+
+def controls(orbit: Orbit) -> Figure:
+    """The controls of a motion over its period, below each other, with their limits dashed."""
+    assert orbit.control is not None
+    times, values = history(orbit.control, orbit.period)
+    names, limits = orbit.control["names"], orbit.control["limits"]
+    figure = new_figure(8.0, 1.6 + 2.0 * len(names), *heading(orbit, "controls"))
+    panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
+    for axes, name, column in zip(panels, names, values.T, strict=True):
+        axes.plot(times, column, color=COLOURS[0], linewidth=1.3)
+        for bound in limits.get(name, ()):
+            if np.isfinite(bound) and abs(bound) <= 3 * max(float(np.abs(column).max()), 1e-300):
+                axes.axhline(bound, color="0.5", linewidth=0.7, linestyle="--")
+        dress(axes, "time (s)" if axes is panels[-1] else "", name)
+    panels[-1].set_xlim(0.0, orbit.period)
+    return figure
 
 
 def _components(figure: Figure, course: Course, model: Model) -> Figure:
@@ -277,7 +297,9 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
 
 MARKERS = {
     "fold": "v", "branch_point": "o", "period_doubling": "s", "torus": "P", "resonance": ".", "collision": "x",
-    "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X",
+    "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X", "cusp": "^", "isola_centre": "h",
+    "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D", "fold_torus": "<",
+    "doubling_torus": ">",
 }  # fmt: skip
 """Marker of each kind of event."""
 SIZES = {"resonance": 3.0, "stability_change": 9.0}
@@ -290,7 +312,9 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
     A forced family has its response in place of frequency and energy, another that dissipates both.
     """
     figures = {} if model.forced else {"frequency_energy": frequency_energy([family])}
-    if not model.conservative:
+    if len(family.parameters) > 1:
+        figures = {"two_parameters": two_parameters([family])}
+    elif not model.conservative:
         figures["response"] = response([family], model)
     if any(point.floquet_multipliers.size for point in family.points):
         figures |= {"multipliers_plane": multipliers_plane(family), "multipliers": multipliers_along(family)}
@@ -362,6 +386,36 @@ def frequency_energy(
         offset = {"xytext": (6, 8), "textcoords": "offset points"}
         axes.annotate(name, (energy, 1.0 / period), fontsize=9, parse_math=False, **offset)
     dress(axes, axis_name(families[0]) if freed else "energy (J)", "frequency (1/s)")
+    return figure
+
+
+def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
+    """Curves of bifurcations in the plane of their two parameters, with a mark at each point of codimension two.
+
+    Curves of the same two parameters are drawn together. Raises `InputError` for families in one parameter.
+    """
+    names = families[0].parameters
+    for one in families:
+        if len(one.parameters) < 2 or set(one.parameters) != set(names):
+            raise InputError(
+                f"{one.name}: varies {', '.join(one.parameters)}; give curves in {' and '.join(names)} alone"
+            )
+    figure = new_figure(8.0, 5.6, title or f"{', '.join(one.name for one in families)}: bifurcations in two parameters")
+    axes, shown = figure.subplots(), dict[str, Any]()
+    for k, one in enumerate(families):
+        colour, test = COLOURS[k % len(COLOURS)], one.curve["test"]
+        at = one.places if one.parameters == names else one.places[:, ::-1]
+        line = axes.plot(*at[: len(one.points)].T, color=colour, linewidth=1.8)[0]
+        shown.setdefault(f"{test['kind']} {test['detail']}".replace("_", " ").strip(), line)
+        for event, place in zip(one.events, at[len(one.points) :], strict=True):
+            style = {"marker": MARKERS[event.kind], "markersize": 7.0, "linestyle": "none", "color": "black"}
+            mark = axes.plot(*place, **style)[0]
+            said = f"{event.kind} {event.detail}".replace("_", " ").strip()
+            shown.setdefault(event.kind.replace("_", " "), mark)
+            axes.annotate(said, place, fontsize=9, xytext=(7, 7), textcoords="offset points", parse_math=False)
+    dress(axes, *names)
+    axes.margins(0.08)
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 

@@ -28,9 +28,9 @@ def _outline(kind: str, at: np.ndarray, half: float) -> np.ndarray:
         turn = np.linspace(0.0, 2 * np.pi, SIDES)
         return np.asarray(at[:, :1] + np.linalg.norm(at[:, 1] - at[:, 0]) * np.array([np.cos(turn), np.sin(turn)]))
     if kind == "slider":
-        return at + half * np.array([[-1, -1, 1, 1, -1], [-1.6, 1.6, 1.6, -1.6, -1.6]])
+        return np.asarray(at + half * np.array([[-1, -1, 1, 1, -1], [-1.6, 1.6, 1.6, -1.6, -1.6]]))
     if kind == "ground":
-        return at + half * np.array([[0, 1.5, 1.5, 0], [0, -1, 1, 0]])
+        return np.asarray(at + half * np.array([[0, 1.5, 1.5, 0], [0, -1, 1, 0]]))
     return at
 
 

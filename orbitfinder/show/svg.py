@@ -10,7 +10,7 @@ from html import escape
 
 import numpy as np
 
-from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.records.family import Event, Family, FamilyPoint
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
@@ -147,30 +147,45 @@ def runs(points: Sequence[FamilyPoint]) -> list[tuple[bool, list[FamilyPoint]]]:
 
 
 def diagram(family: Family) -> str:
-    """Frequency against energy: solid where stable, dashed where not, a dot that names itself at each event."""
+    """Frequency against energy, or the second parameter of a curve of bifurcations against its first.
+
+    Solid where stable, dashed where not, a dot that names itself at each event.
+    """
     if not family.points:
         return ""
-    across, up = family.values("energy"), 1 / family.values("period")
-    low, span = np.array([across.min(), up.min()]), np.maximum([np.ptp(across), np.ptp(up)], 1e-12)
+    names, places = family.parameters, family.places
+    if len(names) < 2:
+        names = ("energy (J)", "frequency (1/s)")
+        places = np.column_stack([
+            [*family.values("energy"), *(one.energy for one in family.events)],
+            [*(1 / family.values("period")), *(1 / one.period for one in family.events)],
+        ])  # fmt: skip
+    at = dict(zip(map(id, (*family.points, *family.events)), places, strict=True))
+    low, span = (
+        places[: len(family.points)].min(axis=0),
+        np.maximum(np.ptp(places[: len(family.points)], axis=0), 1e-12),
+    )
     room = np.array([WIDTH - LEFT - AROUND, HEIGHT - BELOW - AROUND])
 
-    def place(energy: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-        share = (np.column_stack([energy, frequency]) - low) / span
+    def place(*some: FamilyPoint | Event) -> np.ndarray:
+        share = (np.array([at[id(one)] for one in some]) - low) / span
         return np.asarray([LEFT, HEIGHT - BELOW] + share * room * [1, -1])
 
     lines = []
     for stable, run in runs(family.points):
-        curve = place(np.array([p.energy for p in run]), np.array([1 / p.period for p in run]))
         dash = "" if stable else ' stroke-dasharray="5 4"'
-        lines.append(f'<polyline points="{path(curve)}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
+        lines.append(
+            f'<polyline points="{path(place(*run))}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>'
+        )
     for event in family.events:
-        ((x, y),) = place(np.array([event.energy]), np.array([1 / event.period]))
+        ((x, y),) = place(event)
         name = escape(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}")
         lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}"><title>{name}</title></circle>')
-    return picture("".join([_frame(low, span), *lines]), "frequency against energy of the family", WIDTH, HEIGHT)
+    said = "frequency against energy of the family" if len(family.parameters) < 2 else " against ".join(names[::-1])
+    return picture("".join([_frame(low, span, names), *lines]), escape(said), WIDTH, HEIGHT)
 
 
-def _frame(low: object, span: object) -> str:
+def _frame(low: object, span: object, names: Sequence[str]) -> str:
     """Axes with the range at their ends and what they are."""
     start, width = np.asarray(low, float), np.asarray(span, float)
     bottom, right = HEIGHT - BELOW, WIDTH - AROUND
@@ -182,8 +197,8 @@ def _frame(low: object, span: object) -> str:
         f'<path d="M {LEFT} {AROUND} V {bottom} H {right}" fill="none" stroke="currentColor" stroke-opacity=".5"/>',
         text(LEFT, bottom + 15, f"{start[0]:.4g}", "start"),
         text(right, bottom + 15, f"{start[0] + width[0]:.4g}", "end"),
-        text((LEFT + right) / 2, bottom + 30, "energy (J)", "middle"),
+        text((LEFT + right) / 2, bottom + 30, escape(names[0]), "middle"),
         text(LEFT - 5, bottom, f"{start[1]:.3g}", "end"),
         text(LEFT - 5, AROUND + 10, f"{start[1] + width[1]:.3g}", "end"),
-        text(12, bottom / 2, "frequency (1/s)", "middle", f' transform="rotate(-90 12 {bottom / 2})"'),
+        text(12, bottom / 2, escape(names[1]), "middle", f' transform="rotate(-90 12 {bottom / 2})"'),
     ])  # fmt: skip

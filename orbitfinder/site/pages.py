@@ -226,6 +226,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "parameter": family.parameter,
         "unit": family.unit,
         "moved": moved,
+        "curve": len(family.parameters) > 1,
         "columns": columns
         | {
             "stable": [point.stability != "unstable" for point in family.points],
@@ -236,13 +237,18 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
 
 
 def _response(family: Family, simulator: Simulator) -> tuple[str, dict[int, float]]:
-    """Of a family that dissipates: the coordinate that moves most, and its amplitude by the id of points and events."""
+    """Of a family that dissipates: the coordinate that moves most, and its amplitude by the id of points and events.
+
+    Of a curve of bifurcations: the second parameter, and its values.
+    """
+    members = [*map(id, family.points), *map(id, family.events)]
+    if len(family.parameters) > 1:
+        return family.parameters[1], dict(zip(members, family.places[:, 1].tolist(), strict=True))
     known = simulator.model(family.system)
     if known is None or known[0].conservative or not family.curve:
         return "", {}
     sizes = amplitudes(family, known[0])
     most = int(sizes.max(axis=0).argmax())
-    members = [*map(id, family.points), *map(id, family.events)]
     return known[0].state_names[most], dict(zip(members, sizes[:, most].tolist(), strict=True))
 
 
@@ -262,7 +268,8 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
     summary = (
         f"{plural(len(points), 'orbit')} of the {mechanism(family.system)}, {unstable} of them unstable, "
         f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "
-        f"Parameter: {family.parameter}. All as orbitfinder continue recorded it; not checked here."
+        f"{'Parameters' if family.parameters[1:] else 'Parameter'}: {', '.join(family.parameters)}. "
+        "All as orbitfinder continue recorded it; not checked here."
     )
     return {
         "family": family,

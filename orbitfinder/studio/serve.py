@@ -38,9 +38,7 @@ def free_port(wanted: int | None = None) -> int:
     raise InputError(f"port: {PORT} to {PORT + TRIED - 1} are all in use; give another one")
 
 
-def serve(
-    file: Path | None, out: Path, port: int | None, browser: bool, announce: Callable[[str], None]
-) -> None:
+def serve(file: Path | None, out: Path, port: int | None, browser: bool, announce: Callable[[str], None]) -> None:
     """Serve the studio until Ctrl-C; `announce` gets its address once. Raises `InputError`."""
     try:
         from nicegui import app, ui  # noqa: PLC0415  an extra

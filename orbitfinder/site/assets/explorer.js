@@ -11,9 +11,9 @@
   player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; });
 
   var NAMES = { energy: "energy, J", frequency: "frequency, 1/s", period: "period, s", action: "action, J s",
-    amplitude: "amplitude of " + safe(it.moved || ""), largest: "largest multiplier", value: safe(it.parameter) };
+    amplitude: (it.curve ? "" : "amplitude of ") + safe(it.moved || ""), largest: "largest multiplier", value: safe(it.parameter) };
   var SYMBOLS = { fold: "triangle-down", branch_point: "circle-open", period_doubling: "square", torus: "cross", resonance: "circle",
-    collision: "x", stability_change: "diamond" };
+    collision: "x", stability_change: "diamond", cusp: "triangle-up", strong_resonance: "pentagon", isola_centre: "hexagon" };
 
   function axes() { return { x: part("across").value, y: part("up").value }; }
   function alike(name) {

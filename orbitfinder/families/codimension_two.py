@@ -1,0 +1,180 @@
+"""Points of codimension two on a curve of bifurcations: found between two of its points, located and named.
+
+cusp                two folds meet: the curve stops in the plane of the two parameters and turns back
+isola_centre        a fold's parameter is extremal: an isola shrinks to a point (transcritical: two families cross)
+strong_resonance    1:1 to 1:4, the critical multipliers of a torus or of a collision; a second one at +1 or -1
+fold_doubling       one multiplier at +1 and another at -1
+fold_torus, doubling_torus  one at +1 or -1 beside the pair of a torus
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import gcd
+
+import numpy as np
+
+from orbitfinder.families.critical import REAL, Critical, doubled, levelled, multipliers, nearest_pair, torus_pair
+from orbitfinder.families.events import event_at
+from orbitfinder.families.passages import Measure, Test, located
+from orbitfinder.families.point import FamilySettings, parameter_value
+from orbitfinder.families.run import Interval, Sample
+from orbitfinder.loops.continued import Curve, advanced, at_place, correct, kernel, plane
+from orbitfinder.loops.problem import pinned
+from orbitfinder.records.family import End, Event
+
+VANISHED = 1e-3
+"""A measure that is no smaller where it was located, relative to its ends, has jumped and did not vanish."""
+ASIDE = 1e-3
+"""How far aside of a curve of folds its surface is looked at, in the metric"""
+
+
+def find_special(interval: Interval, settings: FamilySettings) -> list[Event]:
+    """The points of codimension two between two points of a curve, in order, their arclength the distance into it."""
+    found = [(sample, test) for test in _tests(interval) for sample in _zeros(interval, test.measure)]
+    if _critical(interval).kind == "fold":
+        found += _turns(interval)
+    events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
+    return sorted(events, key=lambda event: event.arclength)
+
+
+def left_circle(curve: Curve, event: Event) -> End | None:
+    """The end of a curve of tori, or of Krein collisions, whose multipliers become real: beyond are neutral saddles."""
+    test = curve.test
+    if not isinstance(test, Critical) or test.kind not in ("torus", "collision") or event.kind != "strong_resonance":
+        return None
+    if abs(event.multiplier.imag) > REAL:  # of a half period, it goes on round the circle
+        return None
+    what = "a neutral saddle" if test.kind == "torus" else "real multipliers that meet"
+    return End(
+        "strong_resonance", f"the critical multipliers become real at a {event.detail} resonance; beyond is {what}"
+    )
+
+
+def _critical(interval: Interval) -> Critical:
+    test = interval.curve.test
+    assert isinstance(test, Critical)
+    return test
+
+
+def _zeros(interval: Interval, measure: Measure) -> Iterator[Sample]:
+    ends = [measure(interval.first), measure(interval.last)]
+    if ends[0] * ends[1] < 0:
+        sample = located(interval, measure, 0.0, interval.length)
+        if abs(measure(sample)) < VANISHED * max(map(abs, ends)):
+            yield sample
+
+
+def _tests(interval: Interval) -> Iterator[Test]:
+    """The tests of a curve that are read off its multipliers."""
+    one, about = _critical(interval), interval.first.about
+    if one.kind in ("torus", "collision"):
+        yield from _resonances(one, about.root)
+        return
+    if one.margin is not None or one.kind == "resonance" or about.reduced.shape[0] < 2:
+        return
+    level = one.roots(about)[1]
+
+    def met(sample: Sample) -> float:
+        return doubled(*one.roots(sample.about))
+
+    plus = one.multiplier.real > 0 and one.kind != "period_doubling"
+    yield Test("strong_resonance", "1:1" if plus or about.root == 2 else "1:2", met, one.order, one.multiplier)
+    other, mu = _opposite(one, about.root, about.conservative)
+    if other is None or other == level:
+        return
+
+    def both(sample: Sample, other: float = other) -> float:
+        return levelled(one.roots(sample.about)[0], other)
+
+    yield Test("fold_doubling", "", both, 2, mu)
+
+
+def _opposite(one: Critical, root: int, conservative: bool) -> tuple[float | None, complex]:
+    """Where another index, or multiplier, makes a fold of a doubling or a doubling of a fold; its multiplier."""
+    doubling = 1j if root == 2 else -1.0 + 0.0j
+    if root == 2 and not conservative:
+        return None, doubling
+    mu = 1.0 + 0.0j if one.kind == "period_doubling" else doubling
+    return (2.0 if conservative else 1.0) * mu.real, mu
+
+
+def _resonances(one: Critical, root: int) -> Iterator[Test]:
+    """The tests of a pair of multipliers that goes along the unit circle."""
+
+    def total(sample: Sample) -> float:
+        if one.kind == "torus":
+            return torus_pair(multipliers(sample.about))[1]
+        return float(np.mean(nearest_pair(sample.indices)).real)
+
+    for order in (1, 2, 3, 4):
+        for k in range(order * root // 2 + 1):
+            if gcd(k, order) == 1:
+                angle = 2 * np.pi * k / (order * root)
+                level = 2 * float(np.cos(angle))
+                name = f"1:{order}" if 0 < k < order * root / 2 or root == 1 else "1:1"
+                yield Test("strong_resonance", name, _less(total, level), order, complex(np.exp(1j * angle)))
+    if one.kind == "torus":
+        for kind, mu in (("fold_torus", 1.0), ("doubling_torus", -1.0)):
+            yield Test(kind, "", _beside(mu), 1 if mu > 0 else 2, complex(mu))
+
+
+def _less(measure: Measure, level: float) -> Measure:
+    return lambda sample: measure(sample) - level
+
+
+def _beside(mu: float) -> Measure:
+    return lambda sample: levelled(torus_pair(multipliers(sample.about))[2], mu)
+
+
+@dataclass(frozen=True)
+class _Along:
+    """d/ds of the two parameters (relative to their sizes) along a direction in their plane."""
+
+    names: tuple[str, str]
+    direction: np.ndarray
+
+    def __call__(self, sample: Sample) -> float:
+        return float(self.direction @ slopes(sample, self.names))
+
+
+def slopes(sample: Sample, names: tuple[str, str]) -> np.ndarray:
+    """d/ds of two parameters."""
+    return np.array([sample.slopes[name] for name in names])
+
+
+def _turns(interval: Interval) -> Iterator[tuple[Sample, Test]]:
+    """Cusps, and places where the parameter that folds is extremal along a curve of folds."""
+    one = _critical(interval)
+    ends = np.array([slopes(sample, one.parameters) for sample in (interval.first, interval.last)])
+    sizes = np.maximum(np.abs(ends).max(axis=0), 1e-300)
+    ends = ends / sizes
+    if ends[0] @ ends[1] < 0:
+        across = (ends[0] / np.linalg.norm(ends[0]) - ends[1] / np.linalg.norm(ends[1])) / sizes
+        measure: Measure = _Along(one.parameters, across)
+        for sample in _zeros(interval, measure):
+            if np.linalg.norm(slopes(sample, one.parameters) / sizes) < VANISHED * max(map(np.linalg.norm, ends)):
+                yield sample, Test("cusp", "", measure)
+        return
+    for k, name in enumerate(one.parameters):
+        if name == one.detail:
+            direction = np.eye(2)[k]
+            for sample in _zeros(interval, _Along(one.parameters, direction)):
+                kind = "isola_centre" if _is_centre(interval, sample, name) else "transcritical"
+                yield sample, Test(kind, name, _Along(one.parameters, direction))
+
+
+def _is_centre(interval: Interval, sample: Sample, name: str) -> bool:
+    """Whether the parameter that folds is extremal on the whole surface of orbits, and not only along the curve."""
+    curve, place = interval.curve, sample.found.place
+    (other,) = {*_critical(interval).parameters} - {name}
+    fixed = pinned(curve.equations, other, parameter_value(curve, place, other))
+    family = replace(curve, test=None, degenerate=False, conditions=(*curve.conditions, fixed))
+    found, bent = at_place(family, place), 0.0
+    whole = kernel(family, found)
+    for length in (-ASIDE, ASIDE):
+        aim = plane(family, place, place.head_of(whole), length)
+        aside = correct(family, advanced(place, whole, length), aim, place, slope=found.jacobian)
+        bent += parameter_value(curve, aside.place, name) - parameter_value(curve, place, name)
+    return bent * (interval.last.slopes[name] - interval.first.slopes[name]) > 0

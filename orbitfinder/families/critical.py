@@ -1,0 +1,134 @@
+"""What vanishes along a curve of bifurcations in two parameters.
+
+It is read off the reduced map of an orbit (see `stability.reduced_map`), by numbers that are smooth where multipliers
+meet: products over all of them, the product of a pair, the squared distance of two stability indices.
+Source: Yu. A. Kuznetsov, Elements of Applied Bifurcation Theory (2004), chapters 9 and 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError
+from orbitfinder.families.changes import margins
+from orbitfinder.families.stability import Spectrum, keeps_pairs, reduced_map
+from orbitfinder.loops.continued import Curve, Solution
+from orbitfinder.orbits.floquet import reciprocal_pairs
+
+REAL = 1e-9
+"""A product of two multipliers is real when its imaginary part is below this, relative to its size."""
+
+
+@dataclass(frozen=True)
+class Critical:
+    """The test function of a curve of bifurcations; `parameters` are the two that vary.
+
+    `multiplier` is the critical one of the root map. `margin` names what is grazed: arc, event and which.
+    """
+
+    kind: str
+    parameters: tuple[str, str]
+    detail: str = ""
+    order: int = 1
+    multiplier: complex = 1.0 + 0.0j
+    margin: tuple[int, str, str] | None = None
+
+    def __call__(self, curve: Curve, found: Solution) -> float:
+        """The test at an orbit. Raises `ConvergenceError` where it has no value."""
+        if self.margin is not None:
+            known = margins(curve, found).get(self.margin)
+            if known is None:
+                raise ConvergenceError(f"what is grazed is no longer near {self.margin[1]}; take a smaller step")
+            return known.value
+        reduced = reduced_map(curve, found)[0]
+        roots = np.linalg.eigvals(reduced).astype(complex)
+        if self.kind == "torus":
+            return torus_pair(roots)[0] - 1.0
+        conservative = keeps_pairs(curve, reduced)
+        if conservative:
+            first, second = reciprocal_pairs(roots)
+            roots = roots[first] + roots[second]
+        return discriminant(roots) if self.kind == "collision" else levelled(roots, self.level(conservative))
+
+    def neutral(self, curve: Curve, found: Solution) -> bool:
+        """Whether the pair of a torus is real: a neutral saddle."""
+        return abs(torus_pair(np.linalg.eigvals(reduced_map(curve, found)[0]).astype(complex))[1]) >= 2.0
+
+    def level(self, conservative: bool) -> float:
+        """The value that a stability index, or a multiplier, has along the curve."""
+        return float((2.0 if conservative else 1.0) * self.multiplier.real)
+
+    def roots(self, about: Spectrum) -> tuple[np.ndarray, float]:
+        """Indices (conservative) or multipliers of an orbit, and the value that one of them has along the curve."""
+        return about.indices if about.conservative else multipliers(about), self.level(about.conservative)
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """What `critical_of` makes the same of."""
+        found: dict[str, Any] = {
+            "kind": self.kind, "parameters": list(self.parameters), "detail": self.detail, "order": self.order,
+            "multiplier": [self.multiplier.real, self.multiplier.imag],
+        }  # fmt: skip
+        return found if self.margin is None else found | {"margin": list(self.margin)}
+
+
+def critical_of(entry: Mapping[str, Any]) -> Critical:
+    """The test function that an entry of a file stands for."""
+    margin, (re, im) = entry.get("margin"), entry["multiplier"]
+    first, second = entry["parameters"]
+    return Critical(
+        str(entry["kind"]), (str(first), str(second)), str(entry["detail"]), int(entry["order"]), complex(re, im),
+        None if margin is None else (int(margin[0]), str(margin[1]), str(margin[2])),
+    )  # fmt: skip
+
+
+def multipliers(about: Spectrum) -> np.ndarray:
+    """The non-trivial multipliers of the root map."""
+    return np.linalg.eigvals(about.reduced).astype(complex)
+
+
+def levelled(roots: np.ndarray, level: float) -> float:
+    """prod (level - r_i) over roots, each by its size, which is 0 where one of them is there."""
+    return float(np.prod((level - roots) / _sizes(roots)).real)
+
+
+def doubled(roots: np.ndarray, level: float) -> float:
+    """The derivative of that product by the level, which is 0 too where two of the roots are there."""
+    sizes = _sizes(roots)
+    parts = (level - roots) / sizes
+    return float(sum(np.prod(np.delete(parts, k)) / sizes[k] for k in range(roots.size)).real)
+
+
+def _sizes(roots: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(1.0 + np.abs(roots) ** 2))
+
+
+def torus_pair(roots: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Product and sum of the two multipliers whose product is real and nearest to 1, and the others.
+
+    They are those of a torus, or of a neutral saddle.
+    """
+    real = [pair for pair in combinations(range(roots.size), 2)
+            if abs((one := np.prod(roots[list(pair)])).imag) <= REAL * (1 + abs(one))]  # fmt: skip
+    if not real:
+        raise ConvergenceError("no two multipliers are left that could leave the unit circle together")
+    i, j = min(real, key=lambda pair: abs(roots[pair[0]] * roots[pair[1]] - 1.0))
+    return float((roots[i] * roots[j]).real), float((roots[i] + roots[j]).real), np.delete(roots, [i, j])
+
+
+def discriminant(indices: np.ndarray) -> float:
+    """(kappa_i - kappa_j)^2 of the two nearest stability indices."""
+    one, other = nearest_pair(indices)
+    return float(((one - other) ** 2).real)
+
+
+def nearest_pair(indices: np.ndarray) -> tuple[complex, complex]:
+    """The two stability indices that are nearest to each other."""
+    if indices.size < 2:
+        raise ConvergenceError("no two stability indices are left that could meet")
+    return min(combinations(map(complex, indices), 2), key=lambda pair: abs(pair[0] - pair[1]))

@@ -1,0 +1,197 @@
+"""Curves of bifurcations: an event of a family followed while two parameters vary.
+
+Its orbits keep the family's equations, with one parameter more free and one row more, a test function of the
+multipliers (`critical.Critical`); they are followed, journalled and certified as those of any family.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import ConvergenceError, InputError, closest
+from orbitfinder.families.branches import Branch, described
+from orbitfinder.families.changes import margins
+from orbitfinder.families.critical import Critical
+from orbitfinder.families.folder import Progress, follow_family
+from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
+from orbitfinder.families.start import corrected, curve_at, curve_of
+from orbitfinder.loops.continued import Curve, Solution, at_place, scaled
+from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.problem import pinned
+from orbitfinder.loops.symmetry import momenta_of
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.model import Model
+from orbitfinder.records.family import Event, Family, load_family
+
+FOLLOWED = ("fold", "branch_point", "period_doubling", "torus", "collision", "resonance", "grazing")
+"""Kinds of events that a curve in two parameters leads through"""
+LOST = 1e-6
+"""A singular value of the equations below this, relative to the next, is a rank lost at a branch point."""
+
+
+@dataclass(frozen=True)
+class Locus(Branch):
+    """The start of a curve of bifurcations in two parameters: which family, which of its events, its first orbit."""
+
+    @property
+    def parameters(self) -> tuple[str, str]:
+        """The two parameters."""
+        assert isinstance(self.start.curve.test, Critical)
+        return self.start.curve.test.parameters
+
+    def described(self) -> dict[str, Any]:
+        """The same in plain numbers."""
+        told = {name: value for name, value in super().described().items() if name != "branch"}
+        return told | {"kind": "curve", "parameters": list(self.parameters)}
+
+
+def follow_curve(
+    family: Family | str | Path,
+    event: int | Event,
+    parameters: Sequence[str],
+    *,
+    until: float | None = None,
+    at: Sequence[float] = (),
+    settings: FamilySettings | None = None,
+    out: str | Path | None = None,
+    name: str | None = None,
+    points: int | None = None,
+    model: Model | None = None,
+    progress: Progress | None = None,
+) -> Family:
+    """The curve along which an event of a family (or of its family.json) happens while two parameters vary.
+
+    Its points are orbits at the bifurcation, its events points of codimension two. `until` and `at` are values of the
+    first parameter; the rest is as for `follow_family`. Raises `InputError`, `ConvergenceError`.
+    """
+    start = curve_start(family, event, parameters, settings, model)
+    return follow_family(
+        start, start.parameters[0], until=until, at=at, settings=settings, out=out, name=name, points=points,
+        model=model, progress=progress,
+    )  # fmt: skip
+
+
+def curve_start(
+    family: Family | str | Path,
+    event: int | Event,
+    parameters: Sequence[str],
+    settings: FamilySettings | None = None,
+    model: Model | None = None,
+) -> Locus:
+    """The start of the curve of an event in two parameters, named <family>-<event>-<first>-<second>."""
+    where = family.name if isinstance(family, Family) else str(family)
+    family = family if isinstance(family, Family) else load_family(family)
+    number, chosen = _event(family, event, where)
+    settings = replace(settings or FamilySettings(), parameter=family.parameter)
+    base = curve_of(family.curve, model or build_model(family.system), settings)
+    names = _parameters(base.equations.model, parameters)
+    hold = _hold(base, family, chosen, names)
+    curve, place = _released(base, chosen, names, hold)
+    sizes = np.linalg.svd(scaled(curve, at_place(curve, place))[0])[1]
+    test = Critical(chosen.kind, names, chosen.detail, chosen.order, chosen.multiplier)
+    test = replace(test, margin=_grazed(curve, at_place(curve, place), chosen)) if chosen.kind == "grazing" else test
+    curve = replace(curve, test=test, degenerate=bool(sizes[-1] < LOST * sizes[-2]))
+    if test.kind == "branch_point" and test.multiplier.real > 0 and not curve.degenerate:
+        raise InputError(
+            f"event: the branch point {described(family, number)} lasts only while nothing disturbs it, and one of "
+            f"{' and '.join(names)} does: folds leave from there; choose parameters that keep the symmetry"
+        )
+    held = names[0] if names[0] != family.parameter else names[1]
+    aim = pinned(curve.equations, held, parameter_value(curve, place, held))
+    try:
+        start = corrected(curve, place, aim)
+    except ConvergenceError as error:
+        lasting = "; it need not persist where nothing keeps its symmetry" if curve.degenerate else ""
+        raise ConvergenceError(f"event {number} of {family.name} ({chosen.kind}): {error}{lasting}") from error
+    if test.kind == "torus" and test.neutral(start.curve, start.found):
+        raise ConvergenceError(
+            f"event {number} of {family.name}: two real multipliers of product 1, a neutral saddle and no torus; "
+            "continue the family again"
+        )
+    return Locus(start, family.name, chosen, number, 0, f"{family.name}-{number}-{'-'.join(names)}")
+
+
+def _event(family: Family, event: int | Event, where: str) -> tuple[int, Event]:
+    """The event of a number, or that one. `InputError` lists those that can be followed."""
+    if isinstance(event, Event):
+        event = next((k for k, one in enumerate(family.events) if one is event), -1)
+    if not family.curve:
+        raise InputError(f"{where}: curve: missing, an older orbitfinder wrote this file; continue the family again")
+    if "test" in family.curve:
+        raise InputError(f"{where}: is a curve in two parameters itself; give the family that it was started from")
+    known = [k for k, one in enumerate(family.events) if one.kind in FOLLOWED and not one.detail.startswith("at ")]
+    listed = "; ".join(described(family, k) for k in known)
+    choice = f"choose one of {listed}" if listed else "this family has none of which one does"
+    if not 0 <= event < len(family.events):
+        raise InputError(f"event: {where} has no event {event}; {choice}")
+    chosen = family.events[event]
+    if event not in known:
+        raise InputError(f"event: no curve leads through event {event} ({chosen.kind}); {choice}")
+    if not chosen.shooting_nodes.size:
+        raise InputError(f"{where}: family.npz is not beside it; continue the family again to follow its event")
+    return event, chosen
+
+
+def _parameters(model: Model, names: Sequence[str]) -> tuple[str, str]:
+    """The two names. `InputError` unless they are two different ones, at least one of them physical."""
+    if len(names) != 2:
+        raise InputError(f"parameters: two names are needed, got {len(names)} ({', '.join(names)}); give a,b")
+    first, second = names
+    own = ("energy", "period") if model.conservative else ()
+    known = [*own, *model.parameter_names]
+    for name in names:
+        if name not in known:
+            raise InputError(f"parameters: unknown {name!r}{closest(name, known)}; use two of {', '.join(known[:20])}")
+    if first == second:
+        raise InputError(f"parameters: {first!r} twice; give two different ones of {', '.join(known[:20])}")
+    if {first, second} == set(own):
+        raise InputError(
+            "parameters: energy and period are the family's own, of one orbit one follows from the other; give one of "
+            f"them and a physical parameter ({', '.join(model.parameter_names[:20]) or 'this system has none'})"
+        )
+    return first, second
+
+
+def _hold(base: Curve, family: Family, event: Event, names: tuple[str, str]) -> tuple[str, ...]:
+    """What keeps its value along a conservative system's curve. `InputError` for folds that are no bifurcations."""
+    held_period = family.curve.get("period") is not None
+    if event.kind == "fold" and (event.detail == "period" or held_period):
+        raise InputError(
+            f"event: at a fold of the {event.detail}{' at a fixed period' if held_period else ''} no multiplier is at "
+            "+1, it is no bifurcation; choose a fold of the energy, or continue the family with the energy held"
+        )
+    model = base.equations.model
+    if not model.conservative:
+        return ()
+    momenta = momenta_of(base.equations.symmetry, model)
+    both = all(name in model.parameter_names for name in names)
+    return (*(("period" if held_period else "energy",) if both else ()), *momenta)
+
+
+def _released(base: Curve, event: Event, names: tuple[str, str], held: tuple[str, ...]) -> tuple[Curve, Unknowns]:
+    """The family's curve with both parameters free, other freed ones fixed where they are, and the event's place."""
+    old, model = base.equations, base.equations.model
+    free = tuple(name for name in names if name in model.parameter_names)
+    fixed = {name: event.free[name] for name in old.physical if name not in free}
+    equations = Equations(with_parameters(model, fixed), old.symmetry, free, action=True, alone=True)
+    known = dict(zip(equations.free, equations.numbers, strict=True)) | dict(event.free)
+    place = unknowns_of(base, event)
+    place = replace(
+        place, unfolding=np.zeros(equations.march.unfolding), free=np.array([known[one] for one in equations.free])
+    )
+    return replace(curve_at(equations, place, held), constant=base.constant), place
+
+
+def _grazed(curve: Curve, found: Solution, event: Event) -> tuple[int, str, str]:
+    """The margin that is 0 at an event."""
+    known = {
+        key: one for key, one in margins(curve, found).items() if one.kind == event.kind and key[1] == event.detail
+    }
+    if not known:
+        raise InputError(f"event: what is grazed there ({event.detail}) cannot be told; continue the family again")
+    return min(known, key=lambda key: abs(known[key].value))

@@ -1,0 +1,296 @@
+"""Where motions cross a plane: many at once, each with steps of its own, crossings located to round-off.
+
+A plane is x_i = c, of an angle c + 2 pi k; a forced system is looked at once a period of its forcing, where t = k P.
+The steps are those of `rk8` with its estimate of their error. In a step that crosses, Newton's method on the step's
+length finds the crossing with the step itself, so that it is as good as the motion; a step whose cubic touches the
+plane and turns back is shortened to that turn, so that no pair of crossings is stepped over. Backwards in time steps
+are negative.
+
+Source: M. Henon, "On the numerical computation of Poincare maps", Physica D 5 (1982) 412-414; step control: E. Hairer,
+S. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), section II.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime import limit
+from orbitfinder.errors import IntegrationError
+from orbitfinder.integrate.compiled import compiled
+from orbitfinder.integrate.parallel import STAGES, Lanes
+from orbitfinder.integrate.rk8 import one_step, step_of
+
+FINE, SEEN = 2e-14, 1e-10
+"""Relative tolerances of one step: of what is refined, and of what is drawn"""
+EFFORT = 3.0
+"""Seconds of interpreted stepping that a section takes, for `compiled`"""
+SAFETY, LEAST, MOST = 0.8, 0.2, 5.0
+"""A step aims at this share of the length that its error allows, and changes by no more than these factors"""
+NEWTON, ROOM = 50, 8 * float(np.finfo(float).eps)
+"""Steps of Newton's method on a crossing at most, and how near to the plane it must come, relative"""
+ON_IT = 1e-11
+"""A start this near to the plane, in units of its motion, is on it"""
+SHORTEST = 1e-13
+"""Steps shorter than this share of the longest mean that a motion ends in a singularity"""
+TOUCHING = 0.02
+"""A cubic turns back at the plane where it comes as near as this, relative to how far it came and goes"""
+SHORT = 500
+"""Operations of a field up to which a step and its error are one expression"""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """x_i = `level` of component i, crossed with x_i growing (`direction` 1), falling (-1) or both ways (0).
+
+    `cycle` is 2 pi for an angle, the forcing's period for a component -1, which is time; 0 without repetition.
+    """
+
+    component: int
+    level: float = 0.0
+    direction: int = 1
+    cycle: float = 0.0
+
+    def cell(self, values: np.ndarray) -> np.ndarray:
+        """Which of the plane's repetitions lies below values of its component."""
+        return np.floor((values - self.level) / self.cycle) if self.cycle else np.where(values >= self.level, 0.0, -1.0)
+
+    def off(self, values: np.ndarray, cell: np.ndarray) -> np.ndarray:
+        """Values relative to the repetition of a number."""
+        return values - self.level - (self.cycle * cell if self.cycle else 0.0)
+
+    def start(self, values: np.ndarray, rates: np.ndarray, unit: float) -> np.ndarray:
+        """The cells that motions go into, some of which start on the plane."""
+        nearest = np.round((values - self.level) / self.cycle) if self.cycle else np.zeros(values.shape)
+        there = np.abs(self.off(values, nearest)) <= ON_IT * unit
+        return np.where(there, np.where(rates > 0, nearest, nearest - 1), self.cell(values))
+
+
+@dataclass(frozen=True)
+class Passing:
+    """Crossings of k motions: times (k x m) and states (k x m x d), nan from where a motion has ended."""
+
+    times: np.ndarray
+    states: np.ndarray
+
+    @property
+    def complete(self) -> np.ndarray:
+        """Which motions (k) have all crossings."""
+        return np.asarray(np.isfinite(self.times).all(axis=1))
+
+
+@lru_cache(maxsize=16)
+def _stepper(field: ca.Function) -> ca.Function:
+    """(t, x), (h, s, free) -> (x after, error, x' after); one expression of a short field, or calls."""
+    short = field.is_a("SXFunction") and field.n_instructions() <= SHORT
+    z = (ca.SX.sym if short else ca.MX.sym)("z", 1 + field.size1_in(1))
+    p = type(z).sym("p", 1 + field.size1_in(2) + field.size1_in(3))
+    step, error = (
+        (one_step(field, ca.SX.sym), one_step(field, ca.SX.sym, True))
+        if short
+        else (step_of(field), step_of(field, True))
+    )
+    after, cut = step(z, p), 1 + field.size1_in(2)
+    rate = field(after[0], after[1:], p[1:cut], p[cut:])
+    return ca.Function("stepper", [z, p], ca.cse([ca.vertcat(after[1:], error(z, p), rate)]))
+
+
+class Crossings:
+    """The motions of one field f(t, x, s, free), s and free 0 or `tail`, with components measured in `units` (d)."""
+
+    def __init__(self, field: ca.Function, units: np.ndarray, tail: np.ndarray | None = None) -> None:
+        size = field.size1_in(2) + field.size1_in(3)
+        self.field, self.size, self.units = field, int(field.size1_in(1)), np.asarray(units, float)
+        self.tail = np.zeros(size) if tail is None else np.asarray(tail, float)
+        self._lanes, self._made = Lanes(), list[Any]()
+
+    def stepped(self, times: np.ndarray, states: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, ...]:
+        """States after steps of these lengths from states (k x d) at times (k), errors and rates there (k x d each)."""
+        if not self._made:
+            self._made.append(compiled(_stepper(self.field), effort=EFFORT))
+        start, parameters = np.empty((len(states), 1 + self.size)), np.empty((len(states), 1 + self.tail.size))
+        start[:, 0], start[:, 1:], parameters[:, 0], parameters[:, 1:] = times, states, lengths, self.tail
+        found, d = self._lanes.evaluated(self._made[0], STAGES, start, parameters), self.size
+        return found[:, :d], found[:, d : 2 * d], found[:, 2 * d :]
+
+    def rates(self, times: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """x' (k x d)."""
+        return self.stepped(times, states, np.zeros(len(states)))[2]
+
+    def passing(
+        self,
+        plane: Plane,
+        states: np.ndarray,
+        count: int,
+        *,
+        longest: float,
+        sense: int = 1,
+        tolerance: float = FINE,
+        times: np.ndarray | float = 0.0,
+        path: Callable[[np.ndarray, np.ndarray, np.ndarray], None] | None = None,
+    ) -> Passing:
+        """The next `count` crossings of motions from states (k x d), none of which takes longer than `longest`.
+
+        `sense` -1 goes backwards in time; the plane's direction is that of the motion forwards. Motions that leave, end
+        in a singularity or do not come back have nan. `path(which, times, states)` is told every accepted step.
+        """
+        run = _Run(self, plane, np.asarray(states, float), count, (longest, sense, tolerance), times)
+        while run.alive.any():
+            limit.check()
+            run.step(path)
+        return run.passing()
+
+    def along(self, states: np.ndarray, moments: np.ndarray, *, tolerance: float = SEEN, sense: int = 1) -> np.ndarray:
+        """States (k x m x d) of motions at the same increasing moments, the first of which is 0; nan from an end on."""
+        found = np.full((len(states), moments.size, self.size), np.nan)
+        found[:, 0] = now = np.array(states, float)
+        for k in range(1, moments.size):
+            span = moments[k] - moments[k - 1]
+            well = np.isfinite(now).all(axis=1)
+            clock = Plane(-1, span, 0, 0.0)
+            there = self.passing(clock, now[well], 1, longest=2 * span, sense=sense, tolerance=tolerance).states[:, 0]
+            now = np.full_like(now, np.nan)
+            now[well] = found[well, k] = there
+        return found
+
+
+class _Run:
+    """One integration of k motions to their crossings."""
+
+    def __init__(
+        self, crossings: Crossings, plane: Plane, states: np.ndarray, count: int, chosen: tuple[float, int, float],
+        times: np.ndarray | float,
+    ) -> None:  # fmt: skip
+        self.of, self.plane, self.count = crossings, plane, count
+        self.longest, self.sense, self.tolerance = chosen
+        self.states, k = states.copy(), len(states)
+        self.times = np.broadcast_to(np.asarray(times, float), k).copy()
+        self.rates = crossings.rates(self.times, states)
+        self.lengths = self._first()
+        self.since, self.crossed = np.zeros(k), np.zeros(k, int)
+        self.noted: list[tuple[np.ndarray, ...]] = []
+        own, going = self._watched(self.times, self.states, self.rates)
+        self.cells = plane.start(own, self.sense * going, self._unit)
+        self.alive = np.isfinite(states).all(axis=1) & np.isfinite(self.rates).all(axis=1) & (count > 0)
+
+    @property
+    def _unit(self) -> float:
+        i = self.plane.component
+        return 0.0 if i < 0 else float(self.of.units[i])
+
+    def _first(self) -> np.ndarray:
+        """A first length for each motion: what takes it a hundredth of a unit."""
+        pace = np.abs(self.rates / self.of.units).max(axis=1, initial=0.0)
+        return np.asarray(np.minimum(0.01 / np.maximum(pace, 1e-300), 0.01 * self.longest))
+
+    def _watched(self, times: np.ndarray, states: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The plane's component and its rate forwards in time; time itself counts from where it began."""
+        i = self.plane.component
+        return (self.sense * times, np.ones(times.size) * self.sense) if i < 0 else (states[:, i], rates[:, i])
+
+    def step(self, path: Callable[[np.ndarray, np.ndarray, np.ndarray], None] | None) -> None:
+        """One step of all motions that are left."""
+        here = np.flatnonzero(self.alive)
+        h, t, x, before = self.lengths[here], self.times[here], self.states[here], self.rates[here]
+        after, error, rates = self.of.stepped(t, x, self.sense * h)
+        scale = self.tolerance * np.maximum(np.maximum(np.abs(x), np.abs(after)), self.of.units)
+        with np.errstate(all="ignore"):
+            norm = np.sqrt(np.mean((error / scale) ** 2, axis=1))
+            norm = np.where(np.isfinite(norm) & np.isfinite(rates).all(axis=1), norm, np.inf)
+            factor = np.clip(SAFETY * norm ** (-1 / 8), LEAST, MOST)
+        good = norm <= 1.0
+        turn = np.where(good, self._turn(here, h, (t, x, before), (after, rates)), np.nan)
+        short = np.isfinite(turn)  # taken again as far as to the turn
+        self.lengths[here] = np.where(short, turn, np.minimum(h * factor, self.longest))
+        taken = good & ~short
+        if path is not None:
+            path(here[taken], t[taken] + self.sense * h[taken], after[taken])
+        self._accept(here[taken], h[taken], after[taken], rates[taken])
+        self.alive[here[~taken & (self.lengths[here] < SHORTEST * self.longest)]] = False
+
+    def _turn(
+        self, here: np.ndarray, h: np.ndarray, begin: tuple[np.ndarray, np.ndarray, np.ndarray],
+        end: tuple[np.ndarray, np.ndarray],
+    ) -> np.ndarray:  # fmt: skip
+        """Where within steps that end on the side on which they began a cubic comes to the plane; else nan."""
+        found = np.full(h.size, np.nan)
+        if self.plane.component < 0:
+            return found
+        (a, slope), (b, last) = self._watched(*begin), self._watched(begin[0], *end)
+        if not (turning := slope * last < 0).any():
+            return found
+        a, b, h, cells = a[turning], b[turning], h[turning], self.cells[here[turning]]
+        slope, last = slope[turning] * h * self.sense, last[turning] * h * self.sense
+        c3, c2 = 2 * (a - b) + slope + last, 3 * (b - a) - 2 * slope - last
+        peak = np.full(h.size, np.nan)
+        with np.errstate(all="ignore"):
+            # of slope + 2 c2 s + 3 c3 s^2 = 0, in the form that loses no digits
+            root = np.sqrt(np.maximum(c2**2 - 3 * c3 * slope, 0.0))
+            q = -(c2 + np.where(c2 >= 0, root, -root))
+            for s in (q / (3 * c3), slope / q):
+                height = a + s * (slope + s * (c2 + s * c3))
+                other = (self.plane.cell(height) != cells) & (s > 1e-3) & (s < 1 - 1e-3)
+                room = TOUCHING * (np.abs(height - a) + np.abs(height - b))
+                away = np.minimum(*(np.abs(self.plane.off(height, cells + k)) for k in (0.0, 1.0)))
+                other |= (away < room) & (s > 0.05) & (s < 0.95)
+                peak = np.where(other & (self.plane.cell(b) == cells), s * h, peak)
+        found[turning] = peak
+        return found
+
+    def _accept(self, here: np.ndarray, h: np.ndarray, after: np.ndarray, rates: np.ndarray) -> None:
+        """Take steps, and note those that cross, which are located all together at the end."""
+        own, _ = self._watched(self.times[here] + self.sense * h, after, rates)
+        cells, before = self.plane.cell(own), self.cells[here]
+        counts = (cells != before) & (self.plane.direction * self.sense * (cells - before) >= 0)
+        self.since[here] += h
+        if counts.any():
+            who = here[counts]
+            level = np.maximum(cells, before)[counts]
+            self.noted.append((who, self.crossed[who], h[counts], self.times[who], self.states[who], level))
+            self.crossed[who] += 1
+            self.since[who] = 0.0
+        self.times[here] += self.sense * h
+        self.states[here], self.rates[here], self.cells[here] = after, rates, cells
+        self.alive[here[self.since[here] > self.longest]] = False
+        self.alive[self.crossed >= self.count] = False
+
+    def passing(self) -> Passing:
+        """The crossings that were noted, located."""
+        times = np.full((len(self.states), self.count), np.nan)
+        states = np.full((*times.shape, self.of.size), np.nan)
+        if self.noted:
+            who, which, *steps = (np.concatenate(each) for each in zip(*self.noted, strict=True))
+            times[who, which], states[who, which] = self._located(*steps)
+        return Passing(times, states)
+
+    def _located(self, h: np.ndarray, t: np.ndarray, x: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Times and states on the plane: Newton's method, kept within the step, on the step's length."""
+        low, high, s, plane, i = np.zeros(h.size), h.copy(), h * 0.5, self.plane, self.plane.component
+        below = plane.off(self._watched(t, x, x)[0], level)
+        for _ in range(NEWTON):
+            there, _, rates = self.of.stepped(t, x, self.sense * s)
+            own, going = self._watched(t + self.sense * s, there, rates)
+            off = plane.off(own, level)
+            same = off * below > 0
+            low, high = np.where(same, s, low), np.where(same, high, s)
+            with np.errstate(all="ignore"):
+                trial = s - off / (going * self.sense)
+            trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
+            if np.all(np.abs(trial - s) <= ROOM * h):
+                break
+            s = trial
+        if i >= 0 and not plane.cycle:
+            there[:, i] = plane.level
+        return t + self.sense * s, there
+
+
+def checked(found: Passing, what: str) -> Passing:
+    """The same where all motions have come back; `IntegrationError` otherwise."""
+    if not found.complete.all():
+        raise IntegrationError(f"{what} does not come back to the section")
+    return found

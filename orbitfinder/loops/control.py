@@ -1,0 +1,215 @@
+"""What is asked of a controlled motion: its cost, the form of its controls, tasks and limits.
+
+The controls are sums of basis functions of the phase, u(t) = sum_j c_j b_j(t / T): B-splines of degree 0 (held over
+each interval), 1 (linear in between) or 3 (cubic, twice differentiable), or a Fourier series. B-splines repeat with the
+period; on the arcs of a hybrid system each arc has its own, with nothing said of where arcs meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from orbitfinder._runtime.arguments import check_fields
+from orbitfinder.errors import InputError, closest
+from orbitfinder.mechanics.expression import expression
+from orbitfinder.mechanics.model import Model
+
+DEGREES = {"zero-order": 0, "linear": 1, "cubic": 3}
+SHAPES = (*DEGREES, "fourier")
+METHODS = ("shooting", "collocation")
+SAME = 1e-9
+"""Phases that differ by less are one"""
+
+
+@dataclass(frozen=True)
+class Task:
+    """lowest <= expression <= highest of states, controls and parameters by name: at a phase of the period (0 to 1),
+    everywhere ("always") or on average over the period ("mean"); `equals` stands for both.
+    """
+
+    expression: str
+    at: float | str = "always"
+    equals: float | None = None
+    lowest: float | None = None
+    highest: float | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if isinstance(self.at, str) and self.at not in ("always", "mean"):
+            raise InputError(f"task.at: must be a phase from 0 to 1, 'always' or 'mean', got {self.at!r}")
+        if not isinstance(self.at, str) and not 0 <= self.at < 1:
+            raise InputError(f"task.at: must be a phase from 0 to below 1, got {self.at!r}; 0 is the start")
+        given = [one for one in (self.equals, self.lowest, self.highest) if one is not None]
+        if not given or (self.equals is not None and len(given) > 1) or not np.all(np.isfinite(given)):
+            raise InputError(f"task: {self.expression!r} needs equals, or lowest, highest or both, as finite numbers")
+        if not self.low <= self.high:
+            raise InputError(f"task: {self.expression!r} asks for {self.low} to {self.high}; give lowest <= highest")
+        if self.at == "always" and self.equals is not None:
+            raise InputError(f"task: {self.expression!r} cannot equal a number always; give lowest and highest")
+
+    @property
+    def low(self) -> float:
+        """The least value, -inf for none."""
+        return self.equals if self.equals is not None else -np.inf if self.lowest is None else self.lowest
+
+    @property
+    def high(self) -> float:
+        """The largest value, inf for none."""
+        return self.equals if self.equals is not None else np.inf if self.highest is None else self.highest
+
+
+@dataclass(frozen=True)
+class Control:
+    """How a model's controls are chosen: so that the integral of `cost` over the period, or with `average` its mean,
+    plus `final` (of the state at t = 0, parameters and period), is least.
+
+    Both are text of states, controls and physical parameters by name ("torque1**2 + 0.1 * theta1**2"). `shape` is
+    zero-order, linear, cubic or fourier; `intervals` of the period (in each arc of a hybrid system), `harmonics` of a
+    Fourier series. `tasks` are what the motion must do; controls keep within the model's limits. `method` is shooting
+    or collocation.
+    """
+
+    cost: str
+    shape: str = "linear"
+    intervals: int = 20
+    harmonics: int = 5
+    average: bool = False
+    final: str = ""
+    tasks: tuple[Task, ...] = ()
+    method: str = "shooting"
+    guess: Mapping[str, Any] = field(default_factory=dict)
+    """where coefficients start, by control: as many as there are, or one for all; 0 without"""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name, known in (("shape", SHAPES), ("method", METHODS)):
+            if (given := getattr(self, name)) not in known:
+                raise InputError(f"control.{name}: unknown {given!r}{closest(given, known)}; use {', '.join(known)}")
+        if not 2 <= self.intervals <= 2000:
+            raise InputError(f"control.intervals: must be from 2 to 2000, got {self.intervals}")
+        if not 0 <= self.harmonics <= 200:
+            raise InputError(f"control.harmonics: must be from 0 to 200, got {self.harmonics}")
+        if self.shape == "fourier" and self.intervals < self.harmonics:
+            raise InputError(
+                f"control.intervals: {self.intervals} are too few for {self.harmonics} harmonics; give more"
+            )
+
+
+@dataclass(frozen=True)
+class Basis:
+    """The basis functions of each control over the horizon: `fraction` of the period in smooth systems, else the arcs.
+
+    `intervals` is the number in the whole horizon, in each of `arcs` alike; `odd` is 1 or -1 for each control where the
+    motion repeats mirrored after the horizon, with the control the same or reversed, else empty.
+    """
+
+    shape: str
+    intervals: int
+    harmonics: int = 0
+    arcs: int = 0
+    fraction: float = 1.0
+    signs: tuple[int, ...] = ()
+
+    @property
+    def degree(self) -> int:
+        """Degree of the B-splines, -1 of a Fourier series."""
+        return DEGREES.get(self.shape, -1)
+
+    @property
+    def local(self) -> int:
+        """Basis functions that are not 0 in an interval."""
+        return self.degree + 1 if self.degree >= 0 else 1 + 2 * self.harmonics
+
+    @property
+    def each(self) -> int:
+        """Intervals of an arc."""
+        return self.intervals // max(self.arcs, 1)
+
+    @property
+    def whole(self) -> int:
+        """Coefficients of one control, over the whole period."""
+        if self.degree < 0:
+            return self.local
+        if self.arcs:
+            return self.arcs * (self.each + self.degree)
+        return round(self.intervals / self.fraction)
+
+    def free(self, control: int) -> np.ndarray:
+        """E (whole x free) with c = E c', c' the coefficients of a control that a symmetric motion leaves free."""
+        if not self.signs:
+            return np.eye(self.whole)
+        sign = self.signs[control]
+        if self.degree >= 0:
+            half = np.eye(self.whole // 2)
+            return np.vstack([half, sign * half])
+        harmonic = np.concatenate([[0], np.repeat(np.arange(1, self.harmonics + 1), 2)])
+        return np.eye(self.whole)[:, harmonic % 2 == (0 if sign > 0 else 1)]
+
+    def picked(self, interval: int) -> np.ndarray:
+        """Which coefficients belong to the local basis functions of an interval."""
+        if self.degree < 0:
+            return np.arange(self.whole)
+        if not self.arcs:
+            return (interval + np.arange(self.local)) % self.whole
+        arc, own = divmod(interval, self.each)
+        return arc * (self.each + self.degree) + own + np.arange(self.local)
+
+    def values(self, share: Any, phase: Any) -> list[Any]:
+        """The local basis functions at a share (0 to 1) of an interval, which is a phase of the period."""
+        if self.degree == 0:
+            return [1.0]
+        if self.degree == 1:
+            return [1 - share, share]
+        if self.degree == 3:
+            rest = 1 - share
+            return [
+                rest**3 / 6, (3 * share**3 - 6 * share**2 + 4) / 6, (3 * rest**3 - 6 * rest**2 + 4) / 6, share**3 / 6
+            ]  # fmt: skip
+        found: list[Any] = [1.0]
+        for k in range(1, self.harmonics + 1):
+            angle = 2 * np.pi * k * phase
+            found += [ca.cos(angle), ca.sin(angle)]
+        return found
+
+    def begins(self, interval: int) -> float:
+        """The phase at which an interval of a smooth system begins."""
+        return self.fraction * interval / self.intervals
+
+
+def basis_of(entry: Mapping[str, Any]) -> Basis:
+    """The basis over a whole period of a record's control."""
+    arcs = int(entry.get("arcs", 0))
+    count = int(entry["intervals"]) * max(arcs, 1)
+    return Basis(str(entry["shape"]), count, int(entry["harmonics"]), arcs)
+
+
+def history(entry: Mapping[str, Any], period: float, looks: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """Times (k) and values (k x m) of a record's controls over its period, instants where intervals meet twice."""
+    basis, rows = basis_of(entry), np.array(entry["coefficients"], float)
+    shares = list(entry.get("shares", {}).values())
+    parts = np.repeat([*shares, 1.0 - sum(shares)], basis.each) / basis.each if basis.arcs else np.full(
+        basis.intervals, 1.0 / basis.intervals)  # fmt: skip
+    inside, times, values, began = np.linspace(0.0, 1.0, looks + 1), [], [], 0.0
+    for k, part in enumerate(parts):
+        weights = np.array([[float(w) for w in basis.values(share, began + share * part)] for share in inside])
+        times.append(period * (began + inside * part))
+        values.append(weights @ rows[:, basis.picked(k)].T)
+        began += part
+    return np.concatenate(times), np.vstack(values)
+
+
+def named(model: Model, x: Any, p: Any, period: Any = None) -> dict[str, Any]:
+    """What expressions may name: components of the state, physical parameters (controls among them), the period."""
+    found = {name: p[k] for k, name in enumerate(model.parameter_names)}
+    found |= {name: x[k] for k, name in enumerate(model.state_names)}
+    return found if period is None else found | {"period": period}
+
+
+def stated(text: str, model: Model, x: Any, p: Any, where: str, period: Any = None) -> Any:
+    """An expression of a motion. Raises `InputError`."""
+    return expression(text, named(model, x, p, period), where)

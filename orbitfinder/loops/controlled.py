@@ -1,0 +1,598 @@
+"""A controlled motion of least cost as a nonlinear program: the rows of its Loop, its tasks, its cost.
+
+The unknowns are v = (w, c, z): those of the loop, the coefficients of the controls, and with direct collocation the
+states at the collocation points. How an interval is integrated is all that its two methods differ in:
+
+    shooting       steps of the eighth-order Runge-Kutta method, written out
+    collocation    x' - f = 0 at Legendre points, of order 10
+
+Both carry the integrals of the cost and of what tasks ask on average. Derivatives of first and second order are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.sparse import diags, identity
+from scipy.sparse.linalg import splu
+
+from orbitfinder._runtime import limit
+from orbitfinder._runtime.quiet import captured
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.integrate.rk8 import one_step
+from orbitfinder.loops.control import Basis, Control, Task, stated
+from orbitfinder.loops.loop import Equations, Loop, Unknowns
+from orbitfinder.loops.problem import Problem, boundary_constants, guessed_nodes, pinned
+from orbitfinder.loops.symmetry import Symmetry
+from orbitfinder.mechanics.hybrid import share
+from orbitfinder.mechanics.model import Model, vector_field
+
+POINTS = 5
+"""Legendre points of an element: of order 10"""
+FREE_RANGE = (0.05, 10.0)
+"""Period and freed parameters may change by these factors where no bounds say otherwise"""
+AGREEMENT = 1e-13
+"""Steps of half the length must lead to the same states, relative to the motion"""
+COLLOCATED = 1e-11
+"""The same of collocation, whose rows IPOPT leaves at about this"""
+MOST_STEPS = 32
+RESOLVED = 16
+"""Steps in a period of the highest harmonic of a control, to begin with"""
+MOST_ITERATIONS = 1000
+FARTHEST = 1e3
+"""A guess's motion that goes farther than this, relative, is no guess"""
+MIRRORED = 1e-9
+"""A control's sign under a symmetry is tried to this, relative"""
+ALWAYS = "always"
+CORRECTIONS, SINGULAR = 2, 1e-13
+"""Newton steps after IPOPT; what keeps rows that say the same apart"""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """What a controlled motion is made of: model, control, basis, and how its segments follow each other.
+
+    `free` are the freed parameters of the loop, durations of arcs among them; `steps` is the number of steps (or
+    collocation elements) of an interval.
+    """
+
+    model: Model
+    control: Control
+    symmetry: Symmetry
+    basis: Basis
+    free: tuple[str, ...]
+    steps: int
+
+    @property
+    def size(self) -> int:
+        """d, the length of a state."""
+        return len(self.model.state_names)
+
+    @property
+    def means(self) -> tuple[Task, ...]:
+        """The tasks on average."""
+        return tuple(one for one in self.control.tasks if one.at == "mean")
+
+    @property
+    def moments(self) -> tuple[tuple[int, Task], ...]:
+        """The tasks at a phase, with the segment that begins there. Raises `InputError`."""
+        return tuple((self._segment(one), one) for one in self.control.tasks if not isinstance(one.at, str))
+
+    @property
+    def always(self) -> tuple[Task, ...]:
+        """What holds everywhere: tasks, and limits that bounds on coefficients do not keep."""
+        own = tuple(one for one in self.control.tasks if one.at == ALWAYS)
+        if self.bounded:
+            return own
+        return own + tuple(
+            Task(name, ALWAYS, lowest=None if np.isinf(low) else low, highest=None if np.isinf(high) else high)
+            for name, (low, high) in self.model.limits.items()
+        )
+
+    @property
+    def bounded(self) -> bool:
+        """Whether controls are within their limits when their coefficients are."""
+        return self.basis.degree in (0, 1)
+
+    def _segment(self, task: Task) -> int:
+        assert not isinstance(task.at, str)
+        place = task.at * self.basis.intervals / self.basis.fraction
+        nearest = round(place)
+        if self.basis.arcs and task.at != 0:
+            raise InputError(f"task.at: {task.at:g}: of a hybrid system tasks are at 0, always or on average")
+        if nearest >= self.basis.intervals:
+            part = self.basis.fraction
+            raise InputError(f"task.at: {task.at:g} lies beyond the {part:g} of the period that the symmetry leaves")
+        if abs(place - nearest) > 1e-9 * self.basis.intervals:
+            raise InputError(
+                f"task.at: {task.at:g} is no boundary of the control's intervals; the nearest is "
+                f"{nearest * self.basis.fraction / self.basis.intervals:.6g}, or give another number of intervals"
+            )
+        return nearest
+
+    def arc(self, segment: int) -> int:
+        """The arc that a segment belongs to."""
+        return segment // self.basis.each if self.basis.arcs else 0
+
+    def mode(self, arc: int) -> Model:
+        """The smooth Model of an arc."""
+        return self.model if self.model.hybrid is None else self.model.hybrid.arcs[arc][0].model
+
+    def duration(self, segment: int, period: Any, free: Any) -> Any:
+        """How long (s) a segment lasts."""
+        if not self.basis.arcs:
+            return period * (self.symmetry.fraction / self.basis.intervals)
+        p = self.model.parameters(self.free, free)
+        return period * share(self.model, self.arc(segment), p) / self.basis.each
+
+    def driven(self, arc: int, symbol: Any) -> tuple[list[Any], Any, Any, list[Any]]:
+        """(share, x, s, (phase, length of the interval in phase, local coefficients, free)) and x', p, rates there."""
+        model, basis = self.mode(arc), self.basis
+        count = len(self.model.controls)
+        moment, x, s = symbol("share"), symbol("x", self.size), symbol("s", 0 if basis.arcs else self._unfolding)
+        given = symbol("given", 2 + count * basis.local + len(self.free))
+        local, free = given[2 : 2 + count * basis.local], given[2 + count * basis.local :]
+        weights = ca.vertcat(*basis.values(moment, given[0] + moment * given[1]))
+        u = [ca.dot(weights, local[i * basis.local : (i + 1) * basis.local]) for i in range(count)]
+        names = (*self.free, *self.model.controls)
+        p = model.parameters(names, ca.vertcat(free, *u))
+        unfolded = () if basis.arcs else self.symmetry.unfolded(model)
+        rate = vector_field(model, names, unfolded)(0.0, x, s, ca.vertcat(free, *u))
+        rates = [stated(self.control.cost, self.model, x, p, "control.cost")]
+        rates += [stated(one.expression, self.model, x, p, "task.expression") for one in self.means]
+        return [moment, x, s, given], rate, p, rates
+
+    @property
+    def _unfolding(self) -> int:
+        return len(self.symmetry.unfolded(self.model))
+
+    def stepped(self, arc: int) -> ca.Function:
+        """(x, h, s, given) -> states after each step of an interval of h s (d x steps), integrals, no rows."""
+        inputs, rate, _, rates = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
+        count, symbol = len(rates), type(inputs[0]).sym
+        moment, x, s, given = inputs
+        h, whole = symbol("h"), symbol("whole", self.size + count)
+        field = ca.Function("f", [moment, x, s, given], [rate, ca.vertcat(*rates)])
+        found, more = field(moment, whole[: self.size], s, given)
+        moving = ca.Function("moving", [moment, whole, s, ca.vertcat(given, h)], [h * ca.vertcat(found, more)])
+        step = one_step(moving, symbol)
+        z, states = ca.vertcat(0.0, x, ca.SX.zeros(count) if symbol is ca.SX.sym else ca.DM.zeros(count)), []
+        for _ in range(self.steps):
+            z = step(z, ca.vertcat(1.0 / self.steps, s, given, h))
+            states.append(z[1 : 1 + self.size])
+        nothing = symbol("z", 0)
+        return ca.Function("stepped", [x, h, s, given, nothing],
+                           [ca.horzcat(*states), z[1 + self.size :], type(x)(0, 1)])  # fmt: skip
+
+    def collocated(self, arc: int) -> ca.Function:
+        """The same with the states at collocation points z (d x POINTS x steps) given, and the rows that they obey."""
+        inputs, rate, _, rates = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
+        _, x, s, given = inputs
+        field = ca.Function("f", inputs, [rate, ca.vertcat(*rates)])
+        taus = ca.collocation_points(POINTS, "legendre")
+        slopes, ends, weights = ca.collocation_coeff(taus)
+        symbol = type(x).sym
+        h, z = symbol("h"), symbol("z", self.size * POINTS * self.steps)
+        now, integrals, rows, states = x, 0, [], []
+        for k in range(self.steps):
+            points = ca.reshape(z[self.size * POINTS * k : self.size * POINTS * (k + 1)], self.size, POINTS)
+            both = ca.horzcat(now, points)
+            for j, tau in enumerate(taus):
+                found, more = field((k + tau) / self.steps, points[:, j], s, given)
+                rows.append(both @ slopes[:, j] - h / self.steps * found)
+                integrals += float(weights[j]) * h / self.steps * more
+            now = both @ ends
+            states.append(now)
+        return ca.Function("collocated", [x, h, s, given, z], [ca.horzcat(*states), integrals, ca.vertcat(*rows)])
+
+    def watched(self, arc: int, tasks: Sequence[Task]) -> ca.Function:
+        """(share, x, s, given, period) -> expressions of tasks (k) at a place of the motion."""
+        inputs, _, p, _ = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
+        period = type(inputs[1]).sym("period")
+        rows = [stated(one.expression, self.model, inputs[1], p, "task.expression", period) for one in tasks]
+        return ca.Function("watched", [*inputs, period], [ca.densify(type(inputs[1])(ca.vertcat(*rows)))])
+
+    def final(self) -> ca.Function:
+        """(x(0), free, period) -> the cost that is no integral."""
+        x, free, period = ca.MX.sym("x", self.size), ca.MX.sym("free", len(self.free)), ca.MX.sym("period")
+        p = self.model.parameters(self.free, free)
+        text = self.control.final or "0"
+        return ca.Function("final", [x, free, period], [stated(text, self.model, x, p, "control.final", period)])
+
+
+def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
+    """Of each control, whether a symmetry keeps (1) or reverses (-1) it; () without one. Raises `InputError`."""
+    if not symmetry.maps:
+        return ()
+    if symmetry.reverses or symmetry.fraction != 0.5:
+        raise InputError("symmetry: controlled motions repeat mirrored after half a period (reflection), or have none")
+    first, last = symmetry.rows(model.degrees_of_freedom)
+    mirror = -np.linalg.solve(last, first)
+    field, random = vector_field(model, model.controls), np.random.default_rng(0)
+    signs = []
+    for k, name in enumerate(model.controls):
+        x, u = 0.3 * random.normal(size=len(model.state_names)), np.zeros(len(model.controls))
+        u[k] = 1.0 + random.random()
+
+        def at(state: np.ndarray, control: np.ndarray) -> np.ndarray:
+            return np.asarray(field(0.0, state, ca.DM(0, 1), control).full().ravel())
+
+        wanted = mirror @ at(x, u)
+        found = [one for one in (1, -1) if np.allclose(at(mirror @ x, one * u), wanted, rtol=MIRRORED, atol=MIRRORED)]
+        if not found:
+            raise InputError(f"symmetry: the control {name} breaks it; use symmetry = 'none'")
+        signs.append(found[0])
+    return tuple(signs)
+
+
+def arranged(model: Model, symmetry: Symmetry, free: tuple[str, ...], control: Control, steps: int) -> Arrangement:
+    """The arrangement of a controlled motion. Raises `InputError`."""
+    arcs = 0 if model.hybrid is None else len(model.hybrid.cycle)
+    signs = signs_of(model, symmetry)
+    count = control.intervals * max(arcs, 1)
+    if arcs and control.shape == "fourier":
+        raise InputError("control.shape: fourier is for smooth systems; use cubic, linear or zero-order on arcs")
+    if signs and control.intervals % 2:
+        raise InputError(f"control.intervals: must be even with this symmetry, got {control.intervals}")
+    part = count // 2 if signs else count
+    basis = Basis(control.shape, part, control.harmonics, arcs, 0.5 if signs else 1.0, signs)
+    shares = () if not arcs else tuple(f"share_{k + 1}" for k in range(arcs - 1))
+    return Arrangement(model, control, symmetry, basis, (*free, *shares), steps)
+
+
+@lru_cache(maxsize=32)
+def _built(arrangement: Arrangement, arc: int, method: str) -> ca.Function:
+    return arrangement.stepped(arc) if method == "shooting" else arrangement.collocated(arc)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A solved program: the loop's unknowns, coefficients of all controls (m x whole), IPOPT's iterations."""
+
+    unknowns: Unknowns
+    coefficients: np.ndarray
+    iterations: int
+    points: np.ndarray
+    normals: np.ndarray
+    """of the hyperplanes that fixed the phase"""
+
+
+class Program:
+    """The nonlinear program of a controlled motion at a given number of steps an interval."""
+
+    def __init__(self, problem: Problem, control: Control, steps: int) -> None:
+        self.problem, self.control = problem, control
+        self.parts = arranged(problem.model, problem.boundary, problem.free, control, steps)
+        self.equations = Equations(problem.model, problem.boundary, problem.free)
+        assert self.equations.free == self.parts.free
+        count = self.parts.basis.intervals
+        self.mesh = np.linspace(0.0, 1.0 if self.parts.basis.arcs else problem.boundary.fraction, count + 1)
+
+    @cached_property
+    def shapes(self) -> list[np.ndarray]:
+        """E of each control."""
+        return [self.parts.basis.free(k) for k in range(len(self.parts.model.controls))]
+
+    def guessed(self) -> tuple[Unknowns, np.ndarray]:
+        """Where the search starts: the guess's motion under the guessed controls, and those (m x whole)."""
+        guess, parts, control = self.problem.guess, self.parts, self.control
+        coefficients = np.zeros((len(parts.model.controls), parts.basis.whole))
+        for name, given in control.guess.items():
+            if name not in parts.model.controls:
+                raise InputError(
+                    f"control.guess: {name!r} is no control; controls are {', '.join(parts.model.controls)}"
+                )
+            row, values = coefficients[parts.model.controls.index(name)], np.asarray(given, float)
+            if values.ndim > 1 or values.size not in (1, row.size):
+                raise InputError(f"control.guess.{name}: {values.size} numbers; give 1 or {row.size}")
+            row[:] = values
+        numbers = self.equations.numbers
+        if guess.states is not None:
+            nodes = guessed_nodes(guess, self.mesh[:-1])
+        else:
+            nodes = self._simulated(np.asarray(guess.state, float), guess.period, coefficients, numbers)
+        unfolding = np.zeros(0 if parts.basis.arcs else len(parts.symmetry.unfolded(parts.model)))
+        return Unknowns(nodes, float(guess.period), unfolding, numbers, self.mesh), coefficients
+
+    def _simulated(self, x: np.ndarray, period: float, coefficients: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Nodes along the motion from a state, or that state everywhere where it runs away."""
+        parts, nodes = self.parts, []
+        size = max(1.0, float(np.abs(x).max()))
+        unfolding = np.zeros(0 if parts.basis.arcs else len(parts.symmetry.unfolded(parts.model)))
+        start = x
+        for k in range(parts.basis.intervals):
+            nodes.append(x)
+            h = float(parts.duration(k, period, ca.DM(free)))
+            given = self.given(k, coefficients.T, free)
+            x = _built(parts, parts.arc(k), "shooting")(x, h, unfolding, given, [])[0].full()[:, -1]
+            if parts.basis.arcs and (k + 1) % parts.basis.each == 0:
+                x = self.equations.links.after(parts.arc(k), x, free)
+            if not np.all(np.isfinite(x)) or np.abs(x).max() > FARTHEST * size:
+                return np.tile(start, (parts.basis.intervals, 1))
+        return np.array(nodes)
+
+    def given(self, segment: int, coefficients: Any, free: Any) -> Any:
+        """(phase, length in phase, local coefficients, free) of a segment; coefficients (whole x m)."""
+        basis = self.parts.basis
+        begins = basis.begins(segment) if not basis.arcs else 0.0
+        length = basis.fraction / basis.intervals if not basis.arcs else 0.0
+        picked = [int(k) for k in basis.picked(segment)]
+        columns = range(len(self.parts.model.controls))
+        if isinstance(coefficients, np.ndarray):
+            return np.concatenate([[begins, length], *(coefficients[picked, i] for i in columns), free])
+        return ca.vertcat(begins, length, *(coefficients[i][picked] for i in columns), free)
+
+    def carried(self, near: Solution) -> tuple[Unknowns, np.ndarray]:
+        """A solution of a problem of the same form as the start of this one's: at its pins and its parameters."""
+        w, period = near.unknowns, next((one.value for one in self.problem.pin if one.name == "period"), None)
+        return replace(w, period=w.period if period is None else period), near.coefficients
+
+    @property
+    def points(self) -> int:
+        """Numbers in z for a segment."""
+        return self.parts.size * POINTS * self.parts.steps if self.control.method == "collocation" else 0
+
+    def solved(self, start: tuple[Unknowns, np.ndarray], tolerance: float) -> Solution:
+        """The optimum that IPOPT finds from a start. Raises `ConvergenceError`."""
+        guess, coefficients = start
+        stated = _stated(self, guess)
+        begin = np.concatenate([self.vector(guess, coefficients), _first_points(guess, self.parts, self.points > 0)])
+        found, stats = _ipopt({"x": stated.v, "f": stated.cost, "g": stated.rows}, begin, tolerance,
+                              lbx=stated.lower, ubx=stated.upper, lbg=stated.low, ubg=stated.high)  # fmt: skip
+        if not stats["success"]:
+            raise _failed(stats, self)
+        answer = found["x"].full().ravel()
+        return self._solution(guess, answer, stated.normals, int(stats["iter_count"]))
+
+    def closed(self, solution: Solution) -> Solution:
+        """A solution to the last digits of its equations, by Newton's least steps, far below IPOPT's tolerance."""
+        w = solution.unknowns
+        stated = _stated(self, w)
+        at = _closed(stated, self.vector(w, solution.coefficients))
+        return self._solution(w, at, solution.normals, solution.iterations)
+
+    def vector(self, w: Unknowns, coefficients: np.ndarray) -> np.ndarray:
+        """v without collocation points."""
+        each = (np.linalg.lstsq(one, row, rcond=None)[0] for one, row in zip(self.shapes, coefficients, strict=True))
+        return np.concatenate([w.vector, *each])
+
+    def _solution(self, like: Unknowns, v: np.ndarray, normals: np.ndarray, iterations: int) -> Solution:
+        cut = like.vector.size
+        sizes = cut + np.cumsum([0, *(one.shape[1] for one in self.shapes)])
+        values = [one @ v[sizes[k] : sizes[k + 1]] for k, one in enumerate(self.shapes)]
+        return Solution(like.at(v[:cut]), np.array(values), iterations, v[sizes[-1] :], normals)
+
+    def loop(self, guess: Unknowns) -> Loop:
+        """The loop: closed, at the pins, its phase fixed where nothing else fixes it."""
+        problem, equations = self.problem, self.equations
+        conditions = tuple(pinned(equations, one.name, one.value) for one in problem.pin)
+        loop = Loop(equations, boundary_constants(problem, guess.nodes), conditions)
+        normals = equations.phases(guess)
+        timed = not (problem.boundary.reverses or problem.model.forced or problem.model.hybrid)
+        fixed = any(one.name in problem.model.state_names for one in problem.pin) or bool(self.parts.moments)
+        if timed and fixed:
+            normals = normals[1:]
+        return Loop(loop.equations, loop.constant, loop.conditions, normals, guess.nodes[0])
+
+    def error(self, solution: Solution) -> float:
+        """How far the ends of the segments are from those by shooting in steps half as long, relative to the motion."""
+        finer = replace(self.parts, steps=2 * self.parts.steps)
+        w, worst = solution.unknowns, 0.0
+        size = np.maximum(np.abs(w.nodes).max(axis=0), 1e-3 * np.abs(w.nodes).max())
+        points = np.split(solution.points, len(w.nodes))
+        for k, node in enumerate(w.nodes):
+            h = float(self.parts.duration(k, w.period, ca.DM(w.free)))
+            given = self.given(k, solution.coefficients.T, w.free)
+            arc = self.parts.arc(k)
+            own = _built(self.parts, arc, self.control.method)(node, h, w.unfolding, given, points[k])[0].full()[:, -1]
+            fine = _built(finer, arc, "shooting")(node, h, w.unfolding, given, [])[0].full()[:, -1]
+            worst = max(worst, float((np.abs(fine - own) / np.maximum(size, 1e-300)).max()))
+        return worst
+
+
+def optimum(
+    problem: Problem, control: Control, tolerance: float, near: tuple[Program, Solution] | None = None
+) -> tuple[Program, Solution]:
+    """The controlled motion of a problem, with as many steps as its states no longer depend on, closed to round-off.
+
+    It starts at the guess, or at a solution `near` of a problem of the same form.
+    The last digits of a collocated motion are those of shooting under its control. Raises `ConvergenceError`.
+    """
+    steps = -(-RESOLVED * control.harmonics // control.intervals) if control.shape == "fourier" else 1
+    order, enough = (8, AGREEMENT) if control.method == "shooting" else (2 * POINTS, COLLOCATED)
+    program = Program(problem, control, steps if near is None else near[0].parts.steps)
+    start = program.guessed() if near is None else program.carried(near[1])
+    steps = program.parts.steps
+    while True:
+        solution = program.solved(start, tolerance)
+        if (error := program.error(solution)) <= enough or steps >= MOST_STEPS:
+            break
+        steps = _finer(steps, error, enough, order)
+        program, start = Program(problem, control, steps), (solution.unknowns, solution.coefficients)
+    if control.method == "shooting":
+        return program, program.closed(solution)
+    shot = Program(problem, replace(control, method="shooting"), steps)
+    solution = replace(solution, points=np.zeros(0))
+    while (error := shot.error(solution)) > AGREEMENT and shot.parts.steps < MOST_STEPS:
+        shot = Program(problem, shot.control, _finer(shot.parts.steps, error, AGREEMENT, 8))
+    program, found = Program(problem, control, shot.parts.steps), shot.closed(solution)
+    return program, found
+
+
+def _finer(steps: int, error: float, enough: float, order: int) -> int:
+    """Steps that bring an error down to what is enough."""
+    return min(MOST_STEPS, max(steps + 1, int(np.ceil(steps * (3 * error / enough) ** (1 / order)))))
+
+
+def _bounds(program: Program, guess: Unknowns) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest of the loop's unknowns."""
+    problem, low, high = program.problem, FREE_RANGE[0], FREE_RANGE[1]
+    times = problem.bounds.get("period", (low * guess.period, high * guess.period))
+    lowest, highest = np.full(guess.free.size, -np.inf), np.full(guess.free.size, np.inf)
+    for k, name in enumerate(program.parts.free):
+        value = float(guess.free[k])
+        usual = (low * value, high * value) if value > 0 else (-np.inf, np.inf)
+        lowest[k], highest[k] = problem.bounds.get(name, usual)
+    nodes = np.full(guess.nodes[0].size, np.inf)
+    return guess.joined(-nodes, times[0], -np.inf, lowest), guess.joined(nodes, times[1], np.inf, highest)
+
+
+def _coefficient_bounds(program: Program) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest of the free coefficients of all controls."""
+    parts, low, high = program.parts, [], []
+    for k, name in enumerate(parts.model.controls):
+        least, most = parts.model.limits.get(name, (-np.inf, np.inf)) if parts.bounded else (-np.inf, np.inf)
+        if parts.basis.signs and parts.basis.signs[k] < 0:
+            least, most = max(least, -most), min(most, -least)
+        size = program.shapes[k].shape[1]
+        low.append(np.full(size, least))
+        high.append(np.full(size, most))
+    return np.concatenate(low), np.concatenate(high)
+
+
+@dataclass(frozen=True)
+class Statement:
+    """The program in symbols: v, cost, rows with their ranges, ranges of v; the phase's normals."""
+
+    v: ca.MX
+    cost: ca.MX
+    rows: ca.MX
+    low: np.ndarray
+    high: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    normals: np.ndarray
+
+
+def _stated(program: Program, guess: Unknowns) -> Statement:
+    parts, control = program.parts, program.control
+    nodes, tail = guess.symbols()
+    period, s, free = tail
+    own = [ca.MX.sym(f"c{k}", one.shape[1]) for k, one in enumerate(program.shapes)]
+    full = [ca.sparsify(ca.DM(one)) @ c for one, c in zip(program.shapes, own, strict=True)]
+    count, points = parts.basis.intervals, program.points
+    z = [ca.MX.sym("z", points) for _ in nodes]
+    given = [program.given(k, full, free) for k in range(count)]
+    durations = [parts.duration(k, period, free) for k in range(count)]
+    paths, integrals, rows = _integrated(parts, control.method, nodes, durations, s, given, z)
+    loop = program.loop(guess)
+    closing = loop.stated(nodes, period, free, [path[:, -1] for path in paths])
+    ranges = [(closing, 0.0, 0.0), (rows, 0.0, 0.0)]
+    for k, one in parts.moments:
+        ranges.append((parts.watched(parts.arc(k), (one,))(0.0, nodes[k], s, given[k], period), one.low, one.high))
+    for k, one in enumerate(parts.means):
+        ranges.append((integrals[1 + k] / period / parts.symmetry.fraction, one.low, one.high))
+    for k, one in enumerate(parts.always):
+        ranges.append((_everywhere(parts, k, nodes, paths, s, given, period), one.low, one.high))
+    cost = integrals[0] / parts.symmetry.fraction / (period if control.average else 1.0)
+    first, last = _bounds(program, guess)
+    c_low, c_high = _coefficient_bounds(program)
+    infinite = np.full(points * count, np.inf)
+    return Statement(
+        ca.vertcat(*nodes, *tail, *own, *z), cost + parts.final()(nodes[0], free, period),
+        ca.vertcat(*(row for row, _, _ in ranges)),
+        np.concatenate([np.full(row.numel(), low) for row, low, _ in ranges]),
+        np.concatenate([np.full(row.numel(), high) for row, _, high in ranges]),
+        np.concatenate([first, c_low, -infinite]), np.concatenate([last, c_high, infinite]), loop.normals,
+    )  # fmt: skip
+
+
+def _integrated(
+    parts: Arrangement, method: str, nodes: list[ca.MX], durations: list[ca.MX], s: ca.MX, given: list[ca.MX],
+    z: list[ca.MX],
+) -> tuple[list[ca.MX], ca.MX, ca.MX]:  # fmt: skip
+    """States after each step of each segment, the integrals over the horizon, the rows of collocation points."""
+    paths: list[ca.MX] = []
+    integrals, rows = ca.MX(0), [ca.MX(0, 1)]
+    count = parts.basis.intervals
+    each = parts.basis.each if parts.basis.arcs else count
+    for first in range(0, count, each):
+        span = range(first, first + each)
+        one = _built(parts, parts.arc(first), method)
+        mapped = one.map(each)
+        columns = ([ca.horzcat(*(group[k] for k in span)) for group in (nodes, durations)], ca.repmat(s, 1, each),
+                   [ca.horzcat(*(group[k] for k in span)) for group in (given, z)])  # fmt: skip
+        path, more, obeyed = mapped(*columns[0], columns[1], *columns[2])
+        paths += ca.horzsplit(path, parts.steps)
+        integrals = integrals + ca.sum2(more)
+        rows.append(ca.vec(obeyed))
+    return paths, integrals, ca.vertcat(*rows)
+
+
+def _everywhere(
+    parts: Arrangement, number: int, nodes: list[ca.MX], paths: list[ca.MX], s: ca.MX, given: list[ca.MX], period: ca.MX
+) -> ca.MX:  # fmt: skip
+    """An expression of `always` at the nodes and after each step."""
+    found = []
+    for k, (node, path) in enumerate(zip(nodes, paths, strict=True)):
+        function = _watched(parts, parts.arc(k), number)
+        for j, x in enumerate([node, *ca.horzsplit(path)]):
+            found.append(function(j / parts.steps, x, s, given[k], period))
+    return ca.vertcat(*found)
+
+
+@lru_cache(maxsize=32)
+def _watched(parts: Arrangement, arc: int, number: int) -> ca.Function:
+    return parts.watched(arc, parts.always[number : number + 1])
+
+
+def _first_points(guess: Unknowns, parts: Arrangement, collocation: bool) -> np.ndarray:
+    """Collocation points begin on the chords from node to node."""
+    if not collocation:
+        return np.zeros(0)
+    shares = (np.arange(parts.steps)[:, None] + np.array(ca.collocation_points(POINTS, "legendre"))).ravel()
+    shares = shares / parts.steps
+    following = np.roll(guess.nodes, -1, axis=0)
+    following[-1] = guess.nodes[-1]
+    chords = guess.nodes[:, None, :] + shares[None, :, None] * (following - guess.nodes)[:, None, :]
+    return np.asarray(chords).ravel()
+
+
+def _ipopt(program: dict[str, ca.MX], start: np.ndarray, tolerance: float, **ranges: np.ndarray) -> tuple[Any, Any]:
+    options = {
+        "print_time": False, "error_on_fail": False,
+        "ipopt": {
+            "print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": MOST_ITERATIONS, "bound_relax_factor": 0.0,
+            "constr_viol_tol": 1e-11, "dual_inf_tol": 1e-6, "compl_inf_tol": 1e-9, "acceptable_iter": 0,
+            "mu_target": 0.0, "mu_strategy": "adaptive",
+        },
+    }  # fmt: skip
+    with captured(), limit.alarm():
+        solver = ca.nlpsol("controlled", "ipopt", program, options)
+        found = solver(x0=start, **ranges)
+        stats = solver.stats()
+    return found, stats
+
+
+def _closed(stated: Statement, at: np.ndarray) -> np.ndarray:
+    equal = stated.low == stated.high
+    chosen = [int(k) for k in np.flatnonzero(equal)]
+    equations = stated.rows[chosen] - ca.DM(stated.low[equal])
+    function = ca.Function("equations", [stated.v], [equations, ca.jacobian(equations, stated.v)])
+    for _ in range(CORRECTIONS):
+        left, slope = function(at)
+        matrix = slope.sparse().tocsr()
+        sizes = np.maximum(np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=1)).ravel()), 1e-300)
+        matrix, left = diags(1.0 / sizes) @ matrix, left.full().ravel() / sizes
+        square = (matrix @ matrix.T + SINGULAR * identity(len(chosen))).tocsc()
+        at = at - matrix.T @ splu(square).solve(left)
+    return np.asarray(at)
+
+
+def _failed(stats: Any, program: Program) -> ConvergenceError:
+    """What IPOPT's failure says, with a remedy."""
+    status = str(stats["return_status"])
+    why = {
+        "Infeasible_Problem_Detected": "no motion does what is asked near this guess; ask for less (limits, tasks), or "
+        "start nearer",
+        "Maximum_Iterations_Exceeded": f"not converged after {MOST_ITERATIONS} iterations; start nearer, or give more "
+        "intervals",
+        "Not_Enough_Degrees_Of_Freedom": "more equations than unknowns: leave out a pin or a task, or free a parameter",
+    }.get(status, f"IPOPT stopped ({status}); start nearer, give bounds, or another number of intervals")
+    return ConvergenceError(f"no controlled motion found: {why} ({program.control.method}, "
+                            f"{program.parts.basis.intervals} intervals)")  # fmt: skip

@@ -1,0 +1,64 @@
+"""Expressions as text, such as "torque1**2 + 0.1 * cos(theta1)": of names, numbers and a few functions, nothing else.
+
+Text is what files can carry, so that a cost can be recomputed from an orbit.json alone; nothing in it is executed.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import casadi as ca
+
+from orbitfinder.errors import InputError, closest
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "sqrt": ca.sqrt, "exp": ca.exp, "log": ca.log, "tanh": ca.tanh,
+    "atan2": ca.atan2,
+}  # fmt: skip
+"""What may be called in an expression."""
+LONGEST, DEEPEST = 2000, 60
+"""Letters of an expression, and how deeply it may be nested"""
+
+_OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b, ast.USub: lambda a: -a, ast.UAdd: lambda a: a,
+}  # fmt: skip
+
+
+def expression(text: str, known: Mapping[str, Any], where: str) -> Any:
+    """The value of a text in these names (numbers or symbols); `InputError` begins with `where`."""
+    if not isinstance(text, str) or not text.strip() or len(text) > LONGEST:
+        raise InputError(f"{where}: must be an expression as text, such as 'torque1**2', got {str(text)[:40]!r}")
+    try:
+        tree = ast.parse(text.strip().replace("^", "**"), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError(f"{where}: {text!r} is no expression ({error}); write it as 'torque1**2 + theta1'") from None
+    return _value(tree.body, known, where, 0)
+
+
+def _value(node: ast.AST, known: Mapping[str, Any], where: str, depth: int) -> Any:
+    if depth > DEEPEST:
+        raise InputError(f"{where}: nested too deeply; write it in fewer brackets")
+    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
+        return float(node.value)
+    if isinstance(node, ast.Name):
+        if node.id == "pi":
+            return 3.141592653589793
+        if node.id not in known:
+            listed = ", ".join(known)
+            raise InputError(f"{where}: unknown name {node.id!r}{closest(node.id, known)}; known are {listed}")
+        return known[node.id]
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
+        return _OPERATIONS[type(node.op)](*(_value(one, known, where, depth + 1) for one in (node.left, node.right)))
+    if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATIONS:
+        return _OPERATIONS[type(node.op)](_value(node.operand, known, where, depth + 1))
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+        name = node.func.id
+        if name in FUNCTIONS and len(node.args) == 1 + (name == "atan2"):
+            return FUNCTIONS[name](*(_value(one, known, where, depth + 1) for one in node.args))
+    raise InputError(
+        f"{where}: {ast.unparse(node)[:60]!r} is not allowed; use numbers, names, + - * / **, brackets and "
+        f"{', '.join(FUNCTIONS)}"
+    )

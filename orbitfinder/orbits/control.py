@@ -1,0 +1,878 @@
+"""Controlled orbits: found as optima of a nonlinear program, judged by a costate that knows nothing of it.
+
+The evidence starts from what is recorded: state, period, control. DOP853 integrates the motion interval by interval,
+the cost with it, and backwards the costate with all its gradients,
+
+    lambda' = -(df/dx)^T lambda - dL/dx,    G_j = integral of (dL/du + (df/du)^T lambda) b_j,
+
+linear in what is not known: lambda at the end, and the multipliers of tasks, pins and active limits. They are fitted
+to the conditions of an optimum: the costate closes the loop, every G_j vanishes, as does the derivative by the period
+and by each freed parameter. What the fit leaves is reported, relative to the cost; multipliers of inequalities must
+have their signs. A control held in a form (steps, splines, harmonics) meets G_j = 0, not H_u = 0 at each instant: how
+far it is from that is how far it is from the continuous optimum, and reported too.
+
+Source: A. Bryson, Y. Ho, Applied Optimal Control (1975), sections 2.5, 2.7, 3.1-3.8.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from orbitfinder.errors import InputError
+from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate
+from orbitfinder.loops.control import Basis, Control, Task, stated
+from orbitfinder.loops.controlled import Arrangement, Program, Solution, arranged, optimum
+from orbitfinder.loops.ipopt import SolveSettings
+from orbitfinder.loops.problem import Problem
+from orbitfinder.loops.symmetry import named, related, shifts_of
+from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.controls import actuated
+from orbitfinder.mechanics.model import Model, energy, wrapped
+from orbitfinder.orbits.closure import Closure, closes, extents_of, shift, shift_along
+from orbitfinder.orbits.floquet import Floquet, analyse
+from orbitfinder.orbits.measure import provenance
+from orbitfinder.records.orbit import SHARE, Orbit
+
+SAMPLES = 12
+"""Looks at the motion in each step of an interval"""
+ACTIVE = 1e-7
+"""A limit is active where it is met to this, relative to the range of what it limits"""
+VARIED = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
+SMALL = 1e-9
+"""A control is small when it accelerates less than this share of what the motion does"""
+IPOPT_TOLERANCE = 1e-10
+NEAR = 1e-9
+"""A guard is at 0 to this, relative to its range along an arc"""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a record says was asked: the arrangement over the horizon and over the period, coefficients, pins, normals.
+
+    `pinned` are components of the state at t = 0, `period_free` says whether the period was free; `held` are freed
+    parameters (and "period") that stand at an end of their range, -1 or 1.
+    """
+
+    parts: Arrangement
+    coefficients: np.ndarray
+    pinned: tuple[int, ...]
+    normals: np.ndarray
+    period_free: bool
+    held: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class ControlledEvidence:
+    """What DOP853 and the costate say of a controlled motion.
+
+    `stationarity` is what the best multipliers leave of the conditions of an optimum, relative to the cost;
+    `pointwise` the largest |H_u| relative to its terms, `drift` how far H is from constant, relative; `margins` by
+    name how far tasks and limits are violated, relative; `wrong` the worst sign of a multiplier, relative.
+    """
+
+    times: np.ndarray
+    states: np.ndarray
+    nodes: np.ndarray
+    controls: np.ndarray
+    end: np.ndarray
+    closes: Closure
+    closure: float
+    second: float
+    cost: float
+    action: float
+    stationarity: float
+    worst: str
+    pointwise: float
+    drift: float
+    phase: float
+    costate: np.ndarray
+    multipliers: Mapping[str, float]
+    tasks: Mapping[str, float]
+    extents: np.ndarray
+    floquet: Floquet
+    events: tuple[tuple[str, float, float], ...]
+    shift: Mapping[str, float]
+    cost_size: float
+    symmetry: float
+    held: tuple[tuple[str, float], ...]
+
+
+def find_controlled(problem: Problem, settings: SolveSettings) -> tuple[Orbit, Model]:
+    """The Orbit of least cost near a guess, without certificate, and its Model.
+
+    Raises `ConvergenceError`, `InputError`.
+    """
+    began, control = time.perf_counter(), problem.control
+    assert control is not None
+    program, solution = optimum(problem, control, IPOPT_TOLERANCE)
+    return recorded(problem, program, solution, settings, began)
+
+
+def recorded(
+    problem: Problem, program: Program, solution: Solution, settings: SolveSettings, began: float
+) -> tuple[Orbit, Model]:
+    """The Orbit of a solved program, and its Model."""
+    control, w = program.control, solution.unknowns
+    assert problem.control is not None
+    values = dict(zip(program.parts.free, map(float, w.free), strict=True))
+    model = with_parameters(problem.model, values)
+    entry = _entry(problem, program, solution, values)
+    turns = np.asarray(problem.turns, int)
+    found = gather_controlled(model, w.nodes[0], w.period, turns, entry, problem.symmetry, problem.relative)
+    entry |= {"cost": found.cost, "multipliers": dict(found.multipliers), "costate": [float(x) for x in found.costate]}
+    said = provenance(problem, settings, began)
+    said |= {"method": control.method, "iterations": solution.iterations, "steps": program.parts.steps,
+             "optimum": "local: that nothing else costs less is not shown"}  # fmt: skip
+    said |= {"free": {name: values[name] for name in problem.free}} if problem.free else {}
+    orbit = Orbit(
+        name=problem.name, title=problem.title, source=problem.source, system=model.system, state=w.nodes[0].copy(),
+        period=float(w.period), energy=energy(model, w.nodes[0]), action=found.action, closure=found.closure,
+        symmetry=problem.boundary.name, winding=tuple(int(k) for k in turns),
+        floquet_multipliers=found.floquet.multipliers, pair_defect=0.0, stability=found.floquet.stability,
+        unfolding=tuple(float(one) for one in w.unfolding), nodes=found.nodes, times=found.times, samples=found.states,
+        tolerance=problem.tolerance, expected=problem.expected, provenance=said, shift=found.shift, control=entry,
+    )  # fmt: skip
+    return orbit, model
+
+
+def _entry(problem: Problem, program: Program, solution: Solution, values: Mapping[str, float]) -> dict[str, Any]:
+    """The `control` entry of orbit.json: what was asked and the control that was found."""
+    control = program.control
+    return {
+        "names": list(program.parts.model.controls),
+        "arcs": program.parts.basis.arcs, "shape": control.shape, "intervals": control.intervals,
+        "harmonics": control.harmonics,
+        "coefficients": [[float(x) for x in row] for row in solution.coefficients],
+        "limits": {name: list(pair) for name, pair in program.parts.model.limits.items()},
+        "cost_of": control.cost, "average": control.average, "final": control.final,
+        "tasks": [{name: value for name, value in vars(one).items() if value is not None} for one in control.tasks],
+        "points": program.parts.steps, "method": control.method,
+        "free": list(problem.free), "bounds": {name: list(pair) for name, pair in problem.bounds.items()},
+        "pins": [one.name for one in problem.pin],
+        "normals": [[float(x) for x in row] for row in solution.normals],
+        "shares": {name: value for name, value in values.items() if name.startswith(SHARE)},
+    }  # fmt: skip
+
+
+def control_of(entry: Mapping[str, Any]) -> Control:
+    """The Control that a record's entry describes. Raises `InputError`."""
+    try:
+        tasks = tuple(Task(**one) for one in entry["tasks"])
+        return Control(
+            entry["cost_of"], entry["shape"], int(entry["intervals"]), int(entry["harmonics"]), bool(entry["average"]),
+            str(entry["final"]), tasks, entry["method"],
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"control: malformed entry ({error}); run the problem again") from error
+
+
+def _held_at(values: Mapping[str, float], bounds: Mapping[str, Any]) -> dict[str, int]:
+    """Which of the freed numbers stand at the low (-1) or high (1) end of their range."""
+    found = {}
+    for name, value in values.items():
+        low, high = map(float, bounds.get(name, (-np.inf, np.inf)))
+        room = ACTIVE * (high - low) if np.isfinite(high - low) else 0.0
+        if value - low <= room or high - value <= room:
+            found[name] = -1 if value - low <= room else 1
+    return found
+
+
+def plan_of(
+    model: Model, entry: Mapping[str, Any], symmetry: str, relative: tuple[str, ...], period: float
+) -> tuple[Model, Plan]:
+    """The model at what its record says, and what was asked of it. Raises `InputError`."""
+    control = control_of(entry)
+    try:
+        names, values = tuple(entry["names"]), np.array(entry["coefficients"], float)
+        model = actuated(replace(model, controls=names, limits={k: tuple(v) for k, v in entry["limits"].items()}))
+        if entry["shares"]:
+            model = with_parameters(model, entry["shares"])
+        boundary = related(named(symmetry, model), model, relative)
+        parts = arranged(model, boundary, tuple(entry["free"]), control, int(entry["points"]))
+        state = [model.state_names.index(name) for name in entry["pins"] if name in model.state_names]
+        normals = np.array(entry["normals"], float).reshape(-1, len(model.state_names))
+        free = {name: float(model.parameter_values[model.parameter_index(name)]) for name in entry["free"]}
+        held = _held_at(free | {"period": period}, entry["bounds"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"control: malformed entry ({error}); run the problem again") from error
+    if values.shape != (len(names), parts.basis.whole) or not np.all(np.isfinite(values)):
+        raise InputError(f"control.coefficients: {values.shape} numbers; {len(names)} x {parts.basis.whole} are needed")
+    return model, Plan(parts, values, tuple(state), normals, "period" not in entry["pins"], held)
+
+
+class _Driven:
+    """Functions of an arc's motion as DOP853 calls them, at the parameters of one segment after another."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self.function = function
+        self._buffer, self._evaluate = function.buffer()
+        self._moment, self._y = np.zeros(1), np.zeros(function.size1_in(1))
+        self._given, self._rate = np.zeros(function.size1_in(2)), np.zeros(function.size1_out(0))
+        for k, place in enumerate((self._moment, self._y, self._given)):
+            self._buffer.set_arg(k, memoryview(place.data))
+        self._buffer.set_res(0, memoryview(self._rate.data))
+
+    def at(self, given: np.ndarray) -> _Driven:
+        """The field with these parameters."""
+        self._given[:] = given
+        return self
+
+    def __call__(self, t: float, y: np.ndarray) -> np.ndarray:
+        self._moment[0] = t
+        self._y[:] = y
+        self._evaluate()
+        return self._rate.copy()
+
+
+class _Motion:
+    """The motion of a plan and its costate, integrated by DOP853."""
+
+    def __init__(self, plan: Plan, period: float) -> None:
+        self.plan, self.parts, self.period = plan, plan.parts, period
+        self.free = np.array([self.parts.model.parameter_values[self.parts.model.parameter_index(name)]
+                              for name in self.parts.free])  # fmt: skip
+        basis = self.parts.basis
+        self.whole = basis if not basis.signs else Basis(basis.shape, 2 * basis.intervals, basis.harmonics)
+        arcs = range(max(basis.arcs, 1))
+        self.forward = [_Driven(self._forward(k)) for k in arcs]
+        self.backward = [_Driven(self._backward(k)) for k in arcs]
+        self.hessian = [self._pointwise(k) for k in arcs]
+        self.count = 1 + len(self.parts.means)
+
+    def given(self, segment: int, h: float) -> np.ndarray:
+        """(phase, its length, local coefficients, free, h) of a segment of the whole period."""
+        basis, picked = self.whole, self.whole.picked(segment)
+        begins, length = (0.0, 0.0) if basis.arcs else (segment / basis.intervals, 1.0 / basis.intervals)
+        return np.concatenate([[begins, length], *(row[picked] for row in self.plan.coefficients), self.free, [h]])
+
+    def duration(self, segment: int) -> float:
+        """How long (s) a segment lasts."""
+        return float(self.parts.duration(segment, self.period, ca.DM(self.free)))
+
+    def _symbols(self, arc: int) -> tuple[list[Any], Any, Any, Any, Any, Any]:
+        inputs, rate, p, rates = self.parts.driven(arc, ca.SX.sym)
+        moment, x, s, given = inputs
+        rate, rates = (ca.substitute(one, s, ca.SX.zeros(s.numel())) for one in (rate, ca.vertcat(*rates)))
+        return [moment, x, given], rate, rates, p, ca.SX.sym("h"), s
+
+    def _forward(self, arc: int) -> ca.Function:
+        """(share, (x, integrals, action), (given, h)) -> their rates by the share."""
+        (moment, x, given), rate, rates, p, h, _ = self._symbols(arc)
+        more = ca.SX.sym("more", rates.numel() + 1)
+        action = self.parts.mode(arc).action_rate(0.0, x, p)
+        found = h * ca.vertcat(rate, rates, action)
+        return ca.Function("forward", [moment, ca.vertcat(x, more), ca.vertcat(given, h)], [ca.densify(found)])
+
+    def _backward(self, arc: int) -> ca.Function:
+        """(1 - share, (x, costates, gradients by coefficients, h, free), (given, h)) -> their rates, backwards."""
+        (moment, x, given), rate, rates, _, h, _ = self._symbols(arc)
+        d, k = x.numel(), rates.numel()
+        local = given[2 : given.numel() - len(self.parts.free)]
+        free = given[given.numel() - len(self.parts.free) :]
+        columns = d + k
+        costates = ca.SX.sym("costates", d, columns)
+        outputs = [-h * rate]
+        by_x, more_x = ca.jacobian(rate, x), ca.jacobian(rates, x)
+        turned = by_x.T @ costates
+        turned[:, d:] += more_x.T
+        outputs.append(ca.vec(h * turned))
+        for symbols, factor in ((local, h), (free, h)):
+            slopes = ca.jacobian(rate, symbols).T @ costates
+            slopes[:, d:] += ca.jacobian(rates, symbols).T
+            outputs.append(ca.vec(factor * slopes))
+        by_h = rate.T @ costates
+        by_h[:, d:] += rates.T
+        outputs.append(ca.vec(by_h))
+        sizes = [columns * local.numel(), columns * free.numel(), columns]
+        rest = ca.SX.sym("gradients", sum(sizes))
+        whole = ca.Function("inner", [moment, x, costates, given, h], [ca.densify(ca.vertcat(*outputs))])
+        tau, flat, both = ca.SX.sym("tau"), ca.vertcat(x, ca.vec(costates), rest), ca.vertcat(given, h)
+        return ca.Function("backward", [tau, flat, both], [whole(1 - tau, x, costates, given, h)])
+
+    def _pointwise(self, arc: int) -> ca.Function:
+        """(share, x, (given, h)) -> dL/du, df/du^T, f, L at an instant, u itself among the coefficients."""
+        model, parts = self.parts.mode(arc), self.parts
+        x, u, free = (ca.SX.sym("x", parts.size), ca.SX.sym("u", len(parts.model.controls)),
+                      ca.SX.sym("free", len(parts.free)))  # fmt: skip
+        p = model.parameters((*parts.free, *parts.model.controls), ca.vertcat(free, u))
+        rate = model.rate(0.0, x, p)
+        cost = stated(parts.control.cost, parts.model, x, p, "control.cost")
+        costs = ca.vertcat(cost, *(stated(one.expression, parts.model, x, p, "task.expression") for one in parts.means))
+        outputs = (rate, costs, ca.jacobian(rate, u), ca.jacobian(costs, u))
+        return ca.Function("pointwise", [x, u, free], [ca.densify(one) for one in outputs])
+
+    def control(self, segment: int, shares: np.ndarray) -> np.ndarray:
+        """Controls (k x m) at shares of a segment of the whole period."""
+        basis, picked = self.whole, self.whole.picked(segment)
+        begins, length = (0.0, 0.0) if basis.arcs else (segment / basis.intervals, 1.0 / basis.intervals)
+        weights = np.array([[float(w) for w in basis.values(share, begins + share * length)] for share in shares])
+        return np.asarray(weights @ self.plan.coefficients[:, picked].T)
+
+    def path(self, state: np.ndarray, settings: ReferenceSettings, shares: np.ndarray) -> list[np.ndarray]:
+        """(x, integrals, action) at shares of each segment, those of the first from the state; events at their ends."""
+        d, found, more = self.parts.size, [], np.zeros(self.count + 1)
+        now = np.asarray(state, float)
+        for k in range(self.whole.intervals):
+            h = self.duration(min(k, self.parts.basis.intervals - 1) if not self.whole.arcs else k)
+            field = self.forward[self.parts.arc(k)].at(self.given(k, h))
+            found.append(integrate(field, np.concatenate([now, more]), shares, settings, 0.25))
+            now, more = found[-1][-1, :d], found[-1][-1, d:]
+            now = self.reset(k, now)
+        return found
+
+    def reset(self, segment: int, x: np.ndarray) -> np.ndarray:
+        """The state after the event that a segment ends with, if it does."""
+        one = self.event(segment)
+        return x if one is None else np.asarray(one.reset(x, self.parts.model.parameter_values).full().ravel())
+
+    def event(self, segment: int) -> Any:
+        """The transition that a segment ends with, or None."""
+        if not self.whole.arcs or (segment + 1) % self.whole.each:
+            return None
+        return self.parts.model.hybrid.arcs[self.parts.arc(segment)][1]
+
+
+def gather_controlled(
+    model: Model, state: np.ndarray, period: float, turns: np.ndarray, entry: Mapping[str, Any], symmetry: str,
+    relative: tuple[str, ...] = (),
+) -> ControlledEvidence:  # fmt: skip
+    """The evidence of a recorded control. Raises `InputError`, `IntegrationError`."""
+    model, plan = plan_of(model, entry, symmetry, relative, period)
+    motion = _Motion(plan, period)
+    d = plan.parts.size
+    shares = np.linspace(0.0, 1.0, SAMPLES * plan.parts.steps + 1)
+    pieces = motion.path(state, TIGHTEST, shares)
+    second = motion.path(state, SECOND, np.array([0.0, 1.0]))
+    last = len(pieces) - 1
+    end, other = motion.reset(last, pieces[-1][-1, :d]), motion.reset(last, second[-1][-1, :d])
+    states = np.vstack([piece[:, :d] for piece in pieces])
+    units = extents_of(model, states, period)
+    sizes = np.maximum(np.abs(states).max(axis=0) / units, 1.0)
+    shifted = shift_along(model, relative, np.asarray(state, float), end, turns)
+    apart = shift(turns, d)
+    for name, by in shifted.items():
+        apart[: len(turns)] += by * _direction(model, name)
+    fitted = _Fit(motion, pieces, units)
+    scaled = [one * units / units[:, None] for one in fitted.transitions]
+    closed = closes((end - state - apart) / units, scaled, sizes, _reach(motion, pieces, scaled, units))
+    monodromy = np.eye(d)
+    for one in scaled:
+        monodromy = one @ monodromy
+    times, kept, driven = _sampled(motion, pieces, shares)
+    return ControlledEvidence(
+        times=times, states=kept, nodes=np.vstack([piece[:1, :d] for piece in pieces]), controls=driven, end=end,
+        closes=closed, closure=float(np.abs(end - state - apart).max()),
+        second=float(np.abs((other - state - apart) / units).max()),
+        cost=fitted.cost, action=float(pieces[-1][-1, -1]), stationarity=fitted.left, worst=fitted.worst,
+        pointwise=fitted.pointwise, drift=fitted.drift, phase=fitted.phase, costate=fitted.start,
+        multipliers=fitted.multipliers, tasks=fitted.violations, extents=units,
+        floquet=analyse(monodromy, conservative=False), events=tuple(_events(motion, pieces)), shift=shifted,
+        cost_size=fitted.size, symmetry=_off_symmetry(motion, pieces, units), held=tuple(_held(motion, pieces)),
+    )  # fmt: skip
+
+
+def _direction(model: Model, name: str) -> np.ndarray:
+    return np.asarray(shifts_of(model)[name].direction, float)
+
+
+def _sampled(
+    motion: _Motion, pieces: list[np.ndarray], shares: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, states and controls of a picture: instants where segments meet once, those of events twice."""
+    d, began = motion.parts.size, 0.0
+    times, states, driven = [], [], []
+    for k, piece in enumerate(pieces):
+        h = motion.duration(min(k, motion.parts.basis.intervals - 1) if not motion.whole.arcs else k)
+        chosen = slice(0, None if k == len(pieces) - 1 or motion.event(k) is not None else -1)
+        times.append(began + h * shares[chosen])
+        states.append(piece[chosen, :d])
+        driven.append(motion.control(k, shares[chosen]))
+        began += h
+    found = np.concatenate(times)
+    found[-1] = motion.period
+    return found, np.vstack(states), np.vstack(driven)
+
+
+def _events(motion: _Motion, pieces: list[np.ndarray]) -> Any:
+    """(name, miss of the guard in periods, how early another crossing comes) of each event of a hybrid motion."""
+    d, arc_began = motion.parts.size, 0
+    for k, piece in enumerate(pieces):
+        one = motion.event(k)
+        if one is None:
+            continue
+        p = motion.parts.model.parameter_values
+        guard = np.array([float(one.guard(x, p)) for part in pieces[arc_began : k + 1] for x in part[:, :d]])
+        rate = (guard[-1] - guard[-2]) * (len(piece) - 1) / motion.duration(k)
+        allowed = np.ones(guard.size)
+        if one.allowed is not None:
+            allowed = np.array([float(one.allowed(x, p)) for part in pieces[arc_began : k + 1] for x in part[:, :d]])
+        away = -guard[:-1] * one.direction > NEAR * float(np.ptp(guard))  # at its beginning an arc is at its guard
+        crossed = away & (guard[1:] * one.direction >= 0) & (allowed[1:] > 0)
+        early = float(np.sum(crossed[: -len(piece) // 2]))
+        miss = abs(guard[-1] / (rate * motion.period)) if rate * one.direction > 0 and allowed[-1] > 0 else np.inf
+        yield one.name, miss, early
+        arc_began = k + 1
+
+
+def _reach(motion: _Motion, pieces: list[np.ndarray], transitions: list[np.ndarray], units: np.ndarray) -> np.ndarray:
+    """What small changes of the controls do to the end of the motion (d x k), each the share of its natural size.
+
+    That is what accelerates as much as the motion does: the true optimum is near in its control as well as its state.
+    """
+    columns, carried = [], np.eye(units.size)
+    for k in reversed(range(len(pieces))):
+        carried = carried @ transitions[k]
+        x, u = pieces[k][0, : units.size], motion.control(k, np.array([0.0]))[0]
+        by_u = motion.hessian[motion.parts.arc(k)](x, u, motion.free)[2].full() / units[:, None]
+        strength = np.abs(by_u).max(axis=0)
+        columns.append(carried @ by_u[:, strength > 0] / strength[strength > 0] / len(pieces))
+    return np.hstack(columns)
+
+
+def _held(motion: _Motion, pieces: list[np.ndarray]) -> Any:
+    """What must not become negative along the arcs of a hybrid motion, and impulses, each with its least value."""
+    model, d = motion.parts.model, motion.parts.size
+    if model.hybrid is None:
+        return
+    least: dict[str, float] = {}
+    for k, piece in enumerate(pieces):
+        mode, _ = model.hybrid.arcs[motion.parts.arc(k)]
+        driven, own = motion.control(k, np.linspace(0.0, 1.0, len(piece))), model.parameter_values.copy()
+        for x, u in zip(piece[:, :d], driven, strict=True):
+            own[[model.parameter_index(name) for name in model.controls]] = u
+            for name, one in (mode.holds or {}).items():
+                least[name] = min(least.get(name, np.inf), float(one(x, own)))
+        if (event := motion.event(k)) is not None and event.impulse is not None:
+            name = f"impulse of {event.name}"
+            least[name] = min(least.get(name, np.inf), float(event.impulse(piece[-1, :d], model.parameter_values)))
+    yield from least.items()
+
+
+def _off_symmetry(motion: _Motion, pieces: list[np.ndarray], units: np.ndarray) -> float:
+    """How far the second half of a symmetric motion is from the mirrored first, in extents, whole turns apart."""
+    parts = motion.parts
+    if not parts.basis.signs:
+        return 0.0
+    first, last = parts.symmetry.rows(parts.model.degrees_of_freedom)
+    nodes = np.vstack([piece[0, : parts.size] for piece in pieces])
+    half = len(nodes) // 2
+    apart = nodes[half:] + nodes[:half] @ np.linalg.solve(last, first).T
+    return float(np.abs(wrapped(apart, parts.model.angular) / units).max())
+
+
+class _Fit:
+    """The multipliers that meet the conditions of an optimum best, and what they leave."""
+
+    def __init__(self, motion: _Motion, pieces: list[np.ndarray], units: np.ndarray) -> None:
+        self.motion, self.parts, self.plan, self.pieces, self.units = motion, motion.parts, motion.plan, pieces, units
+        self.names: list[str] = []
+        self.signs: list[int] = []
+        self.violations: dict[str, float] = {}
+        self.transitions: list[np.ndarray] = []
+        self.first, self.last = self._boundary()
+        basis, parts = self.parts.basis, self.parts
+        self.active = self._actives()
+        for k in range(len(self.first)):
+            self._unknown(f"closing {k}", 0)
+        for k in self.plan.pinned:
+            self._unknown(f"pin {parts.model.state_names[k]}", 0)
+        for k in range(len(self.plan.normals)):
+            self._unknown(f"phase {k}", 0)
+        for k, (_, one) in enumerate(parts.moments):
+            self._unknown(f"task {one.expression} at {one.at}", self._side(one, k))
+        for k, one in enumerate(parts.means):
+            self._unknown(f"mean {one.expression}", self._mean_side(one, k))
+        for segment in range(basis.intervals):
+            if (event := motion.event(segment)) is not None:
+                self._unknown(f"event {event.name} {segment}", 0)
+        self.first_active = len(self.names)
+        for segment, j, task, side in self.active:
+            self._unknown(f"limit {parts.always[task].expression} {segment}.{j}", side)
+        self.bounded = self._bounded()
+        for i, j, side in self.bounded:
+            self._unknown(f"bound {parts.model.controls[i]} {j}", side)
+        for name, side in self.plan.held.items():
+            self._unknown(f"held {name}", side)
+        self._assemble()
+
+    def _unknown(self, name: str, sign: int) -> None:
+        self.names.append(name)
+        self.signs.append(sign)
+
+    def _boundary(self) -> tuple[np.ndarray, np.ndarray]:
+        symmetry, n = self.parts.symmetry, self.parts.model.degrees_of_freedom
+        first, last = symmetry.rows(n)
+        asked = symmetry.asked(n)
+        return (first, last) if asked is None else (asked @ first, asked @ last)
+
+    def _arc(self, segment: int) -> int:
+        return self.parts.arc(segment)
+
+    def _place(self, segment: int, j: int) -> tuple[float, np.ndarray, np.ndarray]:
+        """(share, x, given) after step j of a segment."""
+        share = j / self.parts.steps
+        given = self.motion.given(segment, 0.0)[:-1]
+        return share, self.pieces[segment][j * SAMPLES, : self.parts.size], given
+
+    def _watched(self, tasks: tuple[Task, ...], arc: int) -> ca.Function:
+        """(share, x, given, period) -> values, d/dx, d/dgiven, d/dperiod."""
+        function = self.parts.watched(arc, tasks)
+        share, x, period = ca.SX.sym("share"), ca.SX.sym("x", self.parts.size), ca.SX.sym("period")
+        given = ca.SX.sym("given", function.size1_in(3))
+        value = function(share, x, ca.SX.zeros(function.size1_in(2)), given, period)
+        rows = [value, *(ca.jacobian(value, by) for by in (x, given, period))]
+        return ca.Function("tasks", [share, x, given, period], [ca.densify(one) for one in rows])
+
+    def _violated(self, name: str, value: np.ndarray, one: Task, size: float = 0.0) -> None:
+        bounds = [abs(bound) for bound in (one.low, one.high) if np.isfinite(bound)]
+        size = max(*bounds, size, float(np.ptp(value)), 1e-300)
+        worst = float(np.maximum(one.low - value, value - one.high).max()) / size
+        self.violations[name] = max(self.violations.get(name, 0.0), worst)
+
+    def _side(self, one: Task, number: int) -> int:
+        segment, _ = self.parts.moments[number]
+        function = self._watched((one,), self._arc(segment))
+        share, x, given = self._place(segment, 0)
+        value = function(share, x, given, self.motion.period)[0].full().ravel()
+        size = self._range(one)
+        self._violated(f"{one.expression} at {one.at:g}", value, one, size)
+        return _side_of(one, float(value[0]), size)
+
+    def _range(self, one: Task) -> float:
+        """How much an expression varies over the nodes of the motion."""
+        functions = [self._watched((one,), arc) for arc in range(max(self.parts.basis.arcs, 1))]
+        found = [float(functions[self._arc(k)](*self._place(k, 0), self.motion.period)[0])
+                 for k in range(self.parts.basis.intervals)]  # fmt: skip
+        return max(float(np.ptp(found)), 1e-300)
+
+    def _mean_side(self, one: Task, number: int) -> int:
+        total = self._integral(1 + number) / self.motion.period
+        self._violated(f"mean {one.expression}", np.array([total]), one, self._range(one))
+        return _side_of(one, total, self._range(one))
+
+    def _integral(self, number: int) -> float:
+        """An integral over the whole period."""
+        return float(self.pieces[-1][-1, self.parts.size + number])
+
+    def _actives(self) -> list[tuple[int, int, int, int]]:
+        """(segment, step, task, side) where what holds always holds just so; violations between are noted."""
+        parts, found = self.parts, []
+        self._limits()
+        if not parts.always:
+            return []
+        shares = np.linspace(0.0, 1.0, SAMPLES * parts.steps + 1)
+        values = []
+        functions = [self.parts.watched(k, parts.always) for k in range(max(parts.basis.arcs, 1))]
+        for segment in range(self.motion.whole.intervals):
+            piece, function = self.pieces[segment], functions[self._arc(segment)]
+            given = self.motion.given(segment, 0.0)[:-1]
+            s = np.zeros(function.size1_in(2))
+            many = function.map(len(shares))
+            values.append(np.asarray(many(shares[None], piece[:, : parts.size].T, np.tile(s[:, None], (1, len(shares))),
+                                          np.tile(given[:, None], (1, len(shares))),
+                                          np.full((1, len(shares)), self.motion.period)).full()).T)  # fmt: skip
+        everything = np.vstack(values)
+        for task, one in enumerate(parts.always):
+            self._violated(f"{one.expression} always", everything[:, task], one)
+            size = max(float(np.ptp(everything[:, task])), 1e-300)
+            for segment in range(parts.basis.intervals):
+                for j in range(parts.steps + 1):
+                    value = float(values[segment][j * SAMPLES, task])
+                    if side := _side_of(one, value, size):
+                        found.append((segment, j, task, side))
+        return found
+
+    def _limits(self) -> None:
+        """Notes how far controls go beyond the model's limits."""
+        driven = np.vstack([self.motion.control(k, np.linspace(0.0, 1.0, SAMPLES + 1))
+                            for k in range(self.motion.whole.intervals)])  # fmt: skip
+        for i, name in enumerate(self.parts.model.controls):
+            low, high = self.parts.model.limits.get(name, (-np.inf, np.inf))
+            if np.isfinite(low) or np.isfinite(high):
+                self._violated(f"{name} within limits", driven[:, i], Task(
+                    name, "always", lowest=low if np.isfinite(low) else None,
+                    highest=high if np.isfinite(high) else None))  # fmt: skip
+
+    def _bounded(self) -> list[tuple[int, int, int]]:
+        """(control, free coefficient, side) of coefficients at a limit."""
+        if not self.parts.bounded:
+            return []
+        found = []
+        for i, name in enumerate(self.parts.model.controls):
+            if name not in self.parts.model.limits:
+                continue
+            low, high = self.parts.model.limits[name]
+            size = high - low if np.isfinite(high - low) else max(abs(x) for x in (low, high) if np.isfinite(x))
+            shape = self.parts.basis.free(i)
+            for j, value in enumerate(np.linalg.lstsq(shape, self.plan.coefficients[i], rcond=None)[0]):
+                reach = shape[:, j] * value
+                if np.any(reach[shape[:, j] != 0] - low <= ACTIVE * size):
+                    found.append((i, j, -1 if value - low <= ACTIVE * size else 1))
+                elif np.any(high - reach[shape[:, j] != 0] <= ACTIVE * size):
+                    found.append((i, j, 1 if high - value <= ACTIVE * size else -1))
+        return found
+
+    def _assemble(self) -> None:
+        """The conditions as rows, linear in the unknown multipliers; solved and judged."""
+        parts, motion, ny = self.parts, self.motion, len(self.names)
+        self.place = {name: k for k, name in enumerate(self.names)}
+        per = motion.period * parts.symmetry.fraction
+        self.weights = np.zeros((motion.count, ny + 1))
+        self.weights[0, -1] = 1.0 / (per if parts.control.average else parts.symmetry.fraction)
+        for k, one in enumerate(parts.means):
+            self.weights[1 + k, self.place[f"mean {one.expression}"]] = 1.0 / per
+        costate = np.zeros((parts.size, ny + 1))
+        costate[:, : len(self.last)] = self.last.T
+        self.by_c = np.zeros((len(parts.model.controls) * parts.basis.whole, ny + 1))
+        self.by_period, self.by_free = np.zeros(ny + 1), np.zeros((len(parts.free), ny + 1))
+        self.costates: list[np.ndarray] = []
+        always = {arc: self._watched(parts.always, arc) for arc in range(max(parts.basis.arcs, 1)) if self.active}
+        transitions: list[np.ndarray] = []
+        for segment in reversed(range(parts.basis.intervals)):
+            if (event := motion.event(segment)) is not None:
+                costate = self._through(event, segment, costate)
+            transition, costate = self._along(segment, costate, always)
+            transitions.append(transition)
+            self.costates.append(costate.copy())
+            for where, one in parts.moments:
+                if where == segment:
+                    column = self.place[f"task {one.expression} at {one.at}"]
+                    self._pushed(costate, column, (segment, 0), self._watched((one,), self._arc(segment)), 0)
+        self.costates.reverse()
+        self._monodromies(transitions[::-1])
+        self._solve(costate)
+
+    def _along(
+        self, segment: int, costate: np.ndarray, always: Mapping[int, ca.Function]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The state-transition matrix of a segment, and the costate where it begins; gradients are added up."""
+        parts, motion, d = self.parts, self.motion, self.parts.size
+        arc, h, total, picked = self._arc(segment), motion.duration(segment), np.eye(d), self._picked(segment)
+        for j in reversed(range(parts.steps + 1)):
+            for number, (where, step, task, _) in enumerate(self.active):
+                if (where, step) == (segment, j):
+                    self._pushed(costate, self.first_active + number, (segment, j), always[arc], task)
+            if j == 0:
+                break
+            piece = self._back(segment, arc, j, h)
+            grown = [one[:, :d] @ costate + one[:, d:] @ self.weights for one in piece]
+            costate, by_c, by_free, by_h = grown
+            np.add.at(self.by_c, picked, by_c)
+            self.by_free += by_free
+            self.by_period += by_h[0] * h / motion.period
+            self._by_shares(by_h[0], arc)
+            total = total @ piece[0][:, :d].T
+        return total, costate
+
+    def _picked(self, segment: int) -> np.ndarray:
+        """Where the coefficients of a segment are among those of all controls."""
+        basis = self.parts.basis
+        return np.concatenate([i * basis.whole + basis.picked(segment) for i in range(len(self.parts.model.controls))])
+
+    def _pushed(self, costate: np.ndarray, column: int, at: tuple[int, int], function: ca.Function, row: int) -> None:
+        """The jump of a costate, and the gradients, of a condition at an instant (segment, step)."""
+        share, x, given = self._place(*at)
+        _, by_x, by_given, by_period = (one.full()[row] for one in function(share, x, given, self.motion.period))
+        last = by_given.size - len(self.parts.free)
+        costate[:, column] += by_x
+        np.add.at(self.by_c[:, column], self._picked(at[0]), by_given[2:last])
+        self.by_free[:, column] += by_given[last:]
+        self.by_period[column] += by_period[0]
+
+    def _by_shares(self, by_h: np.ndarray, arc: int) -> None:
+        """Gradients by the durations of arcs."""
+        basis = self.parts.basis
+        if basis.arcs < 2:
+            return
+        first = len(self.parts.free) - (basis.arcs - 1)
+        slope = self.motion.period / basis.each
+        if arc < basis.arcs - 1:
+            self.by_free[first + arc] += by_h * slope
+        else:
+            self.by_free[first:] -= by_h * slope
+
+    def _through(self, event: Any, segment: int, costate: np.ndarray) -> np.ndarray:
+        """The costate before an event from that after it."""
+        x = self.pieces[segment][-1, : self.parts.size]
+        model = self.parts.model
+        state, free = ca.MX.sym("x", x.size), ca.MX.sym("free", len(self.parts.free))
+        p = model.parameters(self.parts.free, free)
+        after, guard = event.reset(state, p), event.guard(state, p)
+        rows = [ca.densify(ca.jacobian(value, by)) for value in (after, guard) for by in (state, free)]
+        by_x, by_p, guard_x, guard_p = (
+            one.full() for one in ca.Function("event", [state, free], rows)(x, self.motion.free)
+        )
+        column = self.place[f"event {event.name} {segment}"]
+        self.by_free += by_p.T @ costate
+        before = by_x.T @ costate
+        before[:, column] += guard_x.ravel()
+        self.by_free[:, column] += guard_p.ravel()
+        return np.asarray(before)
+
+    def _back(self, segment: int, arc: int, j: int, h: float) -> list[np.ndarray]:
+        """Costates (d x r), gradients by local coefficients, freed parameters and h over step j of a segment."""
+        parts = self.parts
+        d, r = parts.size, parts.size + self.motion.count
+        counts = [d, len(parts.model.controls) * parts.basis.local, len(parts.free), 1]
+        start = np.zeros(d + sum(counts) * r)
+        start[:d] = self.pieces[segment][j * SAMPLES, :d]
+        start[d : d + d * r] = np.eye(d, r).ravel("F")
+        field = self.motion.backward[arc].at(self.motion.given(segment, h))
+        span = 1.0 - np.array([j, j - 1]) / parts.steps
+        end = integrate(field, start, span, VARIED)[-1]
+        found, at = [], d
+        for count in counts:
+            found.append(end[at : at + count * r].reshape(count, r, order="F"))
+            at += count * r
+        return found
+
+    def _monodromies(self, transitions: list[np.ndarray]) -> None:
+        """State-transition matrices of all segments, of events with their own time eliminated, over the period."""
+        parts, motion = self.parts, self.motion
+        for segment, one in enumerate(transitions):
+            if (event := motion.event(segment)) is not None:
+                one = self._saltated(event, segment) @ one
+            self.transitions.append(one)
+        if parts.basis.signs:
+            first, last = parts.symmetry.rows(parts.model.degrees_of_freedom)
+            mirror = -np.linalg.solve(last, first)
+            self.transitions += [mirror @ one @ np.linalg.inv(mirror) for one in transitions]
+
+    def _saltated(self, event: Any, segment: int) -> np.ndarray:
+        """DR (1 - f grad g / (grad g . f)): the clock of the control begins again with each arc."""
+        x, model = self.pieces[segment][-1, : self.parts.size], self.parts.model
+        state = ca.MX.sym("x", x.size)
+        after = event.reset(state, ca.DM(model.parameter_values))
+        guard = event.guard(state, ca.DM(model.parameter_values))
+        rows = ca.Function("event", [state], [ca.densify(ca.jacobian(one, state)) for one in (after, guard)])(x)
+        by_x, slope = (one.full() for one in rows)
+        u = self.motion.control(segment, np.array([1.0]))[0]
+        rate = self.motion.hessian[self._arc(segment)](x, u, self.motion.free)[0].full()
+        return np.asarray(by_x @ (np.eye(x.size) - rate @ slope / (slope @ rate).item()))
+
+    def _solve(self, costate: np.ndarray) -> None:
+        """The rows of all conditions, in units of cost."""
+        place, by_free = self.place, self.by_free
+        parts, motion, plan = self.parts, self.motion, self.plan
+        basis, m = parts.basis, len(parts.model.controls)
+        integral = self._integral(0)
+        self.cost = integral / (motion.period if parts.control.average else 1.0)
+        x = self.pieces[0][0, : parts.size]
+        start, period_row = costate.copy(), self.by_period.copy()
+        start[:, : len(self.first)] += self.first.T
+        for k in plan.pinned:
+            start[k, place[f"pin {parts.model.state_names[k]}"]] += 1.0
+        for k, row in enumerate(plan.normals):
+            start[:, place[f"phase {k}"]] += row
+        final, by_x, by_p, by_t = self._final(x)
+        self.cost += final
+        start[:, -1] += by_x
+        by_free[:, -1] += by_p
+        period_row[-1] += by_t - (integral / motion.period**2 if parts.control.average else 0.0)
+        for k, one in enumerate(parts.means):
+            period_row[place[f"mean {one.expression}"]] -= self._integral(1 + k) / motion.period**2
+        rows, labels = [start * self.units[:, None]], ["costate closes"] * len(start)
+        sizes = [max(float(np.abs(row).max()), SMALL) for row in plan.coefficients]
+        for i in range(m):
+            shape = basis.free(i)
+            own = shape.T @ self.by_c[i * basis.whole : (i + 1) * basis.whole]
+            for number, (control, j, _) in enumerate(self.bounded):
+                if control == i:
+                    own[j, place[f"bound {parts.model.controls[i]} {self.bounded[number][1]}"]] += 1.0
+            rows.append(own * sizes[i])
+            labels += [f"control {parts.model.controls[i]}"] * len(own)
+        if plan.period_free:
+            if "period" in plan.held:
+                period_row[place["held period"]] += 1.0
+            rows.append(period_row[None] * motion.period)
+            labels.append("period")
+        for k, name in enumerate(parts.free):
+            row = by_free[k] * max(abs(motion.free[k]), 1e-300)
+            if name in plan.held:
+                row[place[f"held {name}"]] += 1.0
+            rows.append(row[None])
+            labels.append(name)
+        self._judge(np.vstack(rows), labels, integral)
+
+    def _final(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, float]:
+        function = self.parts.final()
+        state, free, period = ca.MX.sym("x", x.size), ca.MX.sym("free", len(self.parts.free)), ca.MX.sym("period")
+        value = function(state, free, period)
+        whole = ca.Function("final", [state, free, period],
+                            [value, *(ca.densify(ca.gradient(value, by)) for by in (state, free, period))])  # fmt: skip
+        found = [one.full().ravel() for one in whole(x, self.motion.free, self.motion.period)]
+        return float(found[0][0]), found[1], found[2], float(found[3][0])
+
+    def _reference(self) -> float:
+        """A cost that is small: what controls cost that accelerate `SMALL` of what the motion does."""
+        found = 0.0
+        for piece in self.pieces[: self.parts.basis.intervals]:
+            x, u = piece[0, : self.parts.size], np.zeros(len(self.parts.model.controls))
+            _, idle, by_u, _ = (one.full() for one in self.motion.hessian[0](x, u, self.motion.free))
+            strong = np.abs(by_u / self.units[:, None]).max(axis=0)
+            large = 2 * np.pi / self.motion.period / np.maximum(strong, 1e-300)
+            costs = self.motion.hessian[0](x, np.where(strong > 0, large, 0.0), self.motion.free)[1].full()
+            found = max(found, abs(float(costs[0, 0] - idle[0, 0])))
+        return found * SMALL * (1.0 if self.parts.control.average else self.motion.period)
+
+    def _judge(self, rows: np.ndarray, labels: list[str], integral: float) -> None:
+        matrix, right = rows[:, :-1], -rows[:, -1]
+        size = max(abs(self.cost), abs(integral) / (self.motion.period if self.parts.control.average else 1.0),
+                   self._reference(), 1e-300)  # fmt: skip
+        self.size = size
+        widths = np.maximum(np.abs(matrix).max(axis=0, initial=0.0), 1e-300)
+        y = np.linalg.lstsq(matrix / widths, right, rcond=1e-13)[0]
+        signs = np.array(self.signs)
+        wrong = (signs != 0) & (y * signs < -1e-9 * size)
+        if np.any(wrong):
+            low, high = np.where(signs > 0, 0.0, -np.inf), np.where(signs < 0, 0.0, np.inf)
+            y = lsq_linear(matrix / widths, right, (low, high), method="bvls", tol=1e-14).x
+        left = np.abs(matrix / widths @ y - right) / size
+        worst = int(left.argmax())
+        self.left, self.worst = float(left[worst]), labels[worst]
+        y = y / widths
+        self.y = np.append(y, 1.0)
+        self.multipliers = {name: float(value) for name, value in zip(self.names, y, strict=True)
+                            if not name.startswith("closing")}  # fmt: skip
+        phases = [abs(value) for name, value in self.multipliers.items() if name.startswith("phase")]
+        self.phase = max(phases, default=0.0) * float(self.units.max()) / size
+        self._hamiltonian()
+
+    def _hamiltonian(self) -> None:
+        """The costate at t = 0, |H_u| and the drift of H at the nodes, relative to their terms."""
+        motion, parts = self.motion, self.parts
+        weights = np.zeros(motion.count)
+        weights[0] = 1.0 / (motion.period if parts.control.average else 1.0)
+        for k, one in enumerate(parts.means):
+            weights[1 + k] = self.multipliers[f"mean {one.expression}"] / motion.period
+        fraction = parts.symmetry.fraction
+        levels, slopes, terms, pieces = [], [], [], []
+        for segment, matrix in enumerate(self.costates):
+            costate = fraction * (matrix @ self.y)
+            u = motion.control(segment, np.array([0.0]))[0]
+            x = self.pieces[segment][0, : parts.size]
+            rate, costs, by_u, cost_by_u = (one.full() for one in motion.hessian[self._arc(segment)](x, u, motion.free))
+            levels.append(float(weights @ costs.ravel() + costate @ rate.ravel()))
+            pieces.append(abs(float(weights @ costs.ravel())) + float(np.abs(costate * rate.ravel()).sum()))
+            slopes.append(np.abs(weights @ cost_by_u + costate @ by_u).max(initial=0.0))
+            terms.append(np.abs(costate @ by_u).max(initial=0.0))
+        self.start = fraction * (self.costates[0] @ self.y)
+        self.pointwise = float(max(slopes) / max(max(terms), 1e-300))
+        arcs = np.array_split(np.array(levels), max(parts.basis.arcs, 1))
+        self.drift = float(max(np.ptp(one) for one in arcs) / max(max(pieces), 1e-300))
+
+
+def _side_of(one: Task, value: float, size: float) -> int:
+    """-1 or 1 where a value stands at an end of its range, 0 elsewhere; equations have no sign."""
+    if one.equals is not None:
+        return 0
+    if abs(value - one.low) <= ACTIVE * size:
+        return -1
+    return 1 if abs(value - one.high) <= ACTIVE * size else 0

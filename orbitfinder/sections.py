@@ -1,0 +1,22 @@
+"""Poincare sections, invariant manifolds, connections of orbits: their records, files, certificates and pictures."""
+
+from orbitfinder._runtime.front import fronted
+from orbitfinder.families.connections import certify_connection, follow_connection
+from orbitfinder.families.manifolds import ManifoldSettings
+from orbitfinder.records.manifold import (
+    Connection,
+    Manifold,
+    load_connection,
+    load_manifold,
+    save_connection,
+    save_manifold,
+)
+from orbitfinder.records.section import Section, load_section, save_section
+from orbitfinder.show.sections import draw_manifolds, draw_section
+
+__all__ = [
+    "Connection", "Manifold", "ManifoldSettings", "Section", "certify_connection", "draw_manifolds", "draw_section",
+    "follow_connection", "load_connection", "load_manifold", "load_section", "save_connection", "save_manifold",
+    "save_section",
+]  # fmt: skip
+globals().update({name: fronted(globals()[name], __name__) for name in __all__})

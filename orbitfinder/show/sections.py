@@ -1,0 +1,228 @@
+"""Pictures of Poincare sections with orbits and manifolds in them, and of manifolds in the plane or in space."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from orbitfinder.errors import InputError
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model, wrapped
+from orbitfinder.orbits.section import Surface, pierced, surface
+from orbitfinder.records.manifold import Connection, Manifold, reach
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.section import Section
+from orbitfinder.show.plot import axis
+from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import COLOURS
+
+CHAOS = "0.62"
+"""Colour of returns that belong to no regular motion"""
+MOTIONS = COLOURS[2:6]
+"""Those of regular motions, none of them a manifold's"""
+SIDES = {"unstable": "#D55E00", "stable": "#0072B2"}
+"""Colours of manifolds"""
+
+
+def draw_section(
+    section: Section | None,
+    path: str | Path,
+    *,
+    orbits: Sequence[Orbit] = (),
+    manifolds: Sequence[Manifold] = (),
+    connections: Sequence[Connection] = (),
+    model: Model | None = None,
+) -> Path:
+    """Draw a section as PNG, with the crossings of orbits, the curves of manifolds and the points of connections in it.
+
+    Regular motions are coloured, each with a colour of its own, chaotic ones grey. Without a section the plane is that
+    of the first manifold or connection. Raises `InputError` where they lie on different planes.
+    """
+    return save_png(section_figure(section, orbits, manifolds, connections, model), Path(path))
+
+
+def section_figure(
+    section: Section | None,
+    orbits: Sequence[Orbit] = (),
+    manifolds: Sequence[Manifold] = (),
+    connections: Sequence[Connection] = (),
+    model: Model | None = None,
+) -> Figure:
+    """The figure that `draw_section` writes."""
+    given: list[Any] = [one for one in (section, *manifolds, *connections) if one is not None]
+    if not given:
+        raise InputError("section: nothing to draw; give a section, a manifold or a connection")
+    first = given[0]
+    for one in given[1:]:
+        if (one.plane.split(",")[0], tuple(one.axes)) != (first.plane.split(",")[0], tuple(first.axes)):
+            raise InputError(
+                f"manifolds: {one.name} lies on {one.plane} with axes {', '.join(one.axes)}, the picture on "
+                f"{first.plane} with {', '.join(first.axes)}; make both with one plane and axes"
+            )
+    model = model or build_model(first.system)
+    level = f", energy {first.energy:.8g}" if np.isfinite(first.energy) else ""
+    figure = new_figure(7.2, 6.2, first.name, f"section {first.plane}{level}")
+    axes = figure.subplots()
+    across, up = (model.state_names.index(name) for name in first.axes)
+    if section is not None:
+        _returns(axes, section)
+    for one in manifolds:
+        _curves(axes, one, model, (across, up))
+    for one in connections:
+        axes.plot(*one.states[:, [across, up]].T, "x", color="black", markersize=4, markeredgewidth=0.8)
+        axes.plot(one.state[across], one.state[up], "D", color="black", markersize=5, label=f"{one.kind} point")
+    for orbit in orbits:
+        points = wrapped(pierced(_surface(first, orbit, model), orbit).states, model.angular)
+        axes.plot(points[:, across], points[:, up], "o", color="white", markeredgecolor="black", markersize=6.5,
+                  label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
+    _limits(axes, model, first.axes, section, manifolds, connections)
+    dress(axes, _label(model, across), _label(model, up))
+    _legend(figure, axes)
+    return figure
+
+
+def _returns(axes: Any, section: Section) -> None:
+    """The returns, chaotic ones below; regular motions in colours that neighbours do not share."""
+    points, regular = section.points, section.regular[section.seeds]
+    size = float(np.clip(20_000 / max(section.returns, 1), 0.4, 6.0))
+    if not np.isfinite(section.growth).any():  # not told apart
+        axes.scatter(points[:, 0], points[:, 1], s=size, c=section.seeds, cmap="viridis", linewidths=0)
+        return
+    axes.scatter(*points[~regular].T, s=size, color=CHAOS, linewidths=0, rasterized=True)
+    seeds = np.unique(section.seeds[regular])
+    order = {int(seed): MOTIONS[k % len(MOTIONS)] for k, seed in enumerate(seeds)}
+    colours = [order[int(seed)] for seed in section.seeds[regular]]
+    axes.scatter(*points[regular].T, s=size, c=colours, linewidths=0, rasterized=True)
+    axes.plot([], [], "o", color=CHAOS, markersize=3, label="chaotic")
+    axes.plot([], [], "o", color=MOTIONS[0], markersize=3, label="regular (colours: motions)")
+
+
+def _curves(axes: Any, one: Manifold, model: Model, pair: tuple[int, int]) -> None:
+    """The curves of a manifold on the section."""
+    colour = SIDES[one.which]
+    if one.kind != "curves":
+        raise InputError(f"manifolds: {one.name} is a tube, not curves on a section; grow it without tube")
+    for k, curve in enumerate(one.curves):
+        points = wrapped(curve, model.angular)[:, list(pair)]
+        jumps = np.abs(np.diff(points, axis=0)).max(axis=1) > np.pi
+        points = np.insert(points, np.flatnonzero(jumps & model.angular.any()) + 1, np.nan, axis=0)
+        axes.plot(points[:, 0], points[:, 1], color=colour, linewidth=0.9, label="" if k else f"{one.which} manifold")
+
+
+def _limits(
+    axes: Any, model: Model, names: Sequence[str], section: Section | None, manifolds: Sequence[Manifold],
+    connections: Sequence[Connection],
+) -> None:  # fmt: skip
+    """What is drawn, but for what is far out."""
+    ends = [one.reach(names) for one in manifolds]
+    points = [one.state[None, [one.state_names.index(name) for name in names]] for one in connections]
+    if section is not None:
+        ends.append(reach(section.points, np.ones(section.returns)))
+    ends += [(one.min(axis=0), one.max(axis=0)) for one in points]
+    low, high = np.min([one[0] for one in ends], axis=0), np.max([one[1] for one in ends], axis=0)
+    turns = [name in model.state_names[: model.degrees_of_freedom] and model.angular[model.state_names.index(name)]
+             for name in names]  # fmt: skip
+    low, high = np.where(turns, np.maximum(low, -np.pi), low), np.where(turns, np.minimum(high, np.pi), high)
+    room = 0.06 * (high - low) + 1e-12 * np.abs(high)
+    axes.set_xlim(low[0] - room[0], high[0] + room[0])
+    axes.set_ylim(low[1] - room[1], high[1] + room[1])
+
+
+def _surface(first: Section | Manifold | Connection, orbit: Orbit, model: Model) -> Surface:
+    """The plane that a record names, for another orbit."""
+    if model.forced or model.hybrid is not None:
+        return surface(model, None, first.axes)
+    where, _, side = first.plane.partition(",")
+    direction = {"growing": 1, "falling": -1}.get(side.strip(), 0)
+    return surface(model, where, first.axes, direction, state=orbit.state)
+
+
+def _label(model: Model, i: int) -> str:
+    """A component's name with its unit, which systems that mark places have none of."""
+    return model.state_names[i] if model.landmarks else axis(model, i)
+
+
+def _legend(figure: Figure, axes: Any) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    seen = dict(zip(labels, handles, strict=True))
+    if seen:
+        figure.legend(seen.values(), seen.keys(), loc="outside lower center", ncols=min(3, len(seen)), frameon=False)
+
+
+def draw_manifolds(
+    manifolds: Sequence[Manifold],
+    path: str | Path,
+    *,
+    axes: Sequence[str] | None = None,
+    orbits: Sequence[Orbit] = (),
+    connections: Sequence[Connection] = (),
+    model: Model | None = None,
+) -> Path:
+    """Draw tubes as PNG in two or three components (`axes`), with orbits and connections; by default those of
+    what marks places in a plane, else the first three.
+
+    Raises `InputError`.
+    """
+    if not manifolds:
+        raise InputError("manifolds: none given; grow one with tube=")
+    model = model or build_model(manifolds[0].system)
+    flat = bool(model.landmarks) and model.degrees_of_freedom == 2
+    names = tuple(axes) if axes is not None else model.state_names[: 2 if flat else 3]
+    if len(names) not in (2, 3) or not set(names) <= set(model.state_names):
+        known = ", ".join(model.state_names)
+        raise InputError(f"axes: need two or three components, got {', '.join(names)}; this system has {known}")
+    return save_png(
+        _tubes(manifolds, [model.state_names.index(one) for one in names], orbits, connections, model), Path(path)
+    )
+
+
+def _tubes(
+    manifolds: Sequence[Manifold], chosen: Sequence[int], orbits: Sequence[Orbit], connections: Sequence[Connection],
+    model: Model,
+) -> Figure:  # fmt: skip
+    first, solid = manifolds[0], len(chosen) == 3
+    multiplier = f"multiplier {first.multiplier:.6g}, displaced by {first.displacement:.2g}"
+    figure = new_figure(7.6, 6.6, f"{first.name}: manifolds", multiplier)
+    axes: Any = figure.add_subplot(projection="3d") if solid else figure.subplots()
+    for one in manifolds:
+        lines = [wrapped(curve, model.angular)[:, list(chosen)] for curve in one.curves if len(curve) > 1]
+        if solid:
+            for k, line in enumerate(lines):
+                axes.plot(*line.T, color=SIDES[one.which], linewidth=0.45, alpha=0.6, label="" if k else one.which)
+        else:
+            axes.add_collection(LineCollection(lines, colors=SIDES[one.which], linewidths=0.45, alpha=0.6))
+            axes.plot([], [], color=SIDES[one.which], label=one.which)
+            axes.autoscale_view()
+    for known in connections:
+        axes.plot(*known.samples[:, list(chosen)].T, color="black", linewidth=1.4, label=known.kind)
+    for orbit in orbits:
+        axes.plot(*orbit.samples[:, list(chosen)].T, color="black", linewidth=1.8, linestyle="--", label=orbit.name)
+    _landmarks(axes, model, chosen)
+    labels = [_label(model, i) for i in chosen]
+    if solid:
+        axes.set(xlabel=labels[0], ylabel=labels[1], zlabel=labels[2])
+    else:
+        dress(axes, *labels)
+        if max(chosen) < model.degrees_of_freedom and not model.angular.any():
+            axes.set_aspect("equal", adjustable="datalim")
+    _legend(figure, axes)
+    return figure
+
+
+def _landmarks(axes: Any, model: Model, chosen: Sequence[int]) -> None:
+    """Bodies and places of rest in the plane of two coordinates."""
+    low, high = axes.get_xlim()
+    if len(chosen) != 2 or max(chosen) >= model.degrees_of_freedom:
+        return
+    for name, place in model.landmarks.items():
+        if low <= place[chosen[0]] <= high:
+            axes.plot(
+                place[chosen[0]], place[chosen[1]], "x" if name.startswith("L") else "o", color="0.3", markersize=5
+            )
+            axes.annotate(name, (place[chosen[0]], place[chosen[1]]), (4, 5), textcoords="offset points", fontsize=8,
+                          color="0.25", parse_math=False)  # fmt: skip

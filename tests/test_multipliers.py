@@ -1,0 +1,205 @@
+"""Multipliers of any range: eigenvalues of a product of matrices, their errors, and families near the saddles."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from orbitfinder.families.folder import follow_family
+from orbitfinder.families.follow import follow
+from orbitfinder.families.point import FamilySettings, unknowns_of
+from orbitfinder.families.run import Run, first_point
+from orbitfinder.families.stability import SPREAD, Spectrum, asymplectic, spectrum
+from orbitfinder.families.start import begin
+from orbitfinder.guesses.modes import mode_problem
+from orbitfinder.integrate.march import March, divided
+from orbitfinder.loops.continued import at_place
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.library import lorenz
+from orbitfinder.orbits.floquet import judged, symplectic_unit
+from orbitfinder.orbits.product import product
+from orbitfinder.problemfile.read import load_problem
+from orbitfinder.records.family import FamilyPoint, load_family, plain, restored
+
+RANGE = np.array([120.0, 80.0, 40.0, 10.0, -10.0, -40.0, -80.0, -120.0])
+"""Decades of the eigenvalues of the reference's chains: 8 x 8, 60 factors, 1e+-120"""
+
+
+def orthogonal_chain(rng, decades=RANGE, count=60):
+    """Factors Q_{k+1} D Q_k^T about random orthogonal frames, whose product has the eigenvalues 10^decades."""
+    frames = [np.linalg.qr(rng.normal(size=(decades.size,) * 2))[0] for _ in range(count)]
+    part = np.diag(10 ** (decades / count))
+    return [after @ part @ before.T for before, after in zip(frames, [*frames[1:], frames[0]], strict=True)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_known_chains_over_240_decades(seed):
+    """Every eigenvalue to 1e-11, where the multiplied product is wrong by more than 200 decades."""
+    factors = orthogonal_chain(np.random.default_rng(seed))
+    found = product(factors)
+    relative = np.abs(found.values / 10**RANGE - 1)
+    assert relative.max() < 1e-11
+    assert np.all(relative < 10 * found.errors(np.full(60, 1e-15))) and found.errors(np.full(60, 1e-15)).max() < 1e-8
+    lost = np.abs(np.linalg.eigvals(np.linalg.multi_dot(factors[::-1]))).min()
+    assert lost > 1e-40 or lost < 1e-150
+
+
+def test_any_product_agrees_with_two_thousand_bits():
+    """Random factors, complex pairs and clusters among them, against ball arithmetic; every error is within its bar."""
+    flint = pytest.importorskip("flint")
+    rng, before = np.random.default_rng(3), flint.ctx.prec
+    flint.ctx.prec = 2000
+    try:
+        for size, count, span in ((2, 7, 0), (3, 24, 30), (4, 12, 0), (5, 9, 60), (6, 34, 60), (7, 10, 5), (8, 13, 0)):
+            factors = [rng.normal(size=(size, size)) * 10 ** (rng.uniform(-1, 1, size) * span / count / 3)
+                       for _ in range(count)]  # fmt: skip
+            total = flint.acb_mat(np.eye(size).tolist())
+            for one in factors:
+                total = flint.acb_mat(one.tolist()) * total
+            logs = [complex(one.log().real.mid(), one.log().imag.mid()) for one in total.eig(algorithm="approx")]
+            found = product(factors)
+            apart = np.log(found.values.astype(complex))[:, None] - np.array(logs)[None]
+            apart = np.abs(apart.real) + np.abs(np.exp(1j * apart.imag) - 1)
+            assert sorted(apart.argmin(axis=1)) == list(range(size))
+            assert np.all(apart.min(axis=1) < 10 * found.errors(np.full(count, 1e-15)))
+            assert apart.min(axis=1).max() < 1e-8
+    finally:
+        flint.ctx.prec = before
+
+
+def test_an_error_bar_is_what_perturbed_factors_make():
+    """Factors moved by 1e-9 of their norms move each eigenvalue by at most its bar, and by a thousandth of it."""
+    rng = np.random.default_rng(7)
+    factors = orthogonal_chain(rng, np.array([9.0, 4.0, -4.0, -9.0]), 20)
+    found = product(factors)
+    bars = found.errors(np.full(20, 1e-9))
+    moved = np.zeros((50, 4))
+    for row in moved:
+        blows = [rng.normal(size=(4, 4)) for _ in factors]
+        other = [one + 1e-9 * np.linalg.norm(one, 2) * blow / np.linalg.norm(blow, 2)
+                 for one, blow in zip(factors, blows, strict=True)]  # fmt: skip
+        row[:] = np.abs(product(other).values / found.values - 1)
+    assert np.all(moved.max(axis=0) < bars) and np.all(moved.max(axis=0) > 1e-3 * bars)
+
+
+def test_eigenvectors_of_a_product_and_its_powers():
+    """P v = mu v of a product that can be multiplied out, complex pairs included."""
+    rng = np.random.default_rng(5)
+    factors = [rng.normal(size=(5, 5)) for _ in range(6)]
+    found, whole = product(factors), np.linalg.multi_dot(factors[::-1])
+    np.testing.assert_allclose(whole @ found.vectors, found.vectors * found.values, atol=1e-10 * np.abs(whole).max())
+
+
+def test_what_is_not_symplectic_is_measured():
+    """A symplectic matrix misses by round-off, one that an error of 1e-9 was added to by about that."""
+    unit, rng = symplectic_unit(2), np.random.default_rng(2)
+    half = rng.normal(size=(2, 2))
+    shear = np.block([[np.eye(2), half + half.T], [np.zeros((2, 2)), np.eye(2)]])
+    matrix = shear @ shear.T
+    assert asymplectic(matrix, unit, unit) < 1e-15
+    assert 1e-11 < asymplectic(matrix + 1e-9 * np.linalg.norm(matrix) * rng.normal(size=(4, 4)), unit, unit) < 1e-8
+
+
+def test_multipliers_that_resets_have_made_zero_are_not_known_relative_to_themselves():
+    """One or two of them, among which there is no eigenvector for each."""
+    for matrix in (np.diag([2.0, 0.0]), np.array([[2.0, 0, 0], [0, 0, 1], [0, 0, 0]])):
+        values, vectors = np.linalg.eig(matrix)
+        about = Spectrum(judged(values, False), 1, values, values, (), matrix, values, vectors, False)
+        assert about.errors[-1] == 1.0 and np.all(np.isfinite(about.errors))
+
+
+@pytest.fixture(scope="module")
+def steep():
+    """The fast mode of the triple pendulum, from rest to where a multiplier passes 1e12."""
+    settings = FamilySettings(directions="forward", events=False)
+    start = begin(mode_problem(chain(3), 3), settings)
+    origin = first_point(start, settings, None)
+    points = [origin]
+    for batch in follow(Run(start.curve, settings, 1, origin)):
+        points += batch.points
+        if np.abs(points[-1].floquet_multipliers).max() > 1e12:
+            break
+    return SimpleNamespace(curve=start.curve, points=points)
+
+
+def test_every_multiplier_of_a_family_has_an_error_up_to_1e12(steep):
+    """Reciprocal pairs to 1e-6 all along, the slow way only where it is needed, and every error told."""
+    assert np.abs(steep.points[-1].floquet_multipliers).max() > 1e12
+    for point in steep.points:
+        mu, errors = point.floquet_multipliers, point.multiplier_errors
+        wide = np.abs(mu).max() ** 2 > SPREAD
+        assert point.multiplier_method == ("periodic QR" if wide else "product")
+        assert errors.shape == mu.shape and np.all(errors > 0) and np.all(errors < 1e-6)
+        assert point.pair_defect < 1e-6
+        assert np.abs(np.sort_complex(1 / mu) / np.sort_complex(mu) - 1).max() < 1e-6
+
+
+def test_twice_the_steps_change_no_multiplier_beyond_its_error(steep):
+    """Of the steepest orbit, whose multiplied matrix has lost its smallest multiplier altogether."""
+    point = steep.points[-1]
+    place = unknowns_of(steep.curve, point)
+    finer = spectrum(steep.curve, at_place(steep.curve, place.on(divided(place.mesh, 2))))
+    change = np.abs(point.floquet_multipliers / finer.floquet.multipliers - 1)
+    assert np.all(change < 3 * point.multiplier_errors) and point.multiplier_errors.max() < 1e-8
+    lost = np.linalg.eigvals(np.linalg.matrix_power(finer.reduced, finer.root))
+    assert np.abs(lost).min() > 10 * np.abs(point.floquet_multipliers).min()
+
+
+def test_errors_tell_of_matrices_that_are_wrong(steep, monkeypatch):
+    """Matrices with errors of 1e-8 are less symplectic by that, and every error says so."""
+    curve, point = steep.curve, steep.points[-1]
+    place, rng = unknowns_of(curve, point), np.random.default_rng(1)
+    right, varied = spectrum(curve, at_place(curve, place)), March.varied
+
+    def spoilt(march, *arguments, **options):
+        found = varied(march, *arguments, **options)
+        noise = 1e-8 * np.abs(found.transitions).max(axis=(1, 2), keepdims=True)
+        return replace(found, transitions=found.transitions + noise * rng.normal(size=found.transitions.shape))
+
+    monkeypatch.setattr(March, "varied", spoilt)
+    wrong = spectrum(curve, at_place(curve, place))
+    assert np.all(wrong.errors > 1e4 * right.errors)
+    assert np.all(np.abs(wrong.floquet.multipliers / right.floquet.multipliers - 1) < wrong.errors)
+
+
+def test_errors_and_method_are_kept_and_older_points_are_read_without(steep):
+    point = steep.points[-1]
+    document = json.loads(json.dumps(plain(point)))
+    again = restored(FamilyPoint, document)
+    np.testing.assert_array_equal(again.multiplier_errors, point.multiplier_errors)
+    assert again.multiplier_method == "periodic QR"
+    older = restored(FamilyPoint, {k: v for k, v in document.items() if not k.startswith("multiplier_")})
+    assert older.multiplier_errors.size == 0 and older.multiplier_method == ""
+
+
+def test_a_contracting_loop_keeps_its_small_multiplier():
+    """Of Lorenz' shortest loop the multipliers' product is exp of the field's divergence times the period."""
+    guess = Guess(np.array([-13.763610682134, -19.578751942452, 27.0]), 1.5586522107162)
+    start = begin(Problem(lorenz(), guess), FamilySettings(parameter="rho"))
+    found, period = spectrum(start.curve, start.found), start.found.place.period
+    assert found.method == "periodic QR" and not found.conservative
+    expected = np.exp(-(10 + 1 + 8 / 3) * period)
+    assert np.prod(found.floquet.multipliers).real == pytest.approx(expected, rel=1e-9)
+    assert np.all(found.errors < 1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [f"triple-mode-{k}" for k in (1, 2, 3)] + [f"quadruple-mode-{k}" for k in (2, 3, 4)])
+def test_normal_modes_up_to_their_saddles(name, tmp_path):
+    """Reciprocal pairs to 1e-6 up to 1e12 and beyond, every multiplier with its error, events as they were recorded."""
+    problem = load_problem(Path(__file__).parents[1] / f"problems/families/{name}.toml")
+    family = follow_family(problem, "energy", out=tmp_path, settings=FamilySettings(points=600, directions="forward"))
+    known = load_family(Path(__file__).parents[1] / f"results/families/{name}/family.json")
+    assert family.ends[0].kind == "homoclinic"
+    assert np.abs(family.points[-1].floquet_multipliers).max() > 1e15
+    for point in family.points:
+        assert point.multiplier_errors.shape == point.floquet_multipliers.shape
+        assert point.multiplier_errors.max() < 1e-6 and point.pair_defect < 1e-6
+    found = [(one.kind, one.order, one.period) for one in family.events]
+    for event in known.events:
+        assert any(kind == event.kind and order == event.order and abs(period - event.period) < 1e-6
+                   for kind, order, period in found)  # fmt: skip

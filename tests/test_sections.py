@@ -1,0 +1,223 @@
+"""Poincare sections: crossings located to round-off, none stepped over, at the energy asked for; records, pictures."""
+
+import json
+
+import casadi as ca
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orbitfinder as of
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError
+from orbitfinder.integrate.crossings import FINE, Crossings, Plane
+from orbitfinder.integrate.cvodes import build_flow, sample
+from orbitfinder.integrate.dop853 import integrate
+from orbitfinder.integrate.dop853 import vector_field as second
+from orbitfinder.integrate.equations import accelerations
+from orbitfinder.mechanics.model import vector_field
+from orbitfinder.orbits.section import section, surface
+
+
+def oscillator():
+    """x'' = -x."""
+    return of.ode(lambda t, x, p: (x.v, -x.x), ("x", "v"))
+
+
+def crossings(model, unit=1.0):
+    return Crossings(vector_field(model), np.full(len(model.state_names), unit))
+
+
+def passing(model, plane, states, count, **more):
+    return crossings(model).passing(plane, np.atleast_2d(states), count, **{"longest": 50.0, **more})
+
+
+@pytest.mark.parametrize(("direction", "first", "step"), [(1, 1.5, 2.0), (-1, 0.5, 2.0), (0, 0.5, 1.0)])
+def test_crossings_of_an_oscillator_are_exact(direction, first, step):
+    """cos t passes 0 at pi / 2, falling, and at 3 pi / 2, growing."""
+    found = passing(oscillator(), Plane(0, 0.0, direction), [1.0, 0.0], 4)
+    np.testing.assert_allclose(found.times[0], np.pi * (first + step * np.arange(4)), rtol=3e-14)
+    assert not found.states[0, :, 0].any() and np.abs(np.abs(found.states[0, :, 1]) - 1).max() < 3e-13
+
+
+def test_backwards_the_same_crossings_come_in_the_other_order():
+    """A motion that begins on the plane does not count that; the direction is that of the motion forwards."""
+    model = oscillator()
+    there = passing(model, Plane(0, 0.0, 1), [1.0, 0.0], 3)
+    back = passing(model, Plane(0, 0.0, 1), there.states[0, -1], 2, sense=-1, times=there.times[0, -1])
+    np.testing.assert_allclose(back.times[0], there.times[0, 1::-1], rtol=1e-13)
+
+
+@pytest.mark.parametrize("depth", [1e-3, 1e-6, 1e-9])
+def test_a_pair_of_crossings_within_a_step_is_not_stepped_over(depth):
+    """The top of cos t is above 1 - depth for 2 acos(1 - depth), down to a ten thousandth of a radian."""
+    found = passing(oscillator(), Plane(0, 1.0 - depth, 0), [-1.0, 0.0], 2)
+    half = np.arccos(1.0 - depth)
+    np.testing.assert_allclose(found.times[0], [np.pi - half, np.pi + half], rtol=0, atol=3e-13 / half)
+
+
+def test_a_plane_that_is_missed_is_not_crossed():
+    assert np.isnan(passing(oscillator(), Plane(0, 1.0 + 1e-9, 0), [-1.0, 0.0], 1).times).all()
+
+
+def test_many_motions_are_those_of_each_alone():
+    """Motions with steps of their own, some of which end in a singularity, do not feel each other."""
+    model = of.ode(lambda t, x, p: (x.v, -1 / x.x**2), ("x", "v"))  # falls into 0 in a finite time
+    starts = np.array([[1.0, 0.0], [1.0, 1.0], [2.0, 0.5]])
+    together = passing(model, Plane(0, 0.5, -1), starts, 1)
+    for k, start in enumerate(starts):
+        np.testing.assert_array_equal(passing(model, Plane(0, 0.5, -1), start, 1).times[0], together.times[k])
+    assert np.isnan(passing(model, Plane(0, 0.5, 1), starts, 1).times).all()  # no motion leaves the singularity
+
+
+def test_an_angle_is_crossed_every_turn():
+    """A pendulum that turns over passes theta = 0 once a turn, at times of an integration by another program."""
+    model, start = of.chain(1), np.array([0.5, 9.0])
+    found = passing(model, Plane(0, 0.0, 1, 2 * np.pi), start, 3)
+    there = integrate(second(accelerations(model)), start, np.append(0.0, found.times[0]))
+    np.testing.assert_allclose(there[1:, 0], 2 * np.pi * np.arange(1, 4), rtol=3e-13)
+    np.testing.assert_allclose(there[1:], found.states[0], rtol=3e-12)
+
+
+def test_a_forced_system_is_seen_once_a_period():
+    model = of.systems.forced_duffing()
+    period = float(model.forcing_period(model.parameter_values))
+    made = section(model, seeds=3, returns=4)
+    first = made.starts[0]
+    wanted = sample(build_flow(model), first, 4 * period, 5)[1:]
+    np.testing.assert_allclose(made.states[made.seeds == 0], wanted, atol=3e-8)
+    assert np.isnan(made.energy) and made.plane.startswith("t = k P")
+
+
+@pytest.fixture(scope="module")
+def henon_heiles():
+    return section(of.systems.henon_heiles(), 0.125, plane="x=0", axes=("y", "ydot"), seeds=24, returns=120)
+
+
+def test_returns_have_the_energy_and_lie_on_the_plane(henon_heiles):
+    """All returns of all motions, which begin at the energy to round-off."""
+    made, model = henon_heiles, of.systems.henon_heiles()
+    level = [of.energy(model, state) for state in (*made.starts, *made.states[::50])]
+    assert np.abs(np.array(level[:24]) - 0.125).max() < 1e-14 and np.abs(np.array(level) - 0.125).max() < 1e-8
+    assert made.returns == 24 * 120 and not made.states[:, 0].any() and (made.states[:, 2] > 0).all()
+    low, high = made.points.min(axis=0), made.points.max(axis=0)
+    assert low[0] > -0.5 and high[0] < 0.7 and np.abs(made.points[:, 1]).max() < 0.5  # all over what the energy allows
+    assert high[0] - low[0] > 1.0 and high[1] - low[1] > 0.9
+
+
+def test_chaos_and_order_are_told_apart(henon_heiles):
+    """At 1/8 Henon and Heiles found islands in a sea; at 1/100 every motion is regular."""
+    made = henon_heiles
+    assert 4 <= made.regular.sum() <= 20
+    assert made.growth[~made.regular].min() > 20 * made.growth[made.regular].max()  # a gap between the two
+    calm = section(of.systems.henon_heiles(), 0.01, plane="x=0", seeds=6, returns=60)
+    assert calm.regular.all()
+
+
+def test_a_section_of_the_rates_of_a_first_order_system():
+    """Lorenz's attractor on z = 27: no energy, transients left out, and the mirror (x, y) -> (-x, -y) seen."""
+    made = section(of.systems.lorenz(), plane="z=27", axes=("x", "y"), direction=-1, seeds=4, returns=60)
+    assert made.returns == 4 * 40 and np.isnan(made.energy) and (made.states[:, 2] == 27).all()
+    assert made.points[:, 0].min() < -2 and made.points[:, 0].max() > 2
+
+
+def test_a_hybrid_system_is_seen_after_its_own_events():
+    """A ball that loses half its speed on a table at rest: every return is at height 0, half as fast as the last."""
+    model = of.systems.bouncing_ball(amplitude=0.0, frequency=1.0, gravity=10.0, restitution=0.5)
+    height, speed = model.state_names[:2]
+    made = section(model, seeds=2, returns=3, ranges={height: (1.0, 1.1), speed: (0.0, 0.1)})
+    speeds = np.abs(made.states[made.seeds == 0][:, 1])
+    np.testing.assert_allclose(speeds[1:] / speeds[:-1], 0.5, rtol=1e-8)
+
+
+@pytest.fixture(scope="module")
+def swing():
+    """A stable orbit of the double pendulum: its second mode, small."""
+    model = of.chain(2)
+    guess = of.guesses.normal_mode(model, 2, 0.05)
+    return of.find_orbit(of.Problem(model, guess, pin=of.pin(energy=of.energy(model, guess.state)), name="swing"))
+
+
+def test_an_orbit_is_drawn_where_it_crosses(swing, tmp_path):
+    """Its crossing is its own: a motion from there comes back to it after the period."""
+    from orbitfinder.orbits.section import level_of, pierced
+
+    model = of.chain(2)
+    found = surface(model, "theta1=0", levels=level_of(model, swing.energy, None))
+    crossing = pierced(found, swing)
+    assert len(crossing.states) == 1
+    again = found.passing(crossing.states, 1, tolerance=FINE)
+    np.testing.assert_allclose(again.states[0, 0], crossing.states[0], atol=1e-11)
+    np.testing.assert_allclose(again.times[0, 0], swing.period, rtol=1e-11)
+    made = section(swing, plane="theta1=0", seeds=6, returns=40)
+    assert made.energy == swing.energy
+    picture = of.sections.draw_section(made, tmp_path / "section.png", orbits=[swing])
+    assert picture.stat().st_size > 20_000
+
+
+def test_sections_are_saved_and_loaded(henon_heiles, tmp_path):
+    path = of.sections.save_section(henon_heiles, tmp_path / "section.json")
+    again = of.sections.load_section(path)
+    for name in ("states", "times", "seeds", "starts", "growth"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(henon_heiles, name))
+    assert again.plane == henon_heiles.plane and again.axes == henon_heiles.axes and again.energy == 0.125
+    path.write_text(path.read_text().replace("orbitfinder/section", "orbitfinder/other"))
+    with pytest.raises(InputError, match="not a section"):
+        of.sections.load_section(path)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"plane": "z=0"}, "plane: unknown component 'z'"),
+        ({"plane": "x"}, "is no plane; give a component and a number"),
+        ({"plane": "x=up"}, "is no plane"),
+        ({"plane": "x=0", "axes": ("x", "ydot")}, "the same all over its own plane"),
+        ({"plane": "x=0", "axes": ("y",)}, "need two different components"),
+        ({"plane": "x=0", "axes": ("y", "yd")}, "did you mean 'ydot'"),
+        ({"plane": "x=0", "direction": 2}, "direction: must be 1"),
+        ({"plane": "x=0", "seeds": 0}, "seeds: must be between"),
+        ({"plane": "x=0", "returns": 0}, "returns: must be between"),
+        ({"plane": "x=0", "ranges": {"z": (0, 1)}}, "ranges: 'z' is no axis"),
+        ({"plane": "x=0", "ranges": {"y": (1, 0)}}, "two growing numbers"),
+        ({"plane": "x=0", "energy": None}, "energy: missing"),
+        ({"plane": "x=0", "energy": float("nan")}, "energy: must be finite"),
+        ({"plane": "x=0", "energy": 5.0}, "ranges: missing; motions of this energy are not bounded"),
+        ({"plane": "x=3", "energy": 0.1, "ranges": {"y": (-0.1, 0.1), "ydot": (5, 6)}}, "no motion of this energy"),
+    ],
+)
+def test_what_is_wrong_is_named(asked, said):
+    with pytest.raises(InputError, match=said):
+        section(of.systems.henon_heiles(), **{"energy": 0.1, "seeds": 2, "returns": 2, **asked})
+
+
+def test_systems_without_a_section_or_an_energy_say_so():
+    with pytest.raises(InputError, match="conserves none"):
+        section(of.systems.lorenz(), 1.0, plane="z=27")
+    with pytest.raises(InputError, match="leave the plane out"):
+        section(of.systems.forced_duffing(), plane="x=0")
+    with pytest.raises(InputError, match="under constraints"):
+        section(of.chain_dae(2), -10.0)
+
+
+def test_the_command_draws_and_tells(tmp_path):
+    """From a problem file, with the numbers as JSON; a bad plane is exit code 2."""
+    file = "problems/examples/double-mode-2.toml"
+    few = ["--seeds", "5", "--returns", "20", "-o", tmp_path]
+    asked = ["section", file, "--energy", "-14", "--plane", "theta1=0", *few]
+    done = CliRunner().invoke(cli, [*map(str, asked), "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["returns"] == 100 and told["energy"] == -14 and (tmp_path / "double-mode-2" / "section.png").exists()
+    bad = CliRunner().invoke(cli, [*map(str, asked[:5]), "theta9=0"])
+    assert bad.exit_code == 2 and "--plane: unknown component 'theta9', did you mean" in bad.output
+    bad = CliRunner().invoke(cli, [*map(str, asked), "--range", "theta2"])
+    assert bad.exit_code == 2 and "names no range" in bad.output
+
+
+def test_a_field_with_parameters_of_matrices_is_stepped_too():
+    """Long expressions are called and not written out: the same crossings."""
+    x = ca.MX.sym("x", 2)
+    field = ca.Function("f", [ca.MX.sym("t"), x, ca.MX.sym("s", 0), ca.MX.sym("p", 0)], [ca.vertcat(x[1], -x[0])])
+    found = Crossings(field, np.ones(2)).passing(Plane(0, 0.0, 1), np.array([[1.0, 0.0]]), 1, longest=50.0)
+    assert found.times[0, 0] == pytest.approx(1.5 * np.pi, rel=1e-13)
