@@ -351,7 +351,7 @@ class Tab:
         """Take a joint and let it go elsewhere, at rest or moving."""
         from selenium.webdriver.common.action_chains import ActionChains
 
-        place = self.ask("stage.play(false); return stage.joint(arguments[0])", joint)
+        place = self.ask("stage.speed(0); return stage.joint(arguments[0])", joint)
         canvas, before = self.driver.find_element("id", "stage"), self.ask("return stage.shown")
         size = canvas.rect
         moves = ActionChains(self.driver, duration=20)
@@ -379,7 +379,7 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
     assert re.match(r"E = -\d+\.\d+ J, kept to \S+ J, \d+ close returns in 18\.8 s", tab.text("readout"))
     tab.click("find")
     tab.said("certified")
-    assert time.monotonic() - began < 10.0
+    assert time.monotonic() - began < 10.0 * _shared()
     assert "Certified" in tab.text("badge") and tab.text("about").startswith("T = ")
 
     tab.click("badge")
@@ -390,7 +390,7 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
     tab.said("closed orbits")
     times = _slid(tab)
     print(f"sliding: median {np.median(times):.0f} ms, worst {max(times):.0f} ms")
-    assert np.median(times) < 50.0 * max(1.0, os.getloadavg()[0])  # of a quiet machine
+    assert np.median(times) < 50.0 * _shared()
     assert "orbit " in tab.text("where")
 
     tab.click("branch")
@@ -399,7 +399,7 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
     began = time.monotonic()
     tab.click("cancel")
     tab.said("Stopped", 5.0)
-    assert time.monotonic() - began < 0.5 + 0.1 * os.getloadavg()[0]
+    assert time.monotonic() - began < 0.5 * _shared()
     tab.click("branch")
     tab.said("famil(y|ies) found at event")
     tab.click("save")
@@ -426,6 +426,11 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
             assert abs(a["period"] / b["period"] - 1) < 1e-12
 
 
+def _shared():
+    """How much longer things take than on a quiet machine, for which the limits are."""
+    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+
+
 def _escaped(tab):
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys
@@ -442,7 +447,7 @@ def _slid(tab):
     tab.ask("document.querySelector('#slide [tabindex]').focus()")
     watch = """const n = stage.shown; window.took = 0;
     document.addEventListener('keydown', () => { const t = performance.now();
-      const look = () => { if (stage.shown > n) window.took = performance.now() - t; else requestAnimationFrame(look); };
+      const look = () => stage.shown > n ? window.took = performance.now() - t : requestAnimationFrame(look);
       requestAnimationFrame(look); }, { once: true, capture: true });"""
     times = []
     for key in [Keys.ARROW_RIGHT] * 6 + [Keys.ARROW_LEFT] * 12:

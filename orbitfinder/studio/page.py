@@ -24,12 +24,14 @@ from orbitfinder.studio import plots
 from orbitfinder.studio.films import draggable
 from orbitfinder.studio.session import Item, Session, leaving, parameters
 from orbitfinder.studio.tasks import Film, Found, Return, Simulated, Step
-from orbitfinder.studio.worker import StoppedError, Worker
+from orbitfinder.studio.worker import RefusedError, StoppedError, Worker
 
 ASSETS = Path(__file__).parent / "assets"
 SITE = Path(site.__path__[0]) / "assets"
 POINTS = 40
 """Points each way along a family, unless another number is asked for"""
+TRIED = 4
+"""Close returns that are tried in turn"""
 REDRAWN = 0.25
 """s between two pictures of a family that grows"""
 MOST_SLIDERS = 24
@@ -159,7 +161,7 @@ class Page:
             self.near = ui.plotly(plots.returns_figure((), None, False)).classes("w-full").props('id="returns"')
             self.near.on("plotly_click", self._return_clicked)
             with ui.row().classes("items-center gap-3"):
-                self.find = ui.button("Find the most promising", on_click=lambda: self._find(0)).props(
+                self.find = ui.button("Find the most promising", on_click=self._find_first).props(
                     'no-caps dense padding="4px 16px" id="find"'
                 )
                 if self.session.opened.guess is not None:
@@ -317,16 +319,33 @@ class Page:
 
     async def _find(self, number: int) -> None:
         """Find the orbit that a close return belongs to."""
-        if number >= len(self.returns):
-            return self._say("nothing comes back close enough; start it another way, or simulate for longer")
+        await self._told(lambda: self._found_near(number))
+
+    async def _find_first(self) -> None:
+        """Find the orbit of the most promising close return that has one."""
+
+        async def tried() -> None:
+            said = "nothing comes back close enough; start it another way, or simulate for longer"
+            for number in range(min(TRIED, len(self.returns))):
+                try:
+                    if await self._found_near(number):
+                        return
+                except RefusedError as error:
+                    said = str(error)
+            raise InputError(said)
+
+        await self._told(tried)
+
+    async def _found_near(self, number: int) -> bool:
+        """Whether the orbit that a close return belongs to is certified."""
         one, self.picked = self.returns[number], number
         self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
-        await self._told(lambda: self._found(self.session.problem(one.state, one.period, self.taken)))
+        return await self._found(self.session.problem(one.state, one.period, self.taken))
 
     async def _find_own(self) -> None:
         await self._told(lambda: self._found(self.session.own_problem(self.taken)))
 
-    async def _found(self, wanted: tuple[str, Path]) -> None:
+    async def _found(self, wanted: tuple[str, Path]) -> bool:
         name, file = wanted
         self._say(f"{name}: searching")
         found: Found = await self._searched("found", file, self.session.folder)
@@ -335,6 +354,7 @@ class Page:
             self._list()
         self._show_orbit(found)
         self._say(f"{name}: {'certified' if found.file else 'not an orbit'}")
+        return found.file is not None
 
     def _show_orbit(self, found: Found, keep: bool = False) -> None:
         orbit = self.orbit = found.orbit
