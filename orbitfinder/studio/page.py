@@ -475,9 +475,12 @@ class Page:
         if not 0 <= number < len(self.points):
             return
         point = self.points[number]
+        sure = "certified" if point.certified else "closed"
         self.where.set_text(
-            f"orbit {number}: {self.parameter} = {point.value:.8g}, T = {point.period:.8g} s, {point.stability}"
+            f"orbit {number}: {self.parameter} = {point.value:.8g}, T = {point.period:.8g} s, {point.stability}, {sure}"
         )
+        self.badge.set_visibility(False)  # what it says is of another orbit
+        self.about.set_text("")
         self.plot.run_plot_method("restyle", {"x": [[point.value]], "y": [[1 / point.period]]}, [plots.HERE])
         key = point.state.tobytes()
         if self.films.get(key) is None:
