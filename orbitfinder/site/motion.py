@@ -241,7 +241,7 @@ def _jumping(
     except OrbitfinderError:
         return None
     n, moments = model.degrees_of_freedom, np.arange(JUMPING) * period / JUMPING
-    shown = path.positions(moments) if model.points is not None else _plane(path.states(moments), n)
+    shown = path.positions(moments) if model.points is not None else in_plane(path.states(moments), n)
     drawn = "mechanism" if model.points is not None else "plane"
     return Motion(
         period, times, states, model.state_names, model.angles or (True,) * n, shown, drawn, path, model.strokes
@@ -254,10 +254,10 @@ def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) 
 
     def seen(count: int) -> np.ndarray:
         chosen = resampled(times, states, period, count, n)
-        return positions(model, chosen) if model.points is not None else _plane(chosen, n)
+        return positions(model, chosen) if model.points is not None else in_plane(chosen, n)
 
     drawn = "mechanism" if model.points is not None else "plane"
-    last = positions(model, states[-1:]) if model.points is not None else _plane(states[-1:], n)
+    last = positions(model, states[-1:]) if model.points is not None else in_plane(states[-1:], n)
     extent = max(float(np.ptp(seen(FIRST), axis=(0, 2)).max()), 1e-12)
     drifts = bool(np.abs(last - seen(1)).max() > GAP * extent)
     points, bones = _fewest(seen, model.strokes, drifts)
@@ -268,11 +268,11 @@ def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.nd
     n = states.shape[1] // 2
     names = tuple(f"q{i + 1}" for i in range(n)) + tuple(f"q{i + 1}dot" for i in range(n))
     period = float(document["period"])
-    points, bones = _fewest(lambda count: _plane(resampled(times, states, period, count, n), n))
+    points, bones = _fewest(lambda count: in_plane(resampled(times, states, period, count, n), n))
     return Motion(period, times, states, names, (False,) * n, points, "plane", skeleton=bones)
 
 
-def _plane(states: np.ndarray, n: int) -> np.ndarray:
+def in_plane(states: np.ndarray, n: int) -> np.ndarray:
     """One point in a plane for systems without a picture: the first two coordinates, or one and its rate."""
     second = states[:, min(1, states.shape[1] - 1)] if n > 1 else states[:, n % states.shape[1]]
     return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
