@@ -410,11 +410,11 @@ def test_exported_programs_do_what_the_package_does(held, tmp_path):
 def test_the_command(pendulum_orbit, tmp_path):
     file = save_orbit(pendulum_orbit, tmp_path / "orbit.json")
     given = ("stabilise", file, "--out", tmp_path, "--periods", "3", "--disturbances", "2", "--rate", "32")
-    out, _ = run(*given, "--sizes", "0.01", "--animate", "--saturation", "2")
+    out, _ = run(*given, "--sizes", "0.01", "--saturation", "2")
     assert "pendulum: stabilised by torque1" in out and "returned" in out and "(acts)" in out
     folder = tmp_path / "pendulum"
     assert {one.name for one in folder.iterdir()} == {
-        "controller.json", "pendulum_gains.csv", "pendulum_controller.c", "pendulum_controller.py", "recovery.gif"
+        "controller.json", "pendulum_gains.csv", "pendulum_controller.c", "pendulum_controller.py"
     }  # fmt: skip
     controller = of.load_controller(folder / "controller.json")
     assert controller.limits == {"torque1": (-2.0, 2.0)}
@@ -425,6 +425,14 @@ def test_the_command(pendulum_orbit, tmp_path):
     assert found["stabilised"] and found["basin"]["rows"][0]["count"] == 2 and found["authority"]["torque1"] > 0
     assert "actuators: 'torque7' is none" in run("stabilise", file, "--motors", "7", "--out", tmp_path, code=2)[1]
     assert "--motors: 'a' are no numbers" in run("stabilise", file, "--motors", "a", "--out", tmp_path, code=2)[1]
+
+
+@pytest.mark.slow
+def test_the_command_animates_a_recovery(pendulum_orbit, tmp_path):
+    file = save_orbit(pendulum_orbit, tmp_path / "orbit.json")
+    given = ("stabilise", file, "--out", tmp_path, "--periods", "3", "--disturbances", "2", "--rate", "32")
+    run(*given, "--sizes", "0.01", "--animate")
+    assert (tmp_path / "pendulum" / "recovery.gif").stat().st_size > 1000
 
 
 # --------------------------------------------------------------------------------------------------

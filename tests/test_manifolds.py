@@ -187,8 +187,9 @@ def test_an_orbit_of_another_energy_is_rejected(homoclinic, coupled):
     assert "energy" in certify_connection(tampered, wells(0.05)).failures
 
 
-def test_manifolds_that_coincide_do_not_cross(saddle):
+def test_manifolds_that_coincide_do_not_cross(saddle, monkeypatch):
     """Without coupling they are one curve: no transversal point is claimed, whatever round-off makes of them."""
+    monkeypatch.setattr(connections, "TRIED", 3)
     found = connect(saddle, **SEEN, model=wells(0.0), most=1, settings=ManifoldSettings(spacing=0.2, turning=2.0))
     assert not found
 
