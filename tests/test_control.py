@@ -208,12 +208,13 @@ def test_a_costate_or_a_multiplier_that_is_not_its_own_is_rejected() -> None:
     assert best.control is not None and best.certificate is not None and best.certificate.passed
     name, value = next(iter(best.control["multipliers"].items()))
     far = {name: value + 1e-2 * max(map(abs, best.control["multipliers"].values()))}
-    for change in (
+    changes: tuple[dict[str, object], ...] = (
         {"costate": [1.01 * one for one in best.control["costate"]]},
         {"costate": []},
         {"multipliers": dict(best.control["multipliers"]) | far},
         {"multipliers": {}},
-    ):
+    )
+    for change in changes:
         assert of.certify(replace(best, control=dict(best.control) | change)).failures == ("costate",), change
 
 
