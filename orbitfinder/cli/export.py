@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -73,18 +74,22 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
 @click.command()
 @orbit_files
 @out_option("A .gif or .mp4 file (one orbit), or a folder; default: beside each file.")
+@click.option("--size", "pixels", type=click.IntRange(64, 4320), help="Pixels on a side.  [default: 360, .mp4 1080]")
+@click.option("--fps", "rate", type=click.IntRange(1, 240), help="Frames a second.  [default: 25, .mp4 60]")
+@click.option("--slow", type=click.FloatRange(0.01, 1000.0), help="How many times slower than real time.  [default: 1]")
+@click.option("--dark", is_flag=True, help="Light on dark.")
 @trust_option(SYSTEM_TRUST)
-def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
-    """Animate each ORBIT.json in real time over whole periods, as a GIF (or MP4 with the extra `mp4`).
+def animate(files: tuple[Path, ...], out: Path | None, trust: bool, **chosen: Any) -> None:
+    """Animate each ORBIT.json over whole periods, as a GIF (or MP4 with the extra `mp4`).
 
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
     Examples:
       orbitfinder animate orbits/triple-1/orbit.json
-      orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4
+      orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4 --slow 4 --dark
     """
-    from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation
+    from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation, settings_for
 
     single = out if out is not None and out.suffix and not out.is_dir() else None
     if single is not None:
@@ -94,7 +99,8 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     for file, orbit, model in named_orbits(files, trust):
         target = single or (out or file.parent) / f"{orbit.name}.gif"
         check_writable(target.parent)
-        click.echo(str(save_animation(orbit_clip(orbit, model), target)))
+        settings = settings_for(target, **chosen)
+        click.echo(str(save_animation(orbit_clip(orbit, model, settings), target, settings)))
 
 
 @click.command()
