@@ -9,7 +9,7 @@ import click
 
 from orbitfinder.cli.console import note
 from orbitfinder.cli.jobs import check_writable, named_orbits
-from orbitfinder.cli.options import FILES, SYSTEM_TRUST, orbit_files, out_option, trust_option
+from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, trust_option
 from orbitfinder.errors import InputError, plural
 
 
@@ -48,8 +48,10 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FAMILY.json|FILE#K...")
 @out_option("Folder for the figures; default: beside each file.")
+@click.option("--together", is_flag=True, help="Draw families in one picture, families.png.")
+@click.option("--level", type=FINITE, metavar="J", help="Draw the logarithm of the energy's distance from this one.")
 @trust_option(SYSTEM_TRUST)
-def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
+def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float | None, trust: bool) -> None:
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas. Of a whole FAMILY.json the figures
@@ -59,10 +61,17 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     Examples:
       orbitfinder plot orbits/triple-1/orbit.json -o figures
       orbitfinder plot families/triple-mode-2/family.json
+      orbitfinder plot families/*/family.json --together -o figures
     """
-    from orbitfinder.show.plot import save_figures
+    from orbitfinder.show.plot import save_figures, save_frequency_energy
 
     drawn = named_orbits(files, trust, families=True)
+    if together or level is not None:
+        families = [one for _, one, _ in drawn]
+        folder = files[0].parent if out is None else out
+        check_writable(folder)
+        click.echo(str(save_frequency_energy(families, folder / "families.png", level)))
+        return
     for file, one, model in drawn:
         beside = file.parent if file.exists() else file.parent / one.name
         folder = beside if out is None else (out if len(drawn) == 1 else out / one.name)

@@ -352,6 +352,14 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
 
+def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level: float | None = None) -> Path:
+    """Write one picture of families (see `frequency_energy`). Raises `InputError` for what is no family."""
+    for one in families:
+        if not isinstance(one, Family) or len(one.parameters) > 1 or not np.isfinite(one.values("energy")).all():
+            raise InputError(f"{one.name}: --together and --level take families of orbits with an energy; leave it out")
+    return save_png(frequency_energy([one for one in families if isinstance(one, Family)], level=level), path)
+
+
 def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
     """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
     columns = min(4, len(shown))
