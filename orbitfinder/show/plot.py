@@ -325,7 +325,7 @@ MARKERS = {
     "fold": "v", "branch_point": "o", "period_doubling": "s", "torus": "P", "resonance": ".", "collision": "x",
     "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X", "cusp": "^", "isola_centre": "h",
     "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D", "fold_torus": "<",
-    "doubling_torus": ">",
+    "doubling_torus": ">", "degenerate_doubling": "H",
 }  # fmt: skip
 """Marker of each kind of event."""
 SIZES = {"resonance": 3.5, "stability_change": 9.0}
