@@ -16,6 +16,7 @@ from orbitfinder._runtime import __version__
 from orbitfinder._runtime.caches import Kept
 from orbitfinder.errors import plural
 from orbitfinder.records.family import Family
+from orbitfinder.records.section import Section
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
 from orbitfinder.site.motion import Simulator, packed
 from orbitfinder.site.pages import (
@@ -29,6 +30,7 @@ from orbitfinder.site.pages import (
     orbit_values,
     span,
 )
+from orbitfinder.site.section import section_data, section_values
 from orbitfinder.site.text import (
     ASSETS,
     article,
@@ -55,6 +57,7 @@ SCRIPTS = {
     "orbit": (*PLOTS, "orbit.js"),
     "family": (*PLOTS, "explorer.js"),
     "atlas": (*PLOTS, "explorer.js"),
+    "section": (*PLOTS, "section.js"),
 }
 """What each kind of page loads besides core.js and its data"""
 Progress = Callable[[str], None]
@@ -170,6 +173,8 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
         links.insert(found.atlases.index(atlas), link)
         entries += shown
         tell(f"atlas {atlas.name}: {plural(atlas.total, 'orbit')}")
+    sections = slug_maker()
+    links += [_add_section(site, one, sections(one.name), found, motions) for one in found.sections]
     entries = _judged([_complete(entry, simulator, links) for entry in entries], settings.verify, tell)
     for k, entry in enumerate(entries):
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
@@ -268,6 +273,14 @@ def _add_family(
                   if item["action"] is not None)  # fmt: skip
     cover = _cover(f"family/{slug}", data, motions)
     return Link("Family", path, family.name, words, note, cover, same(family.system), curve)
+
+
+def _add_section(site: Site, section: Section, slug: str, found: Gathered, motions: dict[str, Any]) -> Link:
+    """The page of a Poincare section; returns its link."""
+    data, path, words = section_data(section, found), f"sections/{slug}.html", mechanism(section.system)
+    values = section_values(section, data) | {"title": f"Section {section.name}"}
+    site.add("section", path, values, ("section", data), f"A Poincare section of the {words}: {section.plane}.")
+    return Link("Section", path, section.name, words, section.plane, _cover(f"section/{slug}", data, motions))
 
 
 def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:
