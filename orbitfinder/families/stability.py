@@ -268,8 +268,10 @@ def _flow(curve: Curve, found: Solution) -> np.ndarray:
     """The field (d) at x(0). Raises `ConvergenceError` unless the orbit moves."""
     p, place = curve.equations, found.place
     flow = p.march.rates(place.nodes[:1], place.tail)[0]
-    moving = np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) > STILL
-    if not np.any(moving if p.model.forced else flow):
+    still = not np.any(flow)
+    if p.model.forced:  # what is driven may stand still at that moment, or be carried through one
+        still = bool(np.all(np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) <= STILL))
+    if still:
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
     return np.asarray(flow)
 
