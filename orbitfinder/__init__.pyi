@@ -58,6 +58,8 @@ from .orbits.basin import recovery as recovery
 from .orbits.certify import certify as certify
 from .orbits.feedback import stabilise as stabilise
 from .orbits.find import find_orbit as find_orbit
+from .orbits.frequencies import FrequencyMap as FrequencyMap
+from .orbits.frequencies import frequency_map as frequency_map
 from .orbits.optima import follow_optima as follow_optima
 from .orbits.refine import Refiner as Refiner
 from .orbits.section import section as section

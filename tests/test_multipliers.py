@@ -12,7 +12,7 @@ from orbitfinder.families.folder import follow_family
 from orbitfinder.families.follow import follow
 from orbitfinder.families.point import FamilySettings, unknowns_of
 from orbitfinder.families.run import Run, first_point
-from orbitfinder.families.stability import SPREAD, asymplectic, spectrum
+from orbitfinder.families.stability import SPREAD, Spectrum, asymplectic, spectrum
 from orbitfinder.families.start import begin
 from orbitfinder.guesses.modes import mode_problem
 from orbitfinder.integrate.march import March, divided
@@ -20,7 +20,7 @@ from orbitfinder.loops.continued import at_place
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.library import lorenz
-from orbitfinder.orbits.floquet import symplectic_unit
+from orbitfinder.orbits.floquet import judged, symplectic_unit
 from orbitfinder.orbits.product import product
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import FamilyPoint, load_family, plain, restored
@@ -104,6 +104,14 @@ def test_what_is_not_symplectic_is_measured():
     assert 1e-11 < asymplectic(matrix + 1e-9 * np.linalg.norm(matrix) * rng.normal(size=(4, 4)), unit, unit) < 1e-8
 
 
+def test_multipliers_that_resets_have_made_zero_are_not_known_relative_to_themselves():
+    """One or two of them, among which there is no eigenvector for each."""
+    for matrix in (np.diag([2.0, 0.0]), np.array([[2.0, 0, 0], [0, 0, 1], [0, 0, 0]])):
+        values, vectors = np.linalg.eig(matrix)
+        about = Spectrum(judged(values, False), 1, values, values, (), matrix, values, vectors, False)
+        assert about.errors[-1] == 1.0 and np.all(np.isfinite(about.errors))
+
+
 @pytest.fixture(scope="module")
 def steep():
     """The fast mode of the triple pendulum, from rest to where a multiplier passes 1e12."""
@@ -184,7 +192,7 @@ def test_a_contracting_loop_keeps_its_small_multiplier():
 def test_normal_modes_up_to_their_saddles(name, tmp_path):
     """Reciprocal pairs to 1e-6 up to 1e12 and beyond, every multiplier with its error, events as they were recorded."""
     problem = load_problem(Path(__file__).parents[1] / f"problems/families/{name}.toml")
-    family = follow_family(problem, name, out=tmp_path, settings=FamilySettings(points=600, directions="forward"))
+    family = follow_family(problem, "energy", out=tmp_path, settings=FamilySettings(points=600, directions="forward"))
     known = load_family(Path(__file__).parents[1] / f"results/families/{name}/family.json")
     assert family.ends[0].kind == "homoclinic"
     assert np.abs(family.points[-1].floquet_multipliers).max() > 1e15

@@ -68,6 +68,20 @@ def test_pieces_reach_from_one_end_to_the_other(straight):
     assert found.proved and len(found.pieces) > 1
     assert found.pieces[0].low == low and found.pieces[-1].high == low + 3e-4
     assert all(a.high == b.low for a, b in zip(found.pieces[:-1], found.pieces[1:], strict=True))
+    for piece in found.pieces:  # the boxes go along with the energy and are narrower than the way that they go
+        assert max(piece.radius) < 0.5 * max(map(abs, piece.tangent)) * (piece.high - piece.low)
+
+
+def test_the_recorded_orbit_is_in_the_box_of_its_energy(straight, doubled):
+    """Where the family has its event, off the middle of a piece: the period there lies in the box."""
+    event = next(one for one in straight.events if one.kind == "period_doubling")
+    found = prove_branch(straight, DOUBLING - 1e-5, DOUBLING + 3e-6)
+    piece = next(one for one in found.pieces if one.low <= event.energy <= one.high)
+    parts = doubled.formulation.parts * doubled.formulation.segments
+    there = piece.centre[-1] + piece.tangent[-1] * (event.energy - piece.middle)
+    assert abs(there - event.period / parts) < piece.radius[-1]
+    apart = abs(event.energy - piece.middle) * abs(piece.tangent[-1])
+    assert abs(there - event.period / parts) < 0.1 * apart
 
 
 @pytest.mark.parametrize(("kind", "order"), [("resonance", 6), ("resonance", 4), ("resonance", 3)])

@@ -585,7 +585,7 @@ class ProblemTable(Table):
         return self
 
 
-PYDANTIC = re.compile(r"(constrained-|function-|list\[).*|float|int|bool|str")
+PYDANTIC = re.compile(r"(constrained-|function-|list\[|dict\[).*|float|int|bool|str")
 """What pydantic puts into the place of a fault where a value may be of several kinds."""
 
 

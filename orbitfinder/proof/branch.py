@@ -165,8 +165,9 @@ def fitted(equations: Equations, near: Vector, low: float, high: float) -> Check
     tangent = linearised(here, centre, ROUGH)[1][:, -1]
     half = 0.5 * np.abs(tangent) * (high - low)
     radius = SLACK * (0.2 * half + half.max())
-    numbers = (tuple(map(float, one)) for one in ([x.mid() for x in centre], tangent, radius))
-    found = checked(equations, Piece(low, high, *numbers))
+    places = tuple(float(x.mid()) for x in centre)
+    piece = Piece(low, high, places, tuple(map(float, tangent)), tuple(map(float, radius)))
+    found = checked(equations, piece)
     if found.proved or not fill(found) < 1e3:
         return found
     wide = zip(found.image, found.piece.radius, strict=True)
@@ -230,8 +231,8 @@ def tests(found: Trajectory, level: float) -> dict[str, tuple[Any, str]]:
     matrix, form = found.horizon_matrix, found.formulation
     n, size = form.size, form.dimension
 
-    def chosen(rows: Sequence[int], columns: Sequence[int], of: Any) -> Any:
-        return arb_mat([[of[i, j] for j in columns] for i in rows])
+    def chosen(rows: np.ndarray, columns: np.ndarray, of: Any) -> Any:
+        return arb_mat([[of[int(i), int(j)] for j in columns] for i in rows])
 
     if not form.symmetry.reverses:
         if level != -2.0:

@@ -14,14 +14,14 @@ from orbitfinder.records.orbit import AGAIN, Orbit, orbit_in, read_orbit
 from orbitfinder.records.reading import file_head, json_file
 
 DATABASES = (".sqlite", ".sqlite3", ".db")
-OURS = re.compile(rb'\s*(?:(\[)|\{[^\[{]*?"format"\s*:\s*"orbitfinder/(orbit|family|tori|optima)")')
+KINDS = "orbit|family|tori|optima|section|manifold|connection|controller"
+OURS = re.compile(rb'\s*(?:(\[)|\{[^\[{]*?"format"\s*:\s*"orbitfinder/(' + KINDS.encode() + rb')")')
 HEAD = 400
 """Bytes of a file in which its format is said"""
 
 
 def kind_of(file: Path) -> str:
-    """What a file holds, by its name and its first bytes: orbit | family | tori | optima |
-    export (of an atlas) | atlas, or nothing."""
+    """What a file holds, by its name and its first bytes: one of `KINDS`, export (of an atlas), atlas, or nothing."""
     if file.suffix in DATABASES:
         return "atlas"
     found = OURS.match(file_head(file, HEAD))

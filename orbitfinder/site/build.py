@@ -13,6 +13,7 @@ from orbitfinder._runtime import __version__
 from orbitfinder._runtime.caches import Kept
 from orbitfinder.errors import plural
 from orbitfinder.records.family import Family
+from orbitfinder.records.section import Section
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
 from orbitfinder.site.motion import Simulator, packed
 from orbitfinder.site.pages import (
@@ -25,6 +26,7 @@ from orbitfinder.site.pages import (
     orbit_data,
     orbit_values,
 )
+from orbitfinder.site.section import section_data, section_values
 from orbitfinder.site.text import ASSETS, mechanism, number, rendered, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, mark
 
@@ -37,6 +39,7 @@ SCRIPTS = {
     "orbit": (*PLOTS, "orbit.js"),
     "family": (*PLOTS, "explorer.js"),
     "atlas": (*PLOTS, "explorer.js"),
+    "section": (*PLOTS, "section.js"),
 }
 """What each kind of page loads besides core.js and its data"""
 Progress = Callable[[str], None]
@@ -141,6 +144,8 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
         links.insert(found.atlases.index(atlas), link)
         entries += shown
         tell(f"atlas {atlas.name}: {plural(atlas.total, 'orbit')}")
+    sections = slug_maker()
+    links += [_add_section(site, one, sections(one.name), found, motions) for one in found.sections]
     entries = _judged(entries, settings.verify, tell)
     for entry in entries:
         _add_orbit(site, entry)
@@ -173,6 +178,14 @@ def _add_family(site: Site, family: Family, slug: str, simulator: Simulator, mot
     energies = data["columns"]["energy"]
     note = f"{plural(len(energies), 'orbit')}, {number(min(energies), 4)} to {number(max(energies), 4)} J"
     return Link("Family", path, family.name, words, note, _cover(f"family/{slug}", data, motions))
+
+
+def _add_section(site: Site, section: Section, slug: str, found: Gathered, motions: dict[str, Any]) -> Link:
+    """The page of a Poincare section; returns its link."""
+    data, path, words = section_data(section, found), f"sections/{slug}.html", mechanism(section.system)
+    values = section_values(section, data) | {"title": f"Section {section.name}"}
+    site.add("section", path, values, ("section", data), f"A Poincare section of the {words}: {section.plane}.")
+    return Link("Section", path, section.name, words, section.plane, _cover(f"section/{slug}", data, motions))
 
 
 def _cover(key: str, data: Mapping[str, Any], motions: dict[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import FORMAT as FAMILY
 from orbitfinder.records.family import Family, load_family
+from orbitfinder.records.manifold import Connection, Manifold, load_connection, load_manifold
 from orbitfinder.records.orbit import (
     AGAIN,
     certificate_to_document,
@@ -29,11 +30,18 @@ from orbitfinder.records.orbit import (
 )
 from orbitfinder.records.orbit import FORMAT as ORBIT
 from orbitfinder.records.reading import json_file
+from orbitfinder.records.section import Section, load_section
 from orbitfinder.records.store import DATABASES, kind_of, member
+from orbitfinder.records.torus import Tori, load_tori
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
-NAMES = ("orbit.json", "family.json")
+NAMES = ("orbit.json", "family.json", "section.json")
+Laid = Manifold | Connection | Tori
+LAID: Mapping[str, Callable[[Path], Laid]] = {
+    "manifold": load_manifold, "connection": load_connection, "tori": load_tori,
+}  # fmt: skip
+"""What is drawn in a section's page, by its format"""
 
 
 @dataclass(frozen=True)
@@ -61,6 +69,9 @@ class Gathered:
     orbits: list[OrbitFile] = field(default_factory=list)
     families: list[Family] = field(default_factory=list)
     atlases: list[AtlasFile] = field(default_factory=list)
+    sections: list[Section] = field(default_factory=list)
+    laid: list[Laid] = field(default_factory=list)
+    """what is drawn in sections of its system"""
 
 
 def evenly(count: int, most: int) -> list[int]:
@@ -122,6 +133,12 @@ def _take(file: Path, found: Gathered) -> None:
         return
     if file.suffix in DATABASES:
         found.atlases.append(_from_database(file))
+        return
+    if (kind := kind_of(file)) == "section":
+        found.sections.append(load_section(file))
+        return
+    if kind in LAID:
+        found.laid.append(LAID[kind](file))
         return
     document = json_file(file, "result file", AGAIN)
     if isinstance(document, list):

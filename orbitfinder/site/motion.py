@@ -299,9 +299,10 @@ def histories(motion: Motion) -> dict[str, Any]:
     n, size = len(motion.angles), motion.states.shape[1]
     extent = np.ptp(motion.states, axis=0)
     # a component that stands still must not have its round-off sampled
-    among = alone(extent, np.asarray(motion.angles, bool))
     if n < size:
         among = np.repeat([extent[:n].max(), extent[n:].max()], n)
+    else:
+        among = alone(extent, np.asarray(motion.angles, bool))
     extent = np.maximum(extent, 1e-3 * among + 1e-12)
     for count in (240, 360, 480, 960) if motion.course is None else (960,):
         states = motion.at(2 * count + 1, endpoint=True)
