@@ -155,7 +155,7 @@ def _varying(problem: Problem, parameter: str, program: Program) -> Varying:
     return Varying(value, unknown=parameter)
 
 
-def _slopes(now: Sequence[Any], then: Sequence[Any]) -> np.ndarray:
+def _slopes(now: Any, then: Any) -> np.ndarray:
     """How fast ends of ranges go: -1, 0 or 1; they are known where the number is one greater."""
     here, there = np.array(now, float), np.array(then, float)
     both = np.isfinite(here)
