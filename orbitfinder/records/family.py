@@ -139,6 +139,10 @@ class End:
     reason: str
 
 
+UNITS = {"energy": "J", "period": "s"}
+"""Units of those parameters of a family that are no physical parameters"""
+
+
 @dataclass(frozen=True)
 class Batch:
     """Everything one step adds; written to the journal as one line, so that it is kept or lost as a whole."""
@@ -177,7 +181,7 @@ class Family:
     @property
     def unit(self) -> str:
         """The unit of its parameter, where that is no physical parameter of the system."""
-        return {"energy": "J", "period": "s"}.get(self.parameter, "")
+        return UNITS.get(self.parameter, "")
 
     @property
     def parameters(self) -> tuple[str, ...]:
