@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import KroghInterpolator
 
 from peers.auto_family import AUTO, Clock
 
@@ -102,6 +103,8 @@ NPAR = 36
 THL = {{11: 0.0}}
 THU = {{}}
 """
+APART = 1e-4
+"""Points nearer than this to each other are one for an interpolation."""
 TYPES = {"fold": 5, "period_doubling": 7}
 """AUTO's numbers of the events, as in fort.7"""
 
@@ -114,8 +117,16 @@ class Locus:
     points: np.ndarray
 
     def at(self, second: float) -> float:
-        """The first parameter where the second has a value that was asked for."""
-        return float(self.points[np.argmin(np.abs(self.points[:, 1] - second)), 0])
+        """The first parameter where the second has a value, between the five points nearest to it.
+
+        AUTO ends within some 1e-5 of what it was asked for.
+        """
+        chosen: list[np.ndarray] = []
+        for row in self.points[np.argsort(np.abs(self.points[:, 1] - second))]:
+            if all(abs(row[1] - one[1]) > APART for one in chosen):
+                chosen.append(row)
+        first, other = np.array(chosen[:5])[:, :2].T
+        return float(KroghInterpolator(other, first)(second))
 
 
 class AutoLocus:

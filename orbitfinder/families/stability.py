@@ -71,21 +71,21 @@ class Spectrum:
         if self.chain is not None:
             return self.chain.product.errors(np.full(len(self.chain.product.upper), max(self.chain.missed, ACCURACY)))
         missed = 0.0 if self.form is None else asymplectic(self.reduced, self.form, self.form)
-        try:
-            left = np.abs(np.linalg.inv(self.vectors)).sum(axis=1)
-        except np.linalg.LinAlgError:  # as of several multipliers that resets have made 0
-            return np.ones(self.values.size)
+        left = np.sqrt(np.square(np.abs(np.linalg.inv(self.vectors))).sum(axis=1))
+        sizes = np.maximum(np.abs(self.values), np.finfo(float).tiny)  # resets make multipliers of 0
         with np.errstate(over="ignore"):
-            sizes = np.maximum(np.abs(self.values), 1e-300)
-            return np.asarray(max(missed, ACCURACY) * np.linalg.norm(self.reduced) * left / sizes)
+            return np.asarray(np.minimum(max(missed, ACCURACY) * np.linalg.norm(self.reduced) * left / sizes, 1.0))
 
     @property
     def errors(self) -> np.ndarray:
-        """Estimated relative error of each multiplier; 1 where nothing is known of it, as of one that is 0."""
+        """Estimated relative error of each multiplier."""
         if not self.values.size:
             return np.zeros(0)
-        order = np.abs(self.values**self.root - self.floquet.multipliers[:, None]).argmin(axis=1)
-        return np.asarray(np.minimum(self.root * self.root_errors[order], 1.0))
+        wanted = self.floquet.multipliers[:, None]
+        with np.errstate(over="ignore"):
+            away = np.abs(self.values**self.root - wanted) / np.maximum(np.abs(wanted), np.finfo(float).tiny)
+        order = away.argmin(axis=1)
+        return np.asarray(self.root * self.root_errors[order])
 
     @cached_property
     def blur(self) -> float:

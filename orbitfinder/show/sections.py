@@ -80,7 +80,7 @@ def section_figure(
         points = wrapped(pierced(_surface(first, orbit, model), orbit).states, model.angular)
         axes.plot(points[:, across], points[:, up], "o", color="white", markeredgecolor="black", markersize=6.5,
                   label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
-    _limits(axes, first.axes, section, manifolds, connections)
+    _limits(axes, model, first.axes, section, manifolds, connections)
     dress(axes, _label(model, across), _label(model, up))
     _legend(figure, axes)
     return figure
@@ -115,7 +115,7 @@ def _curves(axes: Any, one: Manifold, model: Model, pair: tuple[int, int]) -> No
 
 
 def _limits(
-    axes: Any, names: Sequence[str], section: Section | None, manifolds: Sequence[Manifold],
+    axes: Any, model: Model, names: Sequence[str], section: Section | None, manifolds: Sequence[Manifold],
     connections: Sequence[Connection],
 ) -> None:  # fmt: skip
     """What is drawn, but for what is far out."""
@@ -125,6 +125,9 @@ def _limits(
         ends.append(reach(section.points, np.ones(section.returns)))
     ends += [(one.min(axis=0), one.max(axis=0)) for one in points]
     low, high = np.min([one[0] for one in ends], axis=0), np.max([one[1] for one in ends], axis=0)
+    turns = [name in model.state_names[: model.degrees_of_freedom] and model.angular[model.state_names.index(name)]
+             for name in names]  # fmt: skip
+    low, high = np.where(turns, np.maximum(low, -np.pi), low), np.where(turns, np.minimum(high, np.pi), high)
     room = 0.06 * (high - low) + 1e-12 * np.abs(high)
     axes.set_xlim(low[0] - room[0], high[0] + room[0])
     axes.set_ylim(low[1] - room[1], high[1] + room[1])
