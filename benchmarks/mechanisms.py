@@ -17,7 +17,7 @@ import orbitfinder as of
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.mechanics.model import vector_field
 
-COUNTS = (30, 60, 120)
+COUNTS = (30, 60, 120, 240)
 ROUNDS = 7
 STEPS = 5
 

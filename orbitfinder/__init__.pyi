@@ -58,6 +58,8 @@ from .orbits.basin import recovery as recovery
 from .orbits.certify import certify as certify
 from .orbits.feedback import stabilise as stabilise
 from .orbits.find import find_orbit as find_orbit
+from .orbits.frequencies import FrequencyMap as FrequencyMap
+from .orbits.frequencies import frequency_map as frequency_map
 from .orbits.optima import follow_optima as follow_optima
 from .orbits.refine import Refiner as Refiner
 from .orbits.section import section as section
@@ -70,6 +72,9 @@ from .records.controller import load_controller as load_controller
 from .records.controller import save_controller as save_controller
 from .records.family import Family as Family
 from .records.family import load_family as load_family
+from .records.optima import Optima as Optima
+from .records.optima import load_optima as load_optima
+from .records.optima import save_optima as save_optima
 from .records.orbit import Certificate as Certificate
 from .records.orbit import Orbit as Orbit
 from .records.orbit import save_orbit as save_orbit
@@ -80,4 +85,5 @@ from .records.torus import save_tori as save_tori
 from .show.animate import orbit_clip as orbit_clip
 from .show.animate import save_animation as save_animation
 from .show.animate import simulation_clip as simulation_clip
+from .show.optima import save_optima_figure as save_optima_figure
 from .show.plot import save_figures as save_figures

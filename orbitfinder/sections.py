@@ -12,10 +12,12 @@ from orbitfinder.records.manifold import (
     save_manifold,
 )
 from orbitfinder.records.section import Section, load_section, save_section
+from orbitfinder.show.frequencies import draw_frequencies
 from orbitfinder.show.sections import draw_manifolds, draw_section
 
 __all__ = [
-    "Connection", "Manifold", "ManifoldSettings", "Section", "certify_connection", "draw_manifolds", "draw_section",
+    "Connection", "Manifold", "ManifoldSettings", "Section", "certify_connection", "draw_frequencies",
+    "draw_manifolds", "draw_section",
     "follow_connection", "load_connection", "load_manifold", "load_section", "save_connection", "save_manifold",
     "save_section",
 ]  # fmt: skip

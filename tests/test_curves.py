@@ -14,6 +14,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
 from orbitfinder.families.critical import discriminant, doubled, levelled, torus_pair
 from orbitfinder.families.curves import curve_start
+from orbitfinder.families.doubling import bending
 from orbitfinder.records.family import Event, load_family, save_family
 from orbitfinder.show.plot import save_figures, two_parameters
 from orbitfinder.systems import impact_oscillator
@@ -199,6 +200,43 @@ def test_the_locus_of_the_pendula_ends_homoclinically():
     assert slow == pytest.approx([0.980643, 0.957295], abs=3e-5)
 
 
+def flipping():
+    """A cycle r = 1 about which (u, w) turn by half a turn: u' = a u + b u^3 + d u^5, w' = -w.
+
+    Its multipliers are -e^(2 pi a), -e^(-2 pi); the doubled orbit is at a + b u^2 + ... = 0, born to either side by b.
+    """
+
+    def field(_, x, p):
+        radius = ca.sqrt(x.x**2 + x.y**2)
+        angle = ca.atan2(x.y, x.x) / 2
+        u = ca.cos(angle) * (radius - 1) + ca.sin(angle) * x.z
+        w = -ca.sin(angle) * (radius - 1) + ca.cos(angle) * x.z
+        grow, sink = (p.a + p.c) * u + p.b * u**3 + p.d * u**5, -w
+        out = ca.cos(angle) * grow - ca.sin(angle) * sink - x.z / 2
+        up = ca.sin(angle) * grow + ca.cos(angle) * sink + (radius - 1) / 2
+        return [out * x.x / radius - x.y, out * x.y / radius + x.x, up]
+
+    return of.ode(field, ("x", "y", "z"), {"a": -0.1, "b": -0.5, "c": 0.0, "d": -1.0})
+
+
+def test_a_doubling_degenerates_where_its_orbit_is_born_to_the_other_side():
+    """At b = 0 and nowhere else, by the normal form's coefficient; what b and d leave where it is has no curve."""
+    model = flipping()
+    problem = of.Problem(model, of.Guess([1.0, 0.0, 0.0], 2 * np.pi), name="flipping")
+    chosen = replace(FEW, directions="forward")
+    family = of.follow_family(problem, "a", until=0.1, settings=chosen, model=model)
+    event = event_of(family, "period_doubling")
+    curve = of.follow_curve(family, event, ("b", "c"), until=0.5, settings=chosen, model=model)
+    (special,) = [one for one in curve.events if one.kind == "degenerate_doubling"]
+    assert special.free == pytest.approx({"b": 0.0, "c": 0.0}, abs=1e-6)
+    assert max(abs(one.free["c"]) for one in curve.points) < 1e-9  # the doubling itself is at a + c = 0
+    start = curve_start(family, event, ("b", "c"), model=model).start
+    # along u' = b u^3 from the section u -> -u (1 + 2 pi b u^2), so that xi -> -xi + c xi^3 with c = -2 pi b
+    assert bending(start.curve, start.found) == pytest.approx(-2 * np.pi * -0.5, rel=1e-4)
+    with pytest.raises(InputError, match="happens whatever b and d are; give a parameter that moves it"):
+        curve_start(family, event, ("b", "d"), model=model)
+
+
 # ---- ends and planted failures -------------------------------------------------------------------------------
 
 
@@ -221,7 +259,7 @@ def test_a_curve_of_tori_ends_where_its_multipliers_become_real():
     """At 1:1, beyond which neutral saddles meet the same equations. An orbit that is its own mirror image after half a
     period goes on through 1:2: the pair of its half map is at +-i there."""
     model, family = entrained()
-    curve = of.follow_curve(family, event_of(family, "torus"), ("force", "frequency"), settings=replace(FEW, points=40),
+    curve = of.follow_curve(family, event_of(family, "torus"), ("force", "frequency"), settings=replace(FEW, points=20),
                             model=model)  # fmt: skip
     assert [one.detail for one in curve.events] == ["1:1", "1:4", "1:3", "1:2"]
     assert [end.kind for end in curve.ends] == ["strong_resonance", "point limit"]

@@ -41,6 +41,7 @@ NOT_RUN = (
     "sbatch ",  # needs a cluster
     "srun ",
     "dask ",
+    "orbitfinder studio",  # serves until Ctrl-C; tests/test_studio.py
     "@r ",  # AUTO-07p; tests/test_export.py runs it
 )
 """Starts of the shell lines that no test runs, with the reason."""

@@ -24,9 +24,10 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.lagrange import Symbols
 from orbitfinder.mechanics.model import vector_field
 from orbitfinder.orbits.basin import disturbed
-from orbitfinder.orbits.feedback import verified
+from orbitfinder.orbits.feedback import certify_controller, verified
 from orbitfinder.orbits.riccati import Scattering, periodic, whole
 from orbitfinder.orbits.transverse import Reference
+from orbitfinder.records.controller import save_controller
 from orbitfinder.records.orbit import save_orbit
 
 ROOT = Path(__file__).parents[1]
@@ -182,6 +183,24 @@ def test_planted_gains_a_percent_off(held):
 
 def test_planted_another_orbit(held):
     assert "reference" in failed(verified(replace(held, states=held.states * (1 + 1e-6))))
+
+
+def test_planted_units_that_hide_a_gap(held):
+    """A motion that is none, in units so large that no gap is seen, its multipliers said to be as designed."""
+    faster = np.r_[np.ones(3), np.full(3, 1.02)]
+    other = verified(replace(held, states=held.states * faster, units=held.units * 1e9))
+    assert "reference" in failed(verified(replace(other, predicted=other.multipliers)))
+
+
+def test_planted_motion_that_does_not_close(held):
+    turned = held.states.copy()
+    turned[-1, 0] += 1e-6
+    assert "reference" in failed(verified(replace(held, states=turned)))
+
+
+def test_planted_multipliers_in_the_record(held):
+    found = certify_controller(replace(held, multipliers=0.9 * held.multipliers))
+    assert found.failures == ("recorded_multipliers",) and certify_controller(held).passed
 
 
 def test_what_is_not_stabilised_is_not_exported(held, tmp_path):
@@ -391,17 +410,29 @@ def test_exported_programs_do_what_the_package_does(held, tmp_path):
 def test_the_command(pendulum_orbit, tmp_path):
     file = save_orbit(pendulum_orbit, tmp_path / "orbit.json")
     given = ("stabilise", file, "--out", tmp_path, "--periods", "3", "--disturbances", "2", "--rate", "32")
-    out, _ = run(*given, "--sizes", "0.01", "--animate", "--saturation", "2")
+    out, _ = run(*given, "--sizes", "0.01", "--saturation", "2")
     assert "pendulum: stabilised by torque1" in out and "returned" in out and "(acts)" in out
     folder = tmp_path / "pendulum"
     assert {one.name for one in folder.iterdir()} == {
-        "controller.json", "pendulum_gains.csv", "pendulum_controller.c", "pendulum_controller.py", "recovery.gif"
+        "controller.json", "pendulum_gains.csv", "pendulum_controller.c", "pendulum_controller.py"
     }  # fmt: skip
-    assert of.load_controller(folder / "controller.json").limits == {"torque1": (-2.0, 2.0)}
+    controller = of.load_controller(folder / "controller.json")
+    assert controller.limits == {"torque1": (-2.0, 2.0)}
+    assert "certified" in run("verify", folder / "controller.json")[0]
+    idle = save_controller(replace(controller, gains=0 * controller.gains), tmp_path / "idle.json")
+    assert "REJECTED by multipliers" in run("verify", idle, code=1)[0]  # though its file says that it is stabilised
     found = json.loads(run(*given, "--motors", "1", "--sizes", "0.1", "--json")[0])
     assert found["stabilised"] and found["basin"]["rows"][0]["count"] == 2 and found["authority"]["torque1"] > 0
     assert "actuators: 'torque7' is none" in run("stabilise", file, "--motors", "7", "--out", tmp_path, code=2)[1]
     assert "--motors: 'a' are no numbers" in run("stabilise", file, "--motors", "a", "--out", tmp_path, code=2)[1]
+
+
+@pytest.mark.slow
+def test_the_command_animates_a_recovery(pendulum_orbit, tmp_path):
+    file = save_orbit(pendulum_orbit, tmp_path / "orbit.json")
+    given = ("stabilise", file, "--out", tmp_path, "--periods", "3", "--disturbances", "2", "--rate", "32")
+    run(*given, "--sizes", "0.01", "--animate")
+    assert (tmp_path / "pendulum" / "recovery.gif").stat().st_size > 1000
 
 
 # --------------------------------------------------------------------------------------------------

@@ -89,6 +89,7 @@ def values():
     linkage = of.linkage([0.5, 1.2, 1.0], ground=[0.2, 1.0])
     refiner = of.Refiner(of.Problem(of.chain(1), of.Guess([1.0, 0.0], 1.8), of.pin(theta1=1.0)))
     walker = of.systems.simplest_walker().hybrid
+    pace = of.FrequencyMap(np.zeros((2, 4)), 9.0, np.ones((2, 2)), np.ones((2, 2)))
     ring = of.Torus(np.zeros((17, 2)), 1.0, 0.3, -1.0, 1e-12, 1.0)
     atlas = of.Atlas(next((ROOT / "results" / "atlas").glob("*.sqlite")))
     found = [
@@ -101,7 +102,7 @@ def values():
         of.simulate(model, [0.1] * 6, 0.1), of.stabilise(orbit, ["torque1"]),
         of.orbit_clip(orbit), walker.modes[0], walker.transitions[0],
         Variables(model, problem.boundary, (), (), ca.MX.sym("T"), {}, ca.MX.sym("p"), list),
-        load_problem_file(ROOT / "problems" / "report" / "triple-1.toml"), ring,
+        load_problem_file(ROOT / "problems" / "report" / "triple-1.toml"), ring, pace,
         of.Tori("around", model.system, "rotation", {"energy": -1.0}, (ring,)), of.TorusSettings(),
     ]  # fmt: skip
     return {type(one).__name__: one for one in found}

@@ -151,6 +151,10 @@ def test_a_connection_is_found_certified_saved_and_certified_again(homoclinic, t
     assert again.certificate.passed and again.kind == "homoclinic" and again.error == known.error
     np.testing.assert_array_equal(again.states, known.states)
     assert certify_connection(again, wells(0.05)).passed
+    said = CliRunner().invoke(
+        cli, ["verify", str(tmp_path / "connection.json")]
+    )  # wells are no file's: so far it comes
+    assert said.exit_code == 2 and "cannot rebuild 'custom'" in said.output
 
 
 def moved(known, k, by):
@@ -183,8 +187,9 @@ def test_an_orbit_of_another_energy_is_rejected(homoclinic, coupled):
     assert "energy" in certify_connection(tampered, wells(0.05)).failures
 
 
-def test_manifolds_that_coincide_do_not_cross(saddle):
+def test_manifolds_that_coincide_do_not_cross(saddle, monkeypatch):
     """Without coupling they are one curve: no transversal point is claimed, whatever round-off makes of them."""
+    monkeypatch.setattr(connections, "TRIED", 3)
     found = connect(saddle, **SEEN, model=wells(0.0), most=1, settings=ManifoldSettings(spacing=0.2, turning=2.0))
     assert not found
 

@@ -15,7 +15,7 @@ from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.families.minimal import dead_point, minimal_problem, native_state
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
-from orbitfinder.mechanics.lagrange import mass_matrix_and_bias
+from orbitfinder.mechanics.lagrange import Symbols, mass_matrix_and_bias
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.problemfile.read import load_problem
 
@@ -626,6 +626,44 @@ def test_a_mechanism_goes_all_the_way_from_its_file(tmp_path):
     done("continue", orbit, "--parameter", "C_1_x", "--points", "3", "-o", tmp_path / "length")
     done("page", tmp_path / "slider-crank-spring", "-o", tmp_path / "site")
     assert "strokes" in "".join(path.read_text() for path in (tmp_path / "site" / "data").rglob("*.js"))
+
+
+def test_a_drawing_in_millimetres_returns_when_the_one_in_metres_does():
+    """A slide in mm does not drown the angles when the first return is looked for."""
+    lengths = {"crank": 0.05, "rod": 0.15, "bore": 0.012, "com": 0.07}
+    found = []
+    for unit in (1.0, 1000.0):
+        crank, rod, bore, com = (unit * one for one in lengths.values())
+        model = of.mechanism(
+            {"crank": {"mass": 0.4, "inertia": 2e-4 * unit**2, "com": [crank / 2, 0.0]},
+             "rod": {"mass": 0.3, "inertia": 6e-4 * unit**2, "com": [com, 0.0]}, "piston": {"mass": 0.5}},
+            {"main": {"kind": "revolute", "between": ["ground", "crank"]},
+             "big": {"kind": "revolute", "between": ["crank", "rod"], "at": [[crank, 0.0], [0.0, 0.0]]},
+             "small": {"kind": "revolute", "between": ["rod", "piston"], "at": [[rod, 0.0], [0.0, 0.0]]},
+             "slide": {"kind": "prismatic", "between": ["ground", "piston"], "at": [[0.0, bore], [0.0, 0.0]],
+                       "axis": [1.0, 0.0]}},
+            gravity=[9.81 * unit, 0.0], pose={"main": 0.3},
+        )  # fmt: skip
+        state = of.linkages.mechanism_state(model, {"main": 2.9}, rates={"maindot": 0.0})
+        found.append(of.linkages.first_return(model, state))
+    assert found[1] == pytest.approx(found[0], rel=1e-2) and found[0] > 0.7  # half of it is another pose
+
+
+def test_a_scara_in_its_plane_is_a_lagrangian_written_by_hand():
+    problem = load_problem(GALLERY / "scara.toml")
+    model, q, v = problem.model, ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    turn, elbow, kinetic = v[0] + v[1], 0.425 * v[0], 0.0  # forearm and quill move with the elbow
+    for mass, out, inertia in ((8.0, 0.1875, 0.09375), (1.5, 0.375, 0.0002)):
+        speed = elbow**2 + (out * turn) ** 2 + 2 * elbow * out * turn * ca.cos(q[1])
+        kinetic += mass * speed / 2 + inertia * turn**2 / 2
+    kinetic += (12.0 * 0.2125**2 + 0.180625) * v[0] ** 2 / 2
+    plane = of.lagrange(kinetic, 200 * q[0] ** 2 + 75 * (q[1] - 0.8) ** 2, Symbols(q, v, ca.SX(0, 1), (), ()))
+    random = np.random.default_rng(0)
+    for _ in range(3):
+        angles, rates = random.normal(size=(2, 2))
+        ours = model.acceleration(0.0, [*angles, 0.0], [*rates, 0.0], model.parameter_values).full().ravel()
+        wanted = plane.acceleration(0.0, angles, rates, plane.parameter_values).full().ravel()
+        assert ours == pytest.approx([*wanted, 0.0], rel=1e-10, abs=1e-9)
 
 
 def test_files_say_what_is_wrong(tmp_path):

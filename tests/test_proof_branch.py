@@ -64,9 +64,9 @@ def doubled(straight):
 def test_pieces_reach_from_one_end_to_the_other(straight):
     """Several pieces, each beginning where the last one ended, the recorded orbit among them."""
     low = straight.points[10].energy
-    found = prove_branch(straight, low, low + 3e-4)
+    found = prove_branch(straight, low, low + 1e-3)
     assert found.proved and len(found.pieces) > 1
-    assert found.pieces[0].low == low and found.pieces[-1].high == low + 3e-4
+    assert found.pieces[0].low == low and found.pieces[-1].high == low + 1e-3
     assert all(a.high == b.low for a, b in zip(found.pieces[:-1], found.pieces[1:], strict=True))
     for piece in found.pieces:  # the boxes go along with the energy and are narrower than the way that they go
         assert max(piece.radius) < 1e-3 * max(abs(one[1]) for one in piece.centre)

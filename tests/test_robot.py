@@ -66,6 +66,14 @@ def test_a_urdf_has_the_accelerations_of_mujoco():
     agree(of.robot(ARM), one)  # the file's damping included
 
 
+def test_the_leg_of_a_quadruped_has_those_of_mujoco():
+    file = ARM.with_name("a1-leg.urdf")
+    one = mujoco.MjModel.from_xml_path(str(file))
+    one.opt.gravity[:] = 0, 0, -GRAVITY
+    one.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT  # which are left out here
+    agree(of.robot(file), one)
+
+
 def test_a_tree_with_rotors_springs_slides_and_welds_has_those_of_mujoco(tmp_path):
     (tmp_path / "tree.xml").write_text(TREE)
     model = of.robot(tmp_path / "tree.xml")
@@ -168,13 +176,27 @@ WEIGHT = "<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ix
          "stiffness: of joint 'j' must not be negative, got -1"),
         (URDF.format(weight=WEIGHT, kind="continuous", child="b", more=""), {"motors": "jj"},
          "motors: no moving joint 'jj'"),
+        (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="").replace('"b"', '"a b"')
+         .replace('"a"', '"a.b"'), {},
+         "file: links 'a.b' and 'a b' are both 'a_b' where names are letters, digits and _; rename one"),
+        (URDF.format(weight=WEIGHT.replace("'1'", "'nan'", 1), kind="continuous", child="b", more=""), {},
+         "file: link 'b' has a mass, place or inertia that is no finite number; correct it"),
+        (URDF.format(weight=WEIGHT.replace("'1'", "'-1'", 1), kind="continuous", child="b", more=""), {},
+         "file: link 'b' has the mass -1 kg; give one that is not negative"),
+        (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="<origin xyz='0 0 inf'/>"), {},
+         "file: joint 'j' has an origin, axis, damping or effort that is no finite number; correct it"),
+        (URDF.format(weight=WEIGHT, kind="continuous", child="b", more=""), {"values": {"b_mass": -2.0}},
+         "bodies.b.mass: must be positive, got -2.0"),
+        ("<!DOCTYPE r [<!ENTITY a '" + "a" * 999 + "'>" + "".join(
+            f"<!ENTITY {two} '{f'&{one};' * 50}'>" for one, two in zip("abcde", "bcdef", strict=True)
+        ) + "]><robot name='r'>&f;</robot>", {}, "file: bad.urdf is no URDF that can be read (XMLSyntaxError: "),
     ],
 )  # fmt: skip
 def test_bad_files(tmp_path, text, options, said):
     (tmp_path / "bad.urdf").write_text(text)
     with pytest.raises(InputError) as caught:
         of.robot(tmp_path / "bad.urdf", **options)
-    assert str(caught.value).startswith(said)
+    assert str(caught.value).startswith(said) and "\n" not in str(caught.value)
 
 
 def test_a_file_that_is_not_there(tmp_path):

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.special import ellipk
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -16,6 +17,7 @@ from orbitfinder.integrate.dop853 import integrate
 from orbitfinder.integrate.dop853 import vector_field as second
 from orbitfinder.integrate.equations import accelerations
 from orbitfinder.mechanics.model import vector_field
+from orbitfinder.orbits.frequencies import frequency_table
 from orbitfinder.orbits.section import section, surface
 
 
@@ -205,9 +207,10 @@ def test_the_command_draws_and_tells(tmp_path):
     file = "problems/examples/double-mode-2.toml"
     few = ["--seeds", "5", "--returns", "20", "-o", tmp_path]
     asked = ["section", file, "--energy", "-14", "--plane", "theta1=0", *few]
-    done = CliRunner().invoke(cli, [*map(str, asked), "--json"])
+    done = CliRunner().invoke(cli, [*map(str, asked), "--frequencies", "100", "--json"])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
+    assert len(told["diffusion"]) == 5 and (tmp_path / "double-mode-2" / "frequencies.csv").exists()
     assert told["returns"] == 100 and told["energy"] == -14 and (tmp_path / "double-mode-2" / "section.png").exists()
     bad = CliRunner().invoke(cli, [*map(str, asked[:5]), "theta9=0"])
     assert bad.exit_code == 2 and "--plane: unknown component 'theta9', did you mean" in bad.output
@@ -221,3 +224,79 @@ def test_a_field_with_parameters_of_matrices_is_stepped_too():
     field = ca.Function("f", [ca.MX.sym("t"), x, ca.MX.sym("s", 0), ca.MX.sym("p", 0)], [ca.vertcat(x[1], -x[0])])
     found = Crossings(field, np.ones(2)).passing(Plane(0, 0.0, 1), np.array([[1.0, 0.0]]), 1, longest=50.0)
     assert found.times[0, 0] == pytest.approx(1.5 * np.pi, rel=1e-13)
+
+
+def test_frequencies_of_two_pendulums_are_exact(tmp_path):
+    """Uncoupled, swinging and going round: pi w / 2 K(sin(a/2)) and pi v / 2 K(2 w / v), in both halves."""
+    model = of.hamiltonian(
+        lambda x, c: (x.p**2 + x.r**2) / 2 - ca.cos(x.a) - 2 * ca.cos(x.b), ("a", "b"), ("p", "r"), angles=("a", "b")
+    )
+    starts = [[0.5, 1.0, 0, 0], [1.5, 0.3, 0, 0], [0, 0.4, 2.5, 0]]
+    found = of.frequency_map(model, starts, 300.0)
+
+    def swinging(w, a):
+        return np.pi * w / (2 * ellipk(np.sin(a / 2) ** 2))
+
+    first = [swinging(1, 0.5), swinging(1, 1.5), np.pi * 2.5 / (2 * ellipk((2 / 2.5) ** 2))]
+    second = [swinging(2**0.5, one[1]) for one in starts]
+    for half in (found.frequencies, found.later):
+        np.testing.assert_allclose(half, np.column_stack([first, second]), rtol=0, atol=1e-9)
+    assert found.diffusion.max() < 1e-9
+    rows = frequency_table(found, model).splitlines()
+    assert rows[0] == "a,b,p,r,w1,w2,w1_later,w2_later,diffusion" and len(rows) == 4
+    assert of.sections.draw_frequencies(found, model, tmp_path / "map.png").stat().st_size > 10_000
+    with pytest.raises(InputError, match="axes: unknown component 'q'"):
+        of.sections.draw_frequencies(found, model, tmp_path / "map.png", axes=("q", "a"))
+
+
+def test_chaos_diffuses_and_what_leaves_has_no_frequencies(henon_heiles):
+    """At 1/8 the frequencies of chaotic motions change a hundred times more than those of the calmest islands."""
+    model, made = of.systems.henon_heiles(), henon_heiles
+    chosen = np.concatenate([np.flatnonzero(made.regular)[:3], np.flatnonzero(~made.regular)[:3]])
+    starts = np.vstack([made.starts[chosen], [0.0, 1.2, 0.0, 0.5]])  # the last leaves
+    found = of.frequency_map(model, starts, 500.0)
+    assert found.diffusion[3:6].min() > 1e-4 and found.diffusion[:3].min() < 0.01 * found.diffusion[3:6].min()
+    assert np.isnan(found.frequencies[6]).all() and np.isnan(found.diffusion[6])
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (([[0.1, 0.1, 0, 0]], -1.0), "duration: must be positive, got -1.0"),
+        (([[0.1, 0.1, 0, 0]], 50.0), "duration: 50 is too short, half of it is .* turns of one of the motions; give"),
+        (([[0.0, 1.2, 0.0, 0.5]], 500.0), "starts: all motions leave"),
+        (([[0.1, 0.1]], 500.0), "states: shape"),
+    ],
+)
+def test_frequencies_that_cannot_be_had_say_why(asked, said):
+    with pytest.raises(InputError, match=said):
+        of.frequency_map(of.systems.henon_heiles(), *asked)
+
+
+def test_systems_without_frequencies_say_so():
+    with pytest.raises(InputError, match="take the minimal model of this one"):
+        of.frequency_map(of.chain_dae(2), np.zeros((1, 8)), 100.0)
+    with pytest.raises(InputError, match="hybrid systems jump"):
+        of.frequency_map(of.systems.bouncing_ball(), np.zeros((1, 2)), 100.0)
+
+
+def test_a_section_has_a_page_of_its_own(swing, tmp_path):
+    """Points, motions that a click shows, the orbit among them; a record of another plane is refused."""
+    from orbitfinder.site.build import Settings, build_site
+    from orbitfinder.site.gather import gather
+    from orbitfinder.site.section import section_data
+
+    made = section(swing, plane="theta1=0", seeds=4, returns=12)
+    files = [of.sections.save_section(made, tmp_path / "section.json"), of.save_orbit(swing, tmp_path / "orbit.json")]
+    found = gather(files)
+    data = section_data(found.sections[0], found)
+    assert [one["kind"] for one in data["items"][-1:]] == ["orbit"] and len(data["items"]) == 5
+    np.testing.assert_allclose(data["items"][1]["x"], made.points[made.seeds == 1][:, 0], rtol=1e-5)
+    assert all(one["motion"]["count"] == 480 for one in data["items"])
+    site, _ = build_site(found, Settings("sections", verify=False))
+    page = next(text.decode() for name, text in site.files.items() if name.startswith("sections/"))
+    assert "4 motions" in page and "theta1 = 0, growing" in page and "assets/section.js" in page
+    assert 'href="sections/' in site.files["index.html"].decode()
+    done = CliRunner().invoke(cli, ["page", *map(str, files), "-o", str(tmp_path / "site")])
+    assert done.exit_code == 0, done.output
+    assert list((tmp_path / "site" / "sections").glob("*.html"))

@@ -83,6 +83,9 @@ def test_damping_and_a_motor_are_forces():
     level = sum(one.kinetic_energy(frame) - one.potential_energy for one in bodies)
     loads = [(frames[0], (TAU - C * RATES[0]) * frame.z)]
     model = of.from_sympy(LagrangesMethod(level, THETA, forcelist=loads, frame=frame), VALUES, controls=[TAU])
+    free = of.from_sympy(LagrangesMethod(level, THETA, forcelist=[(frames[0], TAU * frame.z)], frame=frame), VALUES,
+                         controls=[TAU])  # fmt: skip
+    assert free.conservative and not model.conservative  # a motor at rest takes no energy; a damper does
     assert model.controls == ("torque",) and model.parameter_names[-2:] == ("damping", "torque")
     q, v, p = np.array([0.3, -0.4]), np.array([1.0, 2.0]), model.parameter_values.copy()
     p[-2:] = 0.5, 2.0
@@ -102,6 +105,19 @@ def test_what_is_refused():
         of.from_sympy(3, {})
     with pytest.raises(InputError, match="method: has constraints, which are not read from SymPy"):
         of.from_sympy(LagrangesMethod(level, THETA, hol_coneqs=[THETA[0] - THETA[1]]), VALUES)
+    for values, said in (
+        (3, "values: must be numbers by symbol, got 3"),
+        ({**VALUES, M: "a"}, "values.mass: must be a finite number, got 'a'"),
+        ({**VALUES, M: float("nan")}, "values.mass: must be a finite number, got nan"),
+    ):
+        with pytest.raises(InputError, match=said):
+            of.from_sympy(LagrangesMethod(level, THETA), values)
+    beat = sympy.cos(2 * dynamicsymbols._t)
+    loads = [(bodies[0].masscenter, beat * frame.y)]
+    for driven in (LagrangesMethod(level + beat * THETA[0], THETA),
+                   LagrangesMethod(level, THETA, forcelist=loads, frame=frame)):  # fmt: skip
+        with pytest.raises(InputError, match="forcing_period: the equations depend on time; give the period"):
+            of.from_sympy(driven, VALUES)
     frame, bodies, _ = rods(SPEEDS)
     kinematics = [SPEEDS[0] - RATES[0], SPEEDS[1] - RATES[1] + RATES[0]]
     kane = KanesMethod(frame, q_ind=THETA, u_ind=SPEEDS, kd_eqs=kinematics)

@@ -16,12 +16,15 @@ from scipy.optimize import root
 import orbitfinder as of
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
-from orbitfinder.families.tori import certify_torus, filled, resonance
+from orbitfinder.families.tori import certify_torus, crossed, filled, resonance
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
 from orbitfinder.loops.torus import Aim, Ring, Turned, at_angles, resampled, turning
+from orbitfinder.orbits.section import surface
 from orbitfinder.show.tori import save_torus_figures
+from orbitfinder.site.gather import gather
+from orbitfinder.site.section import section_data
 
 GOLDEN = (3 - 5**0.5) / 4
 REFERENCE = next(
@@ -65,6 +68,39 @@ def test_the_golden_torus_of_henon_and_heiles(golden):
         line, place = np.unravel_index(np.argmin(away), away.shape)
         met = root(lambda at: end(at)[[0, 3]], [2 * np.pi * line / lines, times[place]], tol=1e-12).x
         assert end(met)[1] == pytest.approx(float(REFERENCE[name]), abs=1e-10)
+
+
+def test_frequencies_of_the_golden_torus(golden):
+    """Those of the reference, of motions that begin on it: the basis that is found is w1, w1 - w2."""
+    found = of.frequency_map(of.systems.henon_heiles(), golden.curve[:1], 2400.0)
+    first, second = float(REFERENCE["omega1"]), float(REFERENCE["omega2"])
+    np.testing.assert_allclose(found.frequencies[0], [first, first - second], rtol=0, atol=1e-8)
+    assert found.diffusion[0] < 1e-8
+
+
+def test_a_torus_is_drawn_in_a_section(golden, loop_orbit, tmp_path):
+    """Its crossings lie on the plane, at its energy, and on the curve that returns of one of its motions draw."""
+    model = of.systems.henon_heiles()
+    found = surface(model, "x=0", ("y", "ydot"))
+    states = crossed(golden, found)
+    assert np.abs(states[:, 0]).max() == 0 and max(abs(of.energy(model, one) - 1 / 12) for one in states[::40]) < 1e-12
+    ends = [states[:, 1].max(), states[:, 1].min()]
+    assert ends == pytest.approx([float(REFERENCE["y_right"]), float(REFERENCE["y_left"])], abs=1e-5)
+    returns = found.passing(states[:1], 40, tolerance=1e-13).states[0][:, 1:4:2]
+    apart = np.linalg.norm(returns[:, None] - states[None][:, :, 1:4:2], axis=2).min(axis=1)
+    assert apart.max() < 2e-3  # half of what neighbours of the 480 are apart
+    with pytest.raises(InputError, match="plane: the torus does not cross x = 3"):
+        crossed(golden, surface(model, "x=3", ("y", "ydot")))
+    of.save_orbit(replace(loop_orbit, name="loop"), tmp_path / "orbit.json")
+    family = of.Tori("golden", loop_orbit.system, "rotation", {}, (golden,))
+    of.save_tori(family, tmp_path / "tori.json")
+    asked = ["section", tmp_path / "orbit.json", "--plane", "x=0", "--axes", "y,ydot", "--seeds", 3, "--returns", 9]
+    drawn = [*asked, "--with", tmp_path / "tori.json", "-o", tmp_path]
+    done = CliRunner().invoke(cli, list(map(str, drawn)), catch_exceptions=False)
+    assert done.exit_code == 0 and (tmp_path / "loop" / "section.png").stat().st_size > 20_000
+    together = gather([tmp_path / "loop" / "section.json", tmp_path / "tori.json"])
+    data = section_data(together.sections[0], together)
+    assert [one["kind"] for one in data["curves"]] == ["torus"] and len(data["curves"][0]["x"]) == len(states)
 
 
 def rotor(detuning=0.0):
@@ -231,12 +267,14 @@ def test_the_command(loop_orbit, tmp_path):
 
 @pytest.mark.slow
 def test_tori_of_the_double_pendulum_break_down():
+    """At a noble rotation number [0; 2, 6, 1, 1, ...], from energy -17 up until the strip has all but closed."""
     problem = of.load_problem("problems/gallery/double-pendulum-fast-mode.toml")
     orbit = of.find_orbit(replace(problem, pin=of.pin(energy=-17.0)))
-    family = of.follow_tori(orbit, settings=of.TorusSettings(points=6, certify=False))
-    one = family.tori[-1]
-    found = of.follow_tori(one, hold="rotation", model=problem.model, settings=of.TorusSettings(points=60))
-    assert found.end.startswith("break-down near energy")
+    one = of.torus(orbit, 1 / (2 + 1 / (6 + 2 / (1 + 5**0.5))))
+    settings = of.TorusSettings(points=60, most_states=251)
+    found = of.follow_tori(one, hold="rotation", model=problem.model, settings=settings)
+    assert found.end.startswith("break-down near energy") and "the strip of convergence is" in found.end
     assert all(torus.certificate.passed for torus in found.tori)
     widths = [torus.strip for torus in found.tori]
-    assert widths[-1] < 0.5 * widths[0]
+    narrowest = np.log(1e11) / (5 / 6 * 125)  # whose harmonics beyond five sixths of 125 are below 1e-11
+    assert widths[-1] < 1.25 * narrowest < 1.5 < widths[0]

@@ -71,12 +71,15 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
     Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
-    that was killed goes on where it stopped when the same command is given again.
+    that was killed goes on where it stopped when the same command is given again. Of a problem with [control] the
+    family of its optima is followed, round turning points: --parameter is a pin, a physical parameter, one of the
+    control's numbers, "task K" or "limit NAME".
 
     \b
     Examples:
       orbitfinder continue problems/families/triple-mode-2.toml --until -3
       orbitfinder continue orbits/triple-1/orbit.json --at -38,-37,-36 --out families
+      orbitfinder continue problems/control/maintained-oscillator.toml --parameter damping --until 0.1
       orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
       orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
@@ -94,6 +97,9 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
         origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
     else:
         origin, model = curve_of(file, parameter, chosen), None
+    if getattr(origin, "guess", None) is not None and getattr(origin, "control", None) is not None:
+        _optima(origin, parameter, values, points, out, chosen)
+        return
     parameter = parameter or (origin.parameters[0] if isinstance(origin, Locus) else parameter_of(origin))
     name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
     check_writable(out / name)
@@ -110,6 +116,44 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
     if written:
         text(f"  and {plural(len(written), 'figure')}")
     finish("continue", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
+
+
+def _optima(
+    problem: Any, parameter: str | None, values: tuple[float, ...], points: int, out: Path, chosen: Mapping[str, Any]
+) -> None:
+    """The family of optima of a controlled problem."""
+    from orbitfinder.orbits.optima import follow_optima
+    from orbitfinder.problemfile.read import checked_name
+    from orbitfinder.records.optima import save_optima
+    from orbitfinder.show.optima import save_optima_figure
+
+    if parameter is None or (chosen["until"] is None and not values):
+        raise InputError("--parameter: of a controlled problem say along what, and how far: --parameter NAME --until V")
+    for name in ("direction", "resolve"):
+        if chosen[name] is not None:
+            raise InputError(f"--{name}: not for controlled problems; --until and --at say where to go")
+    folder = out / checked_name(chosen["name"] or problem.name, "name", "give another --name")
+    check_writable(folder)
+    with display() as shown:
+
+        def report(value: float, orbit: Orbit) -> None:
+            interrupt.check()
+            cost = float((orbit.control or {})["cost"])
+            shown.say(f"{parameter} {value:.9g}, cost {cost:.9g}, period {orbit.period:.9g} s, {orbit.stability}")
+
+        found = follow_optima(problem, parameter, values, until=chosen["until"], points=points, progress=report)
+    written = [save_optima(found, folder / "optima.json")]
+    written += [save_optima_figure(found, folder)] if chosen["figures"] else []
+    text(f"{written[0]}: {found.counts}")
+    for one in found.changes:
+        text(f"  {one.kind} at {parameter} {one.value:.12g}, cost {one.cost:.9g}: {one.detail}")
+    text(f"  ended: {found.end}")
+    changes = [vars(one) for one in found.changes]
+    document = {
+        "name": folder.name, "parameter": parameter, "values": found.values.tolist(), "costs": found.costs.tolist(),
+        "descents": list(found.descents), "changes": changes, "end": found.end, "written": list(map(str, written)),
+    }  # fmt: skip
+    finish("continue", document, all(one.certificate is not None and one.certificate.passed for one in found.points))
 
 
 def summary(family: Family) -> dict[str, Any]:

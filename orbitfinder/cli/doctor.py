@@ -22,6 +22,7 @@ PLUGINS = {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}
 EXTRAS = {
     "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler",
     "parquet": "atlas export --to parquet", "notebook": "the notebooks", "docs": "building the documentation",
+    "studio": "studio",
     "browser": "tests of pages in a browser", "test": "the tests",
 }  # fmt: skip
 """What each optional extra is for; one that a release does not declare is not asked about."""

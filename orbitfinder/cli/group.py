@@ -31,6 +31,7 @@ from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
 from orbitfinder.cli.section import connect, manifold, section
 from orbitfinder.cli.stabilise import stabilise
+from orbitfinder.cli.studio import studio
 from orbitfinder.cli.sweep import sweep
 from orbitfinder.cli.torus import torus
 from orbitfinder.cli.verify import prove, refine, verify
@@ -121,6 +122,6 @@ def cli() -> None:
 
 for command in (
     run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise, search, atlas,
-    prove, refine, export, plot, animate, page, reproduce, doctor, completion,
+    prove, refine, export, plot, animate, page, studio, reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,6 +13,12 @@ from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, Decorator, finish, json_option, out_option, text, trust_option
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Orbit
+from orbitfinder.records.store import kind_of
+
+if TYPE_CHECKING:
+    from orbitfinder.mechanics.model import Model
+    from orbitfinder.records.section import Section
+    from orbitfinder.records.torus import Torus
 
 DIRECTIONS = {"growing": 1, "falling": -1, "both": 0}
 MODULES = "Execute Python problem files and modules; only what you have read."
@@ -47,13 +53,15 @@ def chosen_plane(plane: str | None, axes: str, direction: str) -> dict[str, Any]
 @click.option("--returns", default=250, show_default=True, type=int, help="Crossings of each.")
 @click.option("--range", "ranges", multiple=True, metavar="NAME=LOW:HIGH", help="Where motions begin on an axis.")
 @click.option("--with", "others", multiple=True, type=FILES, metavar="FILE",
-              help="An orbit, manifold or connection to draw in the section.")  # fmt: skip
+              help="An orbit, manifold, connection or tori to draw in the section.")  # fmt: skip
+@click.option("--frequencies", type=FINITE, default=None, metavar="SECONDS",
+              help="Frequencies of each motion in both halves of this time, and their diffusion.")  # fmt: skip
 @out_option("Folder for DIR/<name>/section.json, .npz and .png.", default="sections", show_default=True)
 @trust_option(MODULES)
 @json_option
 def section(
     file: Path, energy: float | None, seeds: int, returns: int, ranges: tuple[str, ...], others: tuple[Path, ...],
-    out: Path, trust: bool, **shown: Any,
+    frequencies: float | None, out: Path, trust: bool, **shown: Any,
 ) -> None:  # fmt: skip
     """Draw the Poincare section of the system of a problem FILE or an ORBIT.json, at one energy where it has one.
 
@@ -66,6 +74,7 @@ def section(
       orbitfinder section orbits/lyapunov/orbit.json --plane y=0 --range x=0.5:0.9 --range xdot=-0.3:0.3
     """
     from orbitfinder.families.branches import Branch
+    from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.orbits.section import section as made
     from orbitfinder.records.section import save_section
     from orbitfinder.show.sections import draw_section
@@ -73,30 +82,51 @@ def section(
     origin, model = origin_of(file, trust)
     if isinstance(origin, Branch):  # pragma: no cover - origin_of asks for --switch before
         raise InputError(f"{file}: a family; give one point of it, {file}#0")
-    orbits, manifolds, connections = drawn(others, trust)
+    together = drawn(others, trust)
     folder = out / origin.name
     check_writable(folder)
     found = made(
         origin, energy, **chosen_plane(**shown), seeds=seeds, returns=returns, ranges=limits(ranges), model=model
     )
     interrupt.check()
-    orbits = [*([origin] if isinstance(origin, Orbit) and _level(found.energy, origin) else []), *orbits]
+    if isinstance(origin, Orbit) and _level(found.energy, origin):
+        together["orbits"].insert(0, origin)
+    together["tori"] = [one for one in together["tori"] if _level(found.energy, one)]
     written = [save_section(found, folder / "section.json")]
-    together: dict[str, Any] = {"orbits": orbits, "manifolds": manifolds, "connections": connections}
     model = model or getattr(origin, "model", None)
     written.append(draw_section(found, folder / "section.png", **together, model=model))
     regular, motions = int(found.regular.sum()), len(found.starts)
     level = f" at energy {found.energy:.10g}" if found.energy == found.energy else ""
     counts = f"{plural(found.returns, 'return')} of {plural(motions, 'motion')}"
     text(f"{written[0]}: {counts} to {found.plane}{level}, {regular} regular")
+    more = {} if frequencies is None else mapped(found, model or build_model(found.system), frequencies, written)
     finish("section", {
         "name": found.name, "plane": found.plane, "energy": found.energy, "returns": found.returns, "motions": motions,
-        "regular": regular, "written": [str(one) for one in written],
+        "regular": regular, "written": [str(one) for one in written], **more,
     })  # fmt: skip
 
 
-def _level(energy: float, orbit: Orbit) -> bool:
-    """Whether an orbit has the energy of a section, or there is none."""
+def mapped(found: Section, model: Model, duration: float, written: list[Path]) -> dict[str, Any]:
+    """The frequencies of a section's motions beside it: frequencies.csv and .png."""
+    import numpy as np
+
+    from orbitfinder.orbits.frequencies import frequency_map, frequency_table
+    from orbitfinder.records.reading import write_atomically
+    from orbitfinder.show.frequencies import draw_frequencies
+
+    made, folder = frequency_map(model, found.starts, duration), written[0].parent
+    table = folder / "frequencies.csv"
+    write_atomically(table, frequency_table(made, model).encode())
+    picture = draw_frequencies(made, model, folder / "frequencies.png", axes=found.axes, name=found.name)
+    written += [table, picture]
+    diffusion = made.diffusion
+    text(f"{table}: frequencies of {plural(len(found.starts), 'motion')}, diffusion from "
+         f"{np.nanmin(diffusion):.2g} to {np.nanmax(diffusion):.2g}")  # fmt: skip
+    return {"frequencies": made.frequencies.tolist(), "diffusion": diffusion.tolist()}
+
+
+def _level(energy: float, orbit: Orbit | Torus) -> bool:
+    """Whether an orbit or a torus has the energy of a section, or there is none."""
     return energy != energy or abs(energy - orbit.energy) <= 1e-9 * max(abs(energy), 1e-300)
 
 
@@ -114,21 +144,22 @@ def limits(given: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
     return found
 
 
-def drawn(files: tuple[Path, ...], trust: bool) -> tuple[list[Orbit], list[Any], list[Any]]:
-    """Orbits, manifolds and connections of files, by what each says that it is."""
-    from orbitfinder.records.manifold import CONNECTION, FORMAT, load_connection, load_manifold
-    from orbitfinder.records.reading import file_head
+def drawn(files: tuple[Path, ...], trust: bool) -> dict[str, list[Any]]:
+    """Orbits, manifolds, connections and tori of files, by what each says that it is."""
+    from orbitfinder.cli.torus import tori_of
+    from orbitfinder.records.manifold import load_connection, load_manifold
 
-    orbits, manifolds, connections = [], [], []
+    found: dict[str, list[Any]] = {"orbits": [], "manifolds": [], "connections": [], "tori": []}
     for file in files:
-        head = file_head(file, 200) if file.exists() else b""
-        if f'"{FORMAT}"'.encode() in head:
-            manifolds.append(load_manifold(file))
-        elif f'"{CONNECTION}"'.encode() in head:
-            connections.append(load_connection(file))
+        if (tori := tori_of(file)) is not None:
+            found["tori"] += tori.tori
+        elif file.exists() and kind_of(file) == "manifold":
+            found["manifolds"].append(load_manifold(file))
+        elif file.exists() and kind_of(file) == "connection":
+            found["connections"].append(load_connection(file))
         else:
-            orbits.append(named_orbits([file], trust)[0][1])
-    return orbits, manifolds, connections
+            found["orbits"].append(named_orbits([file], trust)[0][1])
+    return found
 
 
 @click.command()

@@ -24,7 +24,7 @@ from orbitfinder.cli.options import (
 from orbitfinder.cli.torus import tori_of
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Certificate, certificate_to_document
-from orbitfinder.records.store import member
+from orbitfinder.records.store import kind_of, member
 
 if TYPE_CHECKING:
     from orbitfinder.proof.branch import Branch
@@ -43,7 +43,7 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
     Another integrator, another formulation, nothing taken on trust. Exit code 0: every check of
     every file passed; 1: some failed, and are named. The equations of a system that a Python module
     of yours makes are that module's; it is run only with --trust. FILE#K is point K of a family.json,
-    counted from 0, or orbit K of an atlas; tori of a tori.json too.
+    counted from 0, or orbit K of an atlas; tori of a tori.json, a controller.json and a connection too.
 
     \b
     Examples:
@@ -61,15 +61,35 @@ def verify(files: tuple[Path, ...], proof: bool, trust: bool) -> None:
         if (found := tori_of(file)) is not None:
             results += verified_tori(file, found, trust)
             continue
-        orbit, certificate = verify_file(file, trust)
+        name, certificate = _certified(file, trust)
         interrupt.check()
-        results.append({"file": str(file), "name": orbit.name} | certificate_to_document(certificate))
-        _print_certificate(f"{file} ({orbit.name})", certificate)
+        results.append({"file": str(file), "name": name} | certificate_to_document(certificate))
+        _print_certificate(f"{file} ({name})", certificate)
         if proof:
             results[-1]["proof"] = verify_proof(file, trust)
             text(f"  {results[-1]['proof']['message']}")
     passed = all(result["passed"] and result.get("proof", result)["passed"] for result in results)
     finish("verify", {"passed": passed, "results": results}, passed)
+
+
+def _certified(file: Path, trust: bool) -> tuple[str, Certificate]:
+    """Name and recomputed certificate of an orbit, a controller or a connection."""
+    from orbitfinder.families.connections import certify_connection
+    from orbitfinder.mechanics.catalogue import build_model
+    from orbitfinder.orbits.feedback import certify_controller
+    from orbitfinder.records.controller import load_controller
+    from orbitfinder.records.manifold import load_connection
+
+    folder = file.parent.resolve() if trust else None
+    match kind_of(file) if file.is_file() else "":
+        case "controller":
+            held = load_controller(file)
+            return held.name, certify_controller(held, build_model(held.system, folder))
+        case "connection":
+            joined = load_connection(file)
+            return joined.name, certify_connection(joined, build_model(joined.system, folder))
+    orbit, certificate = verify_file(file, trust)
+    return orbit.name, certificate
 
 
 def verified_tori(file: Path, found: Tori, trust: bool) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ isola_centre        a fold's parameter is extremal: an isola shrinks to a point 
 strong_resonance    1:1 to 1:4, the critical multipliers of a torus or of a collision; a second one at +1 or -1
 fold_doubling       one multiplier at +1 and another at -1
 fold_torus, doubling_torus  one at +1 or -1 beside the pair of a torus
+degenerate_doubling the orbit of twice the period is born to the other side from there on: its family folds nearby
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from math import gcd
 import numpy as np
 
 from orbitfinder.families.critical import REAL, Critical, doubled, levelled, multipliers, nearest_pair, torus_pair
+from orbitfinder.families.doubling import bending, can_bend
 from orbitfinder.families.events import event_at
 from orbitfinder.families.passages import Measure, Test, located
 from orbitfinder.families.point import FamilySettings, parameter_value
@@ -35,6 +37,9 @@ def find_special(interval: Interval, settings: FamilySettings) -> list[Event]:
     found = [(sample, test) for test in _tests(interval) for sample in _zeros(interval, test.measure)]
     if _critical(interval).kind == "fold":
         found += _turns(interval)
+    if can_bend(interval.curve) and not (first := interval.first.about).conservative and first.root == 1:
+        test = Test("degenerate_doubling", "", lambda sample: bending(interval.curve, sample.found), 2, -1.0 + 0.0j)
+        found += [(sample, test) for sample in _zeros(interval, test.measure)]
     events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
     return sorted(events, key=lambda event: event.arclength)
 

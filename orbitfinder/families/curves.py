@@ -20,7 +20,7 @@ from orbitfinder.families.critical import Critical
 from orbitfinder.families.folder import Progress, follow_family
 from orbitfinder.families.point import FamilySettings, parameter_value, unknowns_of
 from orbitfinder.families.start import corrected, curve_at, curve_of
-from orbitfinder.loops.continued import Curve, Solution, at_place, scaled
+from orbitfinder.loops.continued import TESTED, Curve, Solution, at_place, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import pinned
 from orbitfinder.loops.symmetry import momenta_of
@@ -32,6 +32,9 @@ FOLLOWED = ("fold", "branch_point", "period_doubling", "torus", "collision", "re
 """Kinds of events that a curve in two parameters leads through"""
 LOST = 1e-6
 """A singular value of the equations below this, relative to the next, is a rank lost at a branch point."""
+
+UNMOVED = 1e-7
+"""Change of a test, in units of the metric, below which neither parameter moves the bifurcation: that of round-off"""
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,11 @@ def curve_start(
         raise InputError(
             f"event: the branch point {described(family, number)} lasts only while nothing disturbs it, and one of "
             f"{' and '.join(names)} does: folds leave from there; choose parameters that keep the symmetry"
+        )
+    if np.linalg.norm(scaled(curve, at_place(curve, place))[0][-1]) * TESTED < UNMOVED:
+        raise InputError(
+            f"parameters: the {described(family, number)} happens whatever {' and '.join(names)} are; give a "
+            f"parameter that moves it, as {family.parameter} does"
         )
     held = names[0] if names[0] != family.parameter else names[1]
     aim = pinned(curve.equations, held, parameter_value(curve, place, held))

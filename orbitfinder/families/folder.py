@@ -24,7 +24,7 @@ from orbitfinder.integrate.equations import prepare
 from orbitfinder.loops.continued import Curve
 from orbitfinder.loops.problem import Problem
 from orbitfinder.loops.symmetry import turned
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import REMADE, build_model
 from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.orbits.hybrid import HybridCheck
@@ -137,6 +137,8 @@ def _independent(curve: Curve, settings: FamilySettings) -> ClosureCheck | None:
     if model.hybrid is not None:
         return HybridCheck(model)
     prepare(model, EFFORT)
+    if curve.equations.physical and model.system.get("kind") not in REMADE:
+        prepare(model, EFFORT, curve.equations.physical)
     return ClosureCheck(model)
 
 

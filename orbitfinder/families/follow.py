@@ -32,6 +32,8 @@ SHORTEST_SEARCH = 1e-3
 """Steps longer than this are repeated at half their length when an event in them cannot be located."""
 PREDICTION = 3e-3
 """How far from the family, in its metric, the predicted orbit should be."""
+LONGER = 3.0
+"""Steps along a curve of bifurcations may be so many times longer: only its points of codimension two lie between"""
 REFINEMENTS = 2
 """How often the mesh of an orbit that does not close is made finer before its step is made shorter."""
 ECHO = 1e-2
@@ -97,10 +99,11 @@ def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     if curve.test is None and length > settings.narrowest * unit and avoided(sample, last):
         raise ConvergenceError("two families may avoid each other within one step")
     missed = distance(curve, guess.head, raw.place.head)
+    longest, bendable = _limits(run, turn, stretch)
     where: dict[str, Any] = {
         "index": before.point.index + 1,
         "arclength": before.point.arclength + run.direction * length,
-        "step": unit * _next_length(settings, length / unit, missed / unit, (turn, stretch)),
+        "step": unit * _next_length(longest, length / unit, missed / unit, bendable),
         "indices": last.indices,
     }
     if found is not raw:
@@ -131,15 +134,20 @@ def _checked_point(
     raise AssertionError("unreachable")
 
 
-def _next_length(settings: FamilySettings, length: float, missed: float, changes: tuple[float, float]) -> float:
+def _next_length(longest: float, length: float, missed: float, bendable: float) -> float:
     """Longer after a good prediction (its error goes with the third power), shorter after a bad one or large changes.
 
-    `changes` are the turn (rad) and the relative change of the period; all lengths are relative to the motion.
+    `bendable` times the length would be changed by as much as is allowed; all lengths are relative to the motion.
     """
     ease = float(np.clip((PREDICTION / max(missed, 1e-12)) ** (1 / 3), 0.5, 1.5))
-    limits = (0.4 * settings.sharpest_turn, 0.6 * settings.longest_stretch)
-    bendable = min(limit / max(change, 1e-9) for limit, change in zip(limits, changes, strict=True))
-    return float(min(settings.longest_step, length * min(ease, max(0.5, bendable))))
+    return float(min(longest, length * min(ease, max(0.5, bendable))))
+
+
+def _limits(run: Run, turn: float, stretch: float) -> tuple[float, float]:
+    """The longest step, and how many times this one may be by its changes: its turn (rad), the period's, relative."""
+    settings, along = run.settings, 1.0 if run.curve.test is None else LONGER
+    limits = (0.4 * settings.sharpest_turn / max(turn, 1e-9), 0.6 * settings.longest_stretch / max(stretch, 1e-9))
+    return along * settings.longest_step, min(limits)
 
 
 def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:

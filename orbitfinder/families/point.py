@@ -43,6 +43,7 @@ class FamilySettings:
     """both | forward (parameter increasing at the start) | backward | away (from where a branch was born)"""
     first_step: float = 0.02
     longest_step: float = 0.15
+    """along a curve of bifurcations three times as long"""
     shortest_step: float = 1e-7
     sharpest_turn: float = 0.3
     """rad between successive tangents; a sharper turn repeats the step at half its length"""

@@ -71,21 +71,21 @@ class Spectrum:
         if self.chain is not None:
             return self.chain.product.errors(np.full(len(self.chain.product.upper), max(self.chain.missed, ACCURACY)))
         missed = 0.0 if self.form is None else asymplectic(self.reduced, self.form, self.form)
-        left = np.sqrt(np.square(np.abs(np.linalg.inv(self.vectors))).sum(axis=1))
-        sizes = np.maximum(np.abs(self.values), np.finfo(float).tiny)  # resets make multipliers of 0
+        try:
+            left = np.abs(np.linalg.inv(self.vectors)).sum(axis=1)
+        except np.linalg.LinAlgError:  # as of several multipliers that resets have made 0
+            return np.ones(self.values.size)
         with np.errstate(over="ignore"):
-            return np.asarray(np.minimum(max(missed, ACCURACY) * np.linalg.norm(self.reduced) * left / sizes, 1.0))
+            sizes = np.maximum(np.abs(self.values), 1e-300)
+            return np.asarray(max(missed, ACCURACY) * np.linalg.norm(self.reduced) * left / sizes)
 
     @property
     def errors(self) -> np.ndarray:
-        """Estimated relative error of each multiplier."""
+        """Estimated relative error of each multiplier; 1 where nothing is known of it, as of one that is 0."""
         if not self.values.size:
             return np.zeros(0)
-        wanted = self.floquet.multipliers[:, None]
-        with np.errstate(over="ignore"):
-            away = np.abs(self.values**self.root - wanted) / np.maximum(np.abs(wanted), np.finfo(float).tiny)
-        order = away.argmin(axis=1)
-        return np.asarray(self.root * self.root_errors[order])
+        order = np.abs(self.values**self.root - self.floquet.multipliers[:, None]).argmin(axis=1)
+        return np.asarray(np.minimum(self.root * self.root_errors[order], 1.0))
 
     @cached_property
     def blur(self) -> float:
@@ -268,8 +268,10 @@ def _flow(curve: Curve, found: Solution) -> np.ndarray:
     """The field (d) at x(0). Raises `ConvergenceError` unless the orbit moves."""
     p, place = curve.equations, found.place
     flow = p.march.rates(place.nodes[:1], place.tail)[0]
-    moving = np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) > STILL
-    if not np.any(moving if p.model.forced else flow):
+    still = not np.any(flow)
+    if p.model.forced:  # what is driven may stand still at that moment, or be carried through one
+        still = bool(np.all(np.ptp(found.march.states, axis=0) * np.sqrt(curve.weights[: p.size]) <= STILL))
+    if still:
         raise ConvergenceError("the corrector found an equilibrium and no orbit")
     return np.asarray(flow)
 

@@ -17,13 +17,15 @@ from orbitfinder._runtime import limit
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, integrate_in, vector_field
 from orbitfinder.integrate.equations import accelerations
+from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.loops.loop import Equations
 from orbitfinder.loops.symmetry import NONE
-from orbitfinder.loops.torus import Aim, Ring, Turned, at_angles, coefficients, harmonics, least_squares, resampled
+from orbitfinder.loops.torus import Aim, Ring, Turned, at_angles, coefficients, harmonics, resampled
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import parameter_sizes
 from orbitfinder.orbits.closure import extents_of
+from orbitfinder.orbits.section import Surface
 from orbitfinder.records.orbit import Certificate, Check, Orbit
 from orbitfinder.records.torus import Tori, Torus
 
@@ -49,13 +51,15 @@ FLAT = 1e-6
 """The sine between curve and flow, and the size of the curve beside the orbit's, from which on a torus is one"""
 ARC = 128
 """States of a return that show where it goes"""
+SHOWN, CROSSINGS = 480, 8
+"""Motions by which a torus is drawn on a section, and crossings of each in a return at most"""
 OFF_MESH = 12
 SEED = 20
 LOW_ORDER = 12
 """A family that ends before a resonance of this order or less says so"""
 SHORTEST, LONGEST = 1e-3, 10.0
 """Steps along a family, in units of its metric"""
-QUICK, SLOW = 4, 7
+QUICK, SLOW = 5, 9
 """Iterations of Newton's method below which steps grow, above which they shrink"""
 
 
@@ -101,6 +105,7 @@ def torus(
     return certify_torus(last, _model(orbit, model)) if chosen.certify else last
 
 
+@one_thread()
 def follow_tori(
     origin: Orbit | Torus,
     *,
@@ -252,13 +257,26 @@ def filled(torus: Torus, model: Model, lines: int) -> np.ndarray:
     return np.concatenate([starts[:, None], path[1:].reshape(lines, ARC, -1)], axis=1)
 
 
+def crossed(torus: Torus, found: Surface) -> np.ndarray:
+    """Where a torus crosses a section: states (k x d), the crossings in one return of motions from all round its curve.
+
+    Raises `InputError` where it does not.
+    """
+    starts = at_angles(torus.curve, 2 * np.pi * np.arange(SHOWN) / SHOWN)
+    passing = found.motions.passing(found.plane, starts, CROSSINGS, longest=1.5 * torus.period)
+    states = passing.states[passing.times <= torus.period * (1 + INVARIANT)]
+    if not len(states):
+        raise InputError(f"plane: the torus does not cross {found.name}; choose another plane or direction")
+    return np.asarray(states)
+
+
 def _solved(ring: Ring, guess: Turned, direction: np.ndarray) -> _Place:
     """The torus in the plane through a guess across a direction (over the measured unknowns), and the tangent there."""
     metric, columns = ring.metric(guess), ring.columns(guess)
     row = metric * direction / np.sqrt(float(direction @ (metric * direction)))
     measured = np.divide(guess.vector, columns, out=np.zeros(columns.size), where=columns > 0)
-    w, _, count, matrix = ring.solved(guess, (Aim(row, measured, 0.0),))
-    tangent = least_squares(matrix, np.append(np.zeros(len(matrix) - 1), 1.0), np.where(columns > 0, 1.0, 0.0))
+    w, count, factors = ring.solved(guess, (Aim(row, measured, 0.0),))
+    tangent = factors.step(np.append(np.zeros(len(factors.matrix) - 1), 1.0))
     return _Place(ring, w, tangent / np.sqrt(float(tangent @ (metric * tangent))), count)
 
 
@@ -371,7 +389,7 @@ def _exactly(before: _Place, after: _Place, asked: str, value: float, most: int)
     first = before.w.on(len(after.w.curve)).vector
     start = after.w.moved((value - b) / (b - a) * (after.w.vector - first))
     ring = replace(after.ring, held=(*after.ring.held, (asked, value)))
-    w, _, count, _ = ring.solved(start, ())
+    w, count, _ = ring.solved(start, ())
     found = _Place(after.ring, w, after.tangent, count)
     if unresolved(w.curve / ring.units) > RESOLVED:
         raise ConvergenceError(f"the torus at {asked} {value:.9g} needs more than {len(w.curve)} of {most} states")

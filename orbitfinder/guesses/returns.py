@@ -113,13 +113,24 @@ def _returned(model: Model, state: np.ndarray, longest: float, often: float) -> 
         motion = simulate_dae(model, state, longest, count)
         times, states = motion.times, motion.states
     n, away = model.degrees_of_freedom, wrapped(states - states[0], model.angles)
-    clock = np.ptp(states[:, n:]) or 1.0
-    distance = np.maximum(np.abs(away[:, :n]).max(axis=1), np.abs(away[:, n:]).max(axis=1) / clock)
+    units = _units(model, states[:, :n])
+    rates = away[:, n:] / units
+    clock = np.ptp(states[:, n:] / units) or 1.0
+    distance = np.maximum(np.abs(away[:, :n] / units).max(axis=1), np.abs(rates).max(axis=1) / clock)
     near = NEAR_RETURN * float(distance.max())
     left = int(np.argmax(distance > near))
     lowest = (distance[1:-1] < near) & (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])
     back = [k for k in np.flatnonzero(lowest) + 1 if k > left]
     return float(times[back[0]]) if left and back else None
+
+
+def _units(model: Model, places: np.ndarray) -> np.ndarray:
+    """What coordinates (n) are measured in beside angles: slides in what they move while the angles move a radian."""
+    turning, extents = np.asarray(model.angular), np.ptp(places, axis=0)
+    if turning.all() or not turning.any():
+        return np.ones(extents.size)
+    slide = float(extents[~turning].max()) / (float(extents[turning].max()) or 1.0)
+    return np.where(turning, 1.0, slide or 1.0)
 
 
 def normal_mode_sum(

@@ -145,6 +145,12 @@ class Crossings:
             run.step(path)
         return run.passing()
 
+    def sampled(self, states: np.ndarray, step: float, count: int, *, tolerance: float = SEEN) -> np.ndarray:
+        """States (k x count + 1 x d) of motions at so many steps of time, the first included; nan from an end on."""
+        clock = Plane(-1, 0.0, 0, step)
+        later = self.passing(clock, states, count, longest=1.5 * step, tolerance=tolerance).states
+        return np.concatenate([np.asarray(states, float)[:, None], later], axis=1)
+
     def along(self, states: np.ndarray, moments: np.ndarray, *, tolerance: float = SEEN, sense: int = 1) -> np.ndarray:
         """States (k x m x d) of motions at the same increasing moments, the first of which is 0; nan from an end on."""
         found = np.full((len(states), moments.size, self.size), np.nan)
@@ -272,6 +278,7 @@ class _Run:
         """Times and states on the plane: Newton's method, kept within the step, on the step's length."""
         low, high, s, plane, i = np.zeros(h.size), h.copy(), h * 0.5, self.plane, self.plane.component
         below = plane.off(self._watched(t, x, x)[0], level)
+        room = ROOM * (h + (np.abs(t) if i < 0 else 0.0))  # time is known to its own round-off
         for _ in range(NEWTON):
             there, _, rates = self.of.stepped(t, x, self.sense * s)
             own, going = self._watched(t + self.sense * s, there, rates)
@@ -281,7 +288,7 @@ class _Run:
             with np.errstate(all="ignore"):
                 trial = s - off / (going * self.sense)
             trial = np.where((trial >= low) & (trial <= high), trial, 0.5 * (low + high))
-            if np.all(np.abs(trial - s) <= ROOM * h):
+            if np.all(np.abs(trial - s) <= room):
                 break
             s = trial
         if i >= 0 and not plane.cycle:

@@ -44,10 +44,11 @@ SECOND = ReferenceSettings(relative_tolerance=1e-12, absolute_tolerance=1e-13)
 FAILURES = {-2: "too many evaluations", -3: "the step size becomes too small", -4: "the equations are probably stiff"}
 
 
-def vector_field(function: ca.Function) -> VectorField:
-    """A NumPy callable f(t, y) around a CasADi function of (t, y), without per-call conversions.
+def vector_field(function: ca.Function, free: np.ndarray | None = None) -> VectorField:
+    """A NumPy callable f(t, y) around a CasADi function of (t, y), or of (t, y, free), without per-call conversions.
 
-    Its attribute `many(times, states)` evaluates a row of rates for each row of states in one call.
+    It reads `free` where that is whenever it is called. Its attribute `many(times, states)` evaluates a row of rates
+    for each row of states in one call.
     """
     size = function.size1_in(1)
     time, state, rate = np.zeros(1), np.zeros(size), np.zeros(function.size1_out(0))
@@ -57,6 +58,9 @@ def vector_field(function: ca.Function) -> VectorField:
     buffer, evaluate = dense.buffer()
     buffer.set_arg(0, memoryview(time))
     buffer.set_arg(1, memoryview(state))
+    given = [] if free is None else [free]
+    for one in given:
+        buffer.set_arg(2, memoryview(one))
     buffer.set_res(0, memoryview(rate))
 
     def call(t: float, y: np.ndarray) -> np.ndarray:
@@ -76,7 +80,7 @@ def vector_field(function: ca.Function) -> VectorField:
         clock = np.pad(times, (0, filled - len(times)), mode="edge")[:, None]
         padded = np.pad(states, ((0, filled - len(times)), (0, 0)), mode="edge")
         blocks = (slice(k, k + TOGETHER) for k in range(0, filled, TOGETHER))
-        return np.vstack([mapped[0](clock[block], padded[block])[0] for block in blocks])[: len(times)]
+        return np.vstack([mapped[0](clock[block], padded[block], *given)[0] for block in blocks])[: len(times)]
 
     call.keep = (dense, buffer)  # type: ignore[attr-defined]  # or both are freed under the evaluation
     call.memory = (time, state, rate, evaluate)  # type: ignore[attr-defined]

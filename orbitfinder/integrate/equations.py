@@ -25,9 +25,10 @@ _derived = Kept[Any](KEPT)
 T = TypeVar("T")
 
 
-def hamilton(model: Model) -> Canonical:
-    """Hamilton's equations of a Model with its parameter values."""
-    return _remembered(model, canonical)
+def hamilton(model: Model, free: tuple[str, ...] = ()) -> Canonical:
+    """Hamilton's equations of a Model with its parameter values, some of them left free (see `Coordinates`)."""
+    found: Canonical = _derived(_key(model, canonical, free), lambda: canonical(model, free))
+    return found
 
 
 def accelerations(model: Model) -> ca.Function:
@@ -84,9 +85,12 @@ def action_rate(model: Model) -> ca.Function:
     return _remembered(model, _action_rate)
 
 
-def prepare(model: Model, effort: float | None = None) -> None:
+def prepare(model: Model, effort: float | None = None, free: tuple[str, ...] = ()) -> None:
     """Have the equations of a Model compiled: many of its orbits are to be certified, in `effort` (s) or more."""
-    slow = hamilton(model)
+    slow = hamilton(model, free)
+    if free:  # only closures are looked at there
+        _derived[_key(model, canonical, free)] = replace(slow, field=compiled(slow.field, effort=effort))
+        return
     fast = replace(
         slow, field=compiled(slow.field, effort=effort), variational=compiled(slow.variational, effort=effort)
     )
@@ -150,10 +154,10 @@ def _rest(model: Model) -> Rest:
     return Rest(system.size, first, second, mass, system.potential)
 
 
-def _key(model: Model, derive: Callable[..., Any]) -> tuple[Any, ...]:
+def _key(model: Model, derive: Callable[..., Any], free: tuple[str, ...] = ()) -> tuple[Any, ...]:
     parts = (model.rates, model.acceleration, model.kinetic, model.potential, model.gyroscopic, model.forces,
              model.constraint, *(one.value for one in model.invariants))  # fmt: skip
-    return (derive, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
+    return (derive, free, len(model.state_names), model.parameter_values.tobytes(), *map(Same, parts))
 
 
 def _remembered(model: Model, derive: Callable[[Model], T]) -> T:

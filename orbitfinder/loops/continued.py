@@ -92,6 +92,8 @@ class Solution:
     residual: float
     stepped: float = 0.0
     """how far, in the family's metric, the place is from where `march` was made: Newton's last step"""
+    kept: dict[str, float] = field(default_factory=dict, compare=False, repr=False)
+    """numbers that were read off it and take long"""
 
 
 def make_curve(
@@ -269,9 +271,9 @@ class Border:
 
 def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
     """An orthonormal basis (k x whole), in units of the metric, of the kernel of all rows but the test and the aim."""
-    matrix, _ = _measured(curve, w, jacobian)
     if curve.degenerate:
-        return np.asarray(np.linalg.svd(matrix)[2][len(matrix) - 1 :])
+        return np.asarray(np.linalg.svd(_measured(curve, w, jacobian)[0])[2][len(jacobian) - 1 :])
+    matrix = jacobian * _columns(curve, w)  # what rows are measured in does not change their kernel
     return np.asarray(np.linalg.qr(matrix.T, mode="complete")[0][:, len(matrix) :].T)
 
 

@@ -22,6 +22,7 @@ from orbitfinder.mechanics.model import Model
 DEGREES = {"zero-order": 0, "linear": 1, "cubic": 3}
 SHAPES = (*DEGREES, "fourier")
 METHODS = ("shooting", "collocation")
+RESERVED = ("pi", "period")
 SAME = 1e-9
 """Phases that differ by less are one"""
 
@@ -84,9 +85,16 @@ class Control:
     method: str = "shooting"
     guess: Mapping[str, Any] = field(default_factory=dict)
     """where coefficients start, by control: as many as there are, or one for all; 0 without"""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    """named numbers that cost, end cost and tasks may mention, such as weights: {"weight": 0.1}"""
 
     def __post_init__(self) -> None:
         check_fields(self)
+        for name, value in self.numbers.items():
+            if not name.isidentifier() or name in RESERVED:
+                raise InputError(f"control.numbers: {name!r} cannot be a name; use letters, digits and _")
+            if isinstance(value, (bool, str)) or not np.isfinite(value):
+                raise InputError(f"control.numbers.{name}: must be a finite number, got {value!r}")
         for name, known in (("shape", SHAPES), ("method", METHODS)):
             if (given := getattr(self, name)) not in known:
                 raise InputError(f"control.{name}: unknown {given!r}{closest(given, known)}; use {', '.join(known)}")
@@ -210,6 +218,11 @@ def named(model: Model, x: Any, p: Any, period: Any = None) -> dict[str, Any]:
     return found if period is None else found | {"period": period}
 
 
-def stated(text: str, model: Model, x: Any, p: Any, where: str, period: Any = None) -> Any:
-    """An expression of a motion. Raises `InputError`."""
-    return expression(text, named(model, x, p, period), where)
+def stated(
+    text: str, model: Model, x: Any, p: Any, where: str, period: Any = None, numbers: Mapping[str, Any] | None = None
+) -> Any:
+    """An expression of a motion, which may name `numbers` as well. Raises `InputError`."""
+    known, more = named(model, x, p, period), numbers or {}
+    if taken := sorted(set(known) & set(more)):
+        raise InputError(f"control.numbers: {taken[0]!r} is a name of the system already; choose another")
+    return expression(text, known | dict(more), where)

@@ -67,6 +67,16 @@ class Arrangement:
     basis: Basis
     free: tuple[str, ...]
     steps: int
+    varied: tuple[str, ...] = ()
+    """of the control's numbers those that are unknowns: they follow the freed parameters wherever those are given"""
+
+    def numbers(self, free: Any) -> dict[str, Any]:
+        """The control's numbers, unknown ones from the end of `free`."""
+        return {**self.control.numbers, **{name: free[len(self.free) + k] for k, name in enumerate(self.varied)}}
+
+    def stated(self, text: str, x: Any, p: Any, where: str, free: Any, period: Any = None) -> Any:
+        """An expression of cost or tasks. Raises `InputError`."""
+        return stated(text, self.model, x, p, where, period, self.numbers(free))
 
     @property
     def size(self) -> int:
@@ -135,17 +145,28 @@ class Arrangement:
         model, basis = self.mode(arc), self.basis
         count = len(self.model.controls)
         moment, x, s = symbol("share"), symbol("x", self.size), symbol("s", 0 if basis.arcs else self._unfolding)
-        given = symbol("given", 2 + count * basis.local + len(self.free))
+        given = symbol("given", 2 + count * basis.local + len(self.free) + len(self.varied))
         local, free = given[2 : 2 + count * basis.local], given[2 + count * basis.local :]
         weights = ca.vertcat(*basis.values(moment, given[0] + moment * given[1]))
         u = [ca.dot(weights, local[i * basis.local : (i + 1) * basis.local]) for i in range(count)]
         names = (*self.free, *self.model.controls)
-        p = model.parameters(names, ca.vertcat(free, *u))
+        physical = ca.vertcat(free[: len(self.free), :], *u)
+        p = model.parameters(names, physical)
         unfolded = () if basis.arcs else self.symmetry.unfolded(model)
-        rate = vector_field(model, names, unfolded)(0.0, x, s, ca.vertcat(free, *u))
-        rates = [stated(self.control.cost, self.model, x, p, "control.cost")]
-        rates += [stated(one.expression, self.model, x, p, "task.expression") for one in self.means]
+        rate = vector_field(model, names, unfolded)(0.0, x, s, physical)
+        rates = [self.stated(self.control.cost, x, p, "control.cost", free)]
+        rates += [self.stated(one.expression, x, p, "task.expression", free) for one in self.means]
         return [moment, x, s, given], rate, p, rates
+
+    @property
+    def tail(self) -> int:
+        """How many freed parameters and unknown numbers there are."""
+        return len(self.free) + len(self.varied)
+
+    @property
+    def first_free(self) -> int:
+        """Where they begin among what is given of a segment."""
+        return 2 + len(self.model.controls) * self.basis.local
 
     @property
     def _unfolding(self) -> int:
@@ -193,16 +214,15 @@ class Arrangement:
     def watched(self, arc: int, tasks: Sequence[Task]) -> ca.Function:
         """(share, x, s, given, period) -> expressions of tasks (k) at a place of the motion."""
         inputs, _, p, _ = self.driven(arc, ca.SX.sym if self.mode(arc).scalar else ca.MX.sym)
-        period = type(inputs[1]).sym("period")
-        rows = [stated(one.expression, self.model, inputs[1], p, "task.expression", period) for one in tasks]
+        x, free, period = inputs[1], inputs[3][self.first_free :], type(inputs[1]).sym("period")
+        rows = [self.stated(one.expression, x, p, "task.expression", free, period) for one in tasks]
         return ca.Function("watched", [*inputs, period], [ca.densify(type(inputs[1])(ca.vertcat(*rows)))])
 
     def final(self) -> ca.Function:
         """(x(0), free, period) -> the cost that is no integral."""
-        x, free, period = ca.MX.sym("x", self.size), ca.MX.sym("free", len(self.free)), ca.MX.sym("period")
-        p = self.model.parameters(self.free, free)
-        text = self.control.final or "0"
-        return ca.Function("final", [x, free, period], [stated(text, self.model, x, p, "control.final", period)])
+        x, free, period = ca.MX.sym("x", self.size), ca.MX.sym("free", self.tail), ca.MX.sym("period")
+        p, text = self.model.parameters(self.free, free), self.control.final or "0"
+        return ca.Function("final", [x, free, period], [self.stated(text, x, p, "control.final", free, period)])
 
 
 def signs_of(model: Model, symmetry: Symmetry) -> tuple[int, ...]:
@@ -263,11 +283,14 @@ class Solution:
 
 
 class Program:
-    """The nonlinear program of a controlled motion at a given number of steps an interval."""
+    """The nonlinear program of a controlled motion at a given number of steps an interval.
 
-    def __init__(self, problem: Problem, control: Control, steps: int) -> None:
+    `varied` are numbers of the control that are unknowns too, the last of v.
+    """
+
+    def __init__(self, problem: Problem, control: Control, steps: int, varied: tuple[str, ...] = ()) -> None:
         self.problem, self.control = problem, control
-        self.parts = arranged(problem.model, problem.boundary, problem.free, control, steps)
+        self.parts = replace(arranged(problem.model, problem.boundary, problem.free, control, steps), varied=varied)
         self.equations = Equations(problem.model, problem.boundary, problem.free)
         assert self.equations.free == self.parts.free
         count = self.parts.basis.intervals
@@ -340,7 +363,7 @@ class Program:
     def solved(self, start: tuple[Unknowns, np.ndarray], tolerance: float) -> Solution:
         """The optimum that IPOPT finds from a start. Raises `ConvergenceError`."""
         guess, coefficients = start
-        stated = _stated(self, guess)
+        stated = stated_program(self, guess)
         begin = np.concatenate([self.vector(guess, coefficients), _first_points(guess, self.parts, self.points > 0)])
         found, stats = _ipopt({"x": stated.v, "f": stated.cost, "g": stated.rows}, begin, tolerance,
                               lbx=stated.lower, ubx=stated.upper, lbg=stated.low, ubg=stated.high)  # fmt: skip
@@ -352,7 +375,7 @@ class Program:
     def closed(self, solution: Solution) -> Solution:
         """A solution to the last digits of its equations, by Newton's least steps, far below IPOPT's tolerance."""
         w = solution.unknowns
-        stated = _stated(self, w)
+        stated = stated_program(self, w)
         at = _closed(stated, self.vector(w, solution.coefficients))
         return self._solution(w, at, solution.normals, solution.iterations)
 
@@ -442,7 +465,7 @@ def _bounds(program: Program, guess: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     return guess.joined(-nodes, times[0], -np.inf, lowest), guess.joined(nodes, times[1], np.inf, highest)
 
 
-def _coefficient_bounds(program: Program) -> tuple[np.ndarray, np.ndarray]:
+def coefficient_bounds(program: Program) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest of the free coefficients of all controls."""
     parts, low, high = program.parts, [], []
     for k, name in enumerate(parts.model.controls):
@@ -467,9 +490,12 @@ class Statement:
     lower: np.ndarray
     upper: np.ndarray
     normals: np.ndarray
+    tasks: np.ndarray
+    """of each row the number of the task that it belongs to; -1 of the loop's, -2 of limits kept by rows"""
 
 
-def _stated(program: Program, guess: Unknowns) -> Statement:
+def stated_program(program: Program, guess: Unknowns) -> Statement:
+    """The program in symbols, its phase that of a guess. Raises `InputError`."""
     parts, control = program.parts, program.control
     nodes, tail = guess.symbols()
     period, s, free = tail
@@ -477,28 +503,35 @@ def _stated(program: Program, guess: Unknowns) -> Statement:
     full = [ca.sparsify(ca.DM(one)) @ c for one, c in zip(program.shapes, own, strict=True)]
     count, points = parts.basis.intervals, program.points
     z = [ca.MX.sym("z", points) for _ in nodes]
-    given = [program.given(k, full, free) for k in range(count)]
+    numbers = ca.MX.sym("numbers", len(parts.varied))
+    more = ca.vertcat(free, numbers)
+    given = [program.given(k, full, more) for k in range(count)]
     durations = [parts.duration(k, period, free) for k in range(count)]
     paths, integrals, rows = _integrated(parts, control.method, nodes, durations, s, given, z)
     loop = program.loop(guess)
     closing = loop.stated(nodes, period, free, [path[:, -1] for path in paths])
-    ranges = [(closing, 0.0, 0.0), (rows, 0.0, 0.0)]
+    ranges, whose, tasks = [(closing, 0.0, 0.0), (rows, 0.0, 0.0)], [-1, -1], list(control.tasks)
     for k, one in parts.moments:
         ranges.append((parts.watched(parts.arc(k), (one,))(0.0, nodes[k], s, given[k], period), one.low, one.high))
+        whose.append(tasks.index(one))
     for k, one in enumerate(parts.means):
         ranges.append((integrals[1 + k] / period / parts.symmetry.fraction, one.low, one.high))
+        whose.append(tasks.index(one))
     for k, one in enumerate(parts.always):
         ranges.append((_everywhere(parts, k, nodes, paths, s, given, period), one.low, one.high))
+        whose.append(tasks.index(one) if one in tasks else -2)
     cost = integrals[0] / parts.symmetry.fraction / (period if control.average else 1.0)
     first, last = _bounds(program, guess)
-    c_low, c_high = _coefficient_bounds(program)
-    infinite = np.full(points * count, np.inf)
+    c_low, c_high = coefficient_bounds(program)
+    labels = np.concatenate([np.full(row.numel(), one) for (row, _, _), one in zip(ranges, whose, strict=True)])
+    infinite, more_free = np.full(points * count, np.inf), np.full(len(parts.varied), np.inf)
     return Statement(
-        ca.vertcat(*nodes, *tail, *own, *z), cost + parts.final()(nodes[0], free, period),
+        ca.vertcat(*nodes, *tail, *own, *z, numbers), cost + parts.final()(nodes[0], more, period),
         ca.vertcat(*(row for row, _, _ in ranges)),
         np.concatenate([np.full(row.numel(), low) for row, low, _ in ranges]),
         np.concatenate([np.full(row.numel(), high) for row, _, high in ranges]),
-        np.concatenate([first, c_low, -infinite]), np.concatenate([last, c_high, infinite]), loop.normals,
+        np.concatenate([first, c_low, -infinite, -more_free]), np.concatenate([last, c_high, infinite, more_free]),
+        loop.normals, labels,
     )  # fmt: skip
 
 

@@ -16,8 +16,10 @@ the restricted three-body problem", Advances in the Astronautical Sciences 145 (
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 import scipy.linalg
@@ -26,10 +28,15 @@ from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.loop import Equations, Unknowns
 
-NEWTON = 12
-"""Iterations at most"""
+T = TypeVar("T")
+STEPS = 16
+"""Steps of Newton's method at most"""
+CONTRACTION = 0.1
+"""A step that reduces the rows by less asks for a new Jacobian"""
 CONVERGED = 3e-13
 """Largest row, in units of the motion, at which a torus is solved"""
+ROUGH = 1e-10
+"""Rows below this that a fresh Jacobian does not reduce are round-off"""
 CONFIRMED = 1e-12
 """What arcs by twice the steps may end apart, in units of the motion"""
 DETERMINED = 1e-11
@@ -62,10 +69,11 @@ def resampled(curve: np.ndarray, count: int) -> np.ndarray:
 
 
 def turning(count: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """R (N x N), which turns a curve's states by an angle, and dR/d(angle)."""
-    waves, places = harmonics(count), 2 * np.pi * np.arange(count) / count
-    one, back = np.exp(1j * np.outer(places + angle, waves)), np.exp(-1j * np.outer(waves, places)) / count
-    return (one @ back).real, (one * (1j * waves) @ back).real
+    """R (N x N), which turns a curve's states by an angle, and dR/d(angle); both circulant."""
+    waves = harmonics(count)
+    kernel = np.exp(1j * waves * angle)
+    turn, slope = (np.fft.ifft(np.fft.ifftshift(one)).real for one in (kernel, 1j * waves * kernel))
+    return scipy.linalg.circulant(turn), scipy.linalg.circulant(slope)
 
 
 @dataclass(frozen=True)
@@ -204,30 +212,35 @@ class Ring:
         values, _, _ = p.quantities_at(Unknowns(w.curve[:1], w.period, np.zeros(0), w.free, np.zeros(2)))
         return float(values[p.energy])
 
-    def solved(self, w: Turned, aims: tuple[Aim, ...]) -> tuple[Turned, float, int, np.ndarray]:
-        """The torus near w, its largest row, the iterations that it took, and the last Jacobian.
+    def solved(self, w: Turned, aims: tuple[Aim, ...]) -> tuple[Turned, int, Factored]:
+        """The torus near w, the steps that it took, and the last factors: Newton's method, a Jacobian kept as long as
+        it contracts.
 
         Raises `ConvergenceError`, also where the unknowns are not determined: a resonance, or a curve that is an orbit.
         """
-        reference, size, best = w, np.inf, np.inf
-        for k in range(NEWTON):
-            path = self._varied(w)
-            rows = self.rows(w, reference, path.ends, aims)
+        reference, best, factors, fresh = w, np.inf, None, False
+        for k in range(STEPS):
+            rows = self.rows(w, reference, self._marched(w, self.equations.march.ends), aims)
             size = float(np.abs(rows).max())
-            matrix = self.jacobian(w, reference, path, aims)
-            if size <= CONVERGED or (size < 1e-10 and size > 0.3 * best):
-                return w, size, k, matrix
             if not np.isfinite(size) or size > 1e3 * max(best, CONVERGED):
                 break
+            done = size <= CONVERGED or (fresh and size < ROUGH and size > CONTRACTION * best)
+            if factors is None or (not done and size > CONTRACTION * best):
+                path = self._marched(w, self.equations.march.varied)
+                factors, fresh = Factored(self.jacobian(w, reference, path, aims), self.columns(w)), True
+            else:
+                fresh = False
+            if done:
+                return w, k, factors
             best = min(best, size)
-            w = w.moved(least_squares(matrix, -rows, self.columns(w)))
-        raise ConvergenceError(f"no torus found near (rows of {size:.2g} after {NEWTON} iterations)")
+            w = w.moved(factors.step(-rows) * self.columns(w))
+        raise ConvergenceError(f"no torus found near (rows of {size:.2g} after {k + 1} iterations)")
 
-    def _varied(self, w: Turned) -> Varied:
+    def _marched(self, w: Turned, march: Callable[[np.ndarray, np.ndarray, np.ndarray], T]) -> T:
         if not (np.isfinite(w.vector).all() and w.period > 0):
             raise ConvergenceError("no torus found near: the iteration leaves all numbers")
         try:
-            return self.equations.march.varied(w.curve, self.mesh(len(w.curve)), self.tail(w))
+            return march(w.curve, self.mesh(len(w.curve)), self.tail(w))
         except IntegrationError as error:
             raise ConvergenceError(f"no torus found near: {error}") from error
 
@@ -242,16 +255,31 @@ class Ring:
         raise ConvergenceError(f"the motion on this torus needs more than {MOST_STEPS} steps a return")
 
 
-def least_squares(matrix: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """The step (in its own units) that solves the measured rows best; `ConvergenceError` where there are several."""
-    known = columns > 0
-    factor, triangle = scipy.linalg.qr(matrix[:, known], mode="economic", overwrite_a=True, check_finite=False)
-    sizes = np.abs(np.diag(triangle))
-    if not sizes.min() > DETERMINED * sizes.max():
-        raise ConvergenceError(
-            "a torus is not determined there: its rotation number is resonant, or its curve is that of an orbit"
-        )
-    found = scipy.linalg.solve_triangular(triangle, factor.T @ rows, check_finite=False)
-    step = np.zeros(columns.size)
-    step[known] = found * columns[known]
-    return step
+class Factored:
+    """The triangle R of a Jacobian's QR (its Q is never made), which solves measured rows best for any rows.
+
+    x = R^-1 R^-T A^T b and one correction: A. Bjorck, Linear Algebra and its Applications 88/89 (1987) 31-48. Raises
+    `ConvergenceError` where there are several solutions.
+    """
+
+    def __init__(self, matrix: np.ndarray, columns: np.ndarray) -> None:
+        self.known = columns > 0
+        self.matrix = matrix[:, self.known]
+        (self.triangle,) = scipy.linalg.qr(self.matrix, mode="r", check_finite=False)
+        self.triangle = self.triangle[: self.matrix.shape[1]]
+        sizes = np.abs(np.diag(self.triangle))
+        if not sizes.min() > DETERMINED * sizes.max():
+            raise ConvergenceError(
+                "a torus is not determined there: its rotation number is resonant, or its curve is that of an orbit"
+            )
+
+    def step(self, rows: np.ndarray) -> np.ndarray:
+        """The measured step for measured rows, 0 for a time that is given."""
+        found = self._solved(rows)
+        step = np.zeros(self.known.size)
+        step[self.known] = found + self._solved(rows - self.matrix @ found)
+        return step
+
+    def _solved(self, rows: np.ndarray) -> np.ndarray:
+        half = scipy.linalg.solve_triangular(self.triangle, self.matrix.T @ rows, trans="T", check_finite=False)
+        return np.asarray(scipy.linalg.solve_triangular(self.triangle, half, check_finite=False))

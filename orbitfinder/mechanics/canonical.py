@@ -28,7 +28,8 @@ class Coordinates:
     """Energies and constraints in k coordinates q, the parameters' values put in.
 
     `kinetic(q, v)`, `potential(q)`, `constraint(q)` = phi (m); `chosen` (2k) picks (q, v) out of a state (2n) of the
-    model, to which `lift(q, v)` leads back where it is another.
+    model, to which `lift(q, v)` leads back where it is another. Where parameters were left free, each is a function of
+    their values (one column) besides, the last of its arguments; so are those of `Canonical`.
     """
 
     kinetic: ca.Function
@@ -60,25 +61,31 @@ class Canonical:
     tangent: ca.Function
 
 
-def coordinates(model: Model) -> Coordinates:
+def coordinates(model: Model, free: tuple[str, ...] = ()) -> Coordinates:
     """A Model described in its link angles where it has them under constraints, else in its own coordinates."""
-    n, values, constraint = model.degrees_of_freedom, model.parameters(), model.constraint
+    n, constraint = model.degrees_of_freedom, model.constraint
     lift = None if constraint is None else constraint.lift
     size = n if lift is None else n // 3
     symbol = _symbol(model, size)
-    q, v = symbol("q", size), symbol("v", size)
+    q, v, (values, given) = symbol("q", size), symbol("v", size), _parameters(model, free, symbol)
     state = ca.vertcat(q, v) if lift is None else lift(q, v, values)
     place, rate = state[:n], state[n:]
     # the joints of an open chain hold identically in the angles; only the rows after them are left
     rows = type(q)(0, 1) if constraint is None else constraint.phi(place, values)[0 if lift is None else 2 * size :]
     kept = np.arange(n) if lift is None else np.arange(2, n, 3)
     return Coordinates(
-        kinetic=ca.Function("kinetic", [q, v], [model.kinetic(place, rate, values)]),
-        potential=ca.Function("potential", [q], [model.potential(place, values)]),
-        constraint=ca.Function("constraint", [q], [rows]),
+        kinetic=ca.Function("kinetic", [q, v, *given], [model.kinetic(place, rate, values)]),
+        potential=ca.Function("potential", [q, *given], [model.potential(place, values)]),
+        constraint=ca.Function("constraint", [q, *given], [rows]),
         chosen=np.concatenate([kept, kept + n]),
-        lift=None if lift is None else ca.Function("lift", [q, v], [state]),
+        lift=None if lift is None else ca.Function("lift", [q, v, *given], [state]),
     )
+
+
+def _parameters(model: Model, free: tuple[str, ...], symbol: Any) -> tuple[Any, list[Any]]:
+    """The parameters with some left free, and what functions of those are given besides: one column, or nothing."""
+    chosen = symbol("free", len(free))
+    return (model.parameters(free, chosen), [chosen]) if free else (model.parameters(), [])
 
 
 def _symbol(model: Model, size: int) -> Any:
@@ -87,40 +94,42 @@ def _symbol(model: Model, size: int) -> Any:
     return ca.SX.sym if scalar else ca.MX.sym
 
 
-def canonical(model: Model) -> Canonical:
+def canonical(model: Model, free: tuple[str, ...] = ()) -> Canonical:
     """Hamilton's equations from L = T + G - V (G linear in v) through the Legendre transform.
 
     v = M(q)^-1 (momentum - dT/dv at v = 0), dH/dp = v, -dH/dq = dL/dq(q, v) at that v.
     """
     if model.rates is not None:
-        return _first_order(model)
-    system, values = coordinates(model), model.parameters()
+        return _first_order(model, free)
+    system = coordinates(model, free)
     k, symbol = system.size, _symbol(model, system.size)
+    values, given = _parameters(model, free, symbol)
     t, q, v, y = symbol("t"), symbol("q", k), symbol("v", k), symbol("y", 2 * k)
-    kinetic, potential, phi = system.kinetic(q, v), system.potential(q), system.constraint(q)
+    kinetic, potential, phi = system.kinetic(q, v, *given), system.potential(q, *given), system.constraint(q, *given)
     if model.gyroscopic is not None:
         kinetic += model.gyroscopic(q, v, values)
     momentum = ca.gradient(kinetic, v)
-    legendre = ca.Function("legendre", [q, v], [momentum, ca.jacobian(momentum, v)])
-    offset, matrix = legendre(y[:k], type(y)(ca.DM.zeros(k)))
+    legendre = ca.Function("legendre", [q, v, *given], [momentum, ca.jacobian(momentum, v)])
+    offset, matrix = legendre(y[:k], type(y)(ca.DM.zeros(k)), *given)
     if symbol is ca.SX.sym:
         velocity = solve_positive_definite(matrix, y[k:] - offset)
     else:
         velocity = ca.solve(matrix, y[k:] - offset, "ldl")
     pushed = None if model.forces is None else model.forces(t, q, v, values)
     slope = ca.gradient(kinetic - potential, q) + _reaction(kinetic, potential, phi, q, v, pushed)
-    force = ca.Function("slope", [t, q, v], [slope if pushed is None else slope + pushed])(t, y[:k], velocity)
+    whole = slope if pushed is None else slope + pushed
+    force = ca.Function("slope", [t, q, v, *given], [whole])(t, y[:k], velocity, *given)
     rate = ca.vertcat(velocity, force)
     lower = ca.horzcat(ca.jacobian(momentum, q), ca.jacobian(momentum, v))
     upper = ca.horzcat(type(y).eye(k), type(y)(k, k))
-    level = ca.Function("level", [q, v], [ca.vertcat(phi, ca.jtimes(phi, q, v))])(y[:k], velocity)
+    level = ca.Function("level", [q, v, *given], [ca.vertcat(phi, ca.jtimes(phi, q, v))])(y[:k], velocity, *given)
     return Canonical(
         coordinates=system,
-        field=ca.Function("canonical_field", [t, y], [rate]),
-        variational=_variational(t, y, rate, ca.dot(y[k:], rate[:k])),
-        momentum=ca.Function("momentum", [q, v], [momentum]),
-        lift=ca.Function("lift", [q, v], [ca.densify(ca.vertcat(upper, lower))]),
-        tangent=ca.Function("tangent", [y], [ca.densify(ca.jacobian(level, y))]),
+        field=ca.Function("canonical_field", [t, y, *given], [rate]),
+        variational=_variational(t, y, rate, ca.dot(y[k:], rate[:k]), given),
+        momentum=ca.Function("momentum", [q, v, *given], [momentum]),
+        lift=ca.Function("lift", [q, v, *given], [ca.densify(ca.vertcat(upper, lower))]),
+        tangent=ca.Function("tangent", [y, *given], [ca.densify(ca.jacobian(level, y))]),
     )
 
 
@@ -135,26 +144,27 @@ def _reaction(kinetic: Any, potential: Any, phi: Any, q: Any, v: Any, forces: An
     return jacobian.T @ solve_positive_definite(jacobian @ weighted, right)
 
 
-def _first_order(model: Model) -> Canonical:
+def _first_order(model: Model, free: tuple[str, ...]) -> Canonical:
     """The rates of a first-order Model and nothing else: its state is where it is."""
-    n, values, symbol = model.degrees_of_freedom, model.parameters(), ca.SX.sym if model.scalar else ca.MX.sym
-    t, x, v = symbol("t"), symbol("x", n), symbol("v", 0)
+    n, symbol = model.degrees_of_freedom, ca.SX.sym if model.scalar else ca.MX.sym
+    t, x, v, (values, given) = symbol("t"), symbol("x", n), symbol("v", 0), _parameters(model, free, symbol)
     rate, nothing = model.rates(t, x, values), type(x)(0, 1)  # type: ignore[misc]
     system = Coordinates(
-        ca.Function("kinetic", [x, v], [type(x)(0)]), ca.Function("potential", [x], [model.potential(x, values)]),
-        ca.Function("constraint", [x], [nothing]), np.arange(n),
+        ca.Function("kinetic", [x, v, *given], [type(x)(0)]),
+        ca.Function("potential", [x, *given], [model.potential(x, values)]),
+        ca.Function("constraint", [x, *given], [nothing]), np.arange(n),
     )  # fmt: skip
     return Canonical(
         coordinates=system,
-        field=ca.Function("rates", [t, x], [rate]),
-        variational=_variational(t, x, rate, model.action_rate(t, x, values)),
-        momentum=ca.Function("momentum", [x, v], [nothing]),
-        lift=ca.Function("lift", [x, v], [ca.densify(type(x).eye(n))]),
-        tangent=ca.Function("tangent", [x], [type(x)(0, n)]),
+        field=ca.Function("rates", [t, x, *given], [rate]),
+        variational=_variational(t, x, rate, model.action_rate(t, x, values), given),
+        momentum=ca.Function("momentum", [x, v, *given], [nothing]),
+        lift=ca.Function("lift", [x, v, *given], [ca.densify(type(x).eye(n))]),
+        tangent=ca.Function("tangent", [x, *given], [type(x)(0, n)]),
     )
 
 
-def _variational(t: Any, y: Any, rate: Any, action: Any) -> ca.Function:
+def _variational(t: Any, y: Any, rate: Any, action: Any, given: list[Any]) -> ca.Function:
     """z' for z = (y, vec Y, S) from y'(t, y) and S'(t, y)."""
     size, scalar = y.numel(), isinstance(y, ca.SX)
     columns = type(y).sym("Y", size, size)
@@ -165,6 +175,6 @@ def _variational(t: Any, y: Any, rate: Any, action: Any) -> ca.Function:
         inputs = ca.vertcat(y, ca.vec(columns), ca.SX.sym("S"))
     else:  # MX functions take pure symbols only
         inputs = ca.MX.sym("z", size + size**2 + 1)
-        inner = ca.Function("inner", [t, y, columns], [variation])
-        variation = inner(t, inputs[:size], ca.reshape(inputs[size:-1], size, size))
-    return ca.Function("canonical_variational", [t, inputs], [variation])
+        inner = ca.Function("inner", [t, y, columns, *given], [variation])
+        variation = inner(t, inputs[:size], ca.reshape(inputs[size:-1], size, size), *given)
+    return ca.Function("canonical_variational", [t, inputs, *given], [variation])

@@ -12,12 +12,18 @@ from orbitfinder.mechanics.machines import compass, level_ground
 from orbitfinder.mechanics.model import Model
 
 
-def driven_oscillator(stiffness: float = 1.0, damping: float = 0.0, mass: float = 1.0) -> Model:
-    """mass x'' + damping x' + stiffness x = force: a mass on a spring, pushed by the control `force` (N)."""
-    made = ingredients(1, {"mass": mass}, {"stiffness": stiffness, "damping": damping}, controls=("force",))
+def driven_oscillator(
+    stiffness: float = 1.0, damping: float = 0.0, mass: float = 1.0, cubic: float = 0.0
+) -> Model:  # fmt: skip
+    """mass x'' + damping x' + stiffness x + cubic x^3 = force: a mass on a spring that hardens (cubic > 0) or softens,
+    pushed by the control `force` (N)."""
+    made = ingredients(
+        1, {"mass": mass}, {"stiffness": stiffness, "damping": damping, "cubic": cubic}, controls=("force",)
+    )  # fmt: skip
     push = made["force"] - made["damping"] * made.v
+    stored = made["stiffness"] * made.q**2 / 2 + made["cubic"] * made.q**4 / 4
     return made.model(
-        "driven_oscillator", made["mass"] * made.v**2 / 2, made["stiffness"] * made.q**2 / 2, forces=push, names=["x"],
+        "driven_oscillator", made["mass"] * made.v**2 / 2, stored, forces=push, names=["x"],
         points=ca.horzcat(ca.SX.zeros(2), ca.vertcat(0, made.q)), controls=["force"],
     )  # fmt: skip
 

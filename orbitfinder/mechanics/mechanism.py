@@ -699,7 +699,7 @@ def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
         mass = numbers(f"{where}.mass", f"{name}_mass", table.get("mass", 0.0))
         if numbers.value(mass) <= 0:
             raise InputError(
-                f"{where}.mass: must be positive, got {table.get('mass', 0.0)!r}; give the body {name!r} a mass, or "
+                f"{where}.mass: must be positive, got {numbers.value(mass)!r}; give the body {name!r} a mass, or "
                 "draw a bar without one as a joint of kind 'rod'"
             )
         com = _vector(numbers, f"{where}.com", f"{name}_com", table.get("com", [0.0] * made.dimension), made.dimension)

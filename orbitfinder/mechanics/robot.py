@@ -112,10 +112,33 @@ def _numbers(path: Path, data: bytes) -> _Read:
     """A file's bodies and joints; `InputError` for what is no robot."""
     text = data[:4096].lower()
     if b"<robot" in text:
-        return _urdf(path, data)
+        return _checked(_urdf(path, data))
     if b"<mujoco" in text:
-        return _mjcf(path, data)
+        return _checked(_mjcf(path, data))
     raise InputError(f"file: {path.name} is no robot; give a URDF (<robot ...>) or an MJCF file (<mujoco ...>)")
+
+
+def _checked(made: _Read) -> _Read:
+    """What was read; `InputError` for numbers that are none, and for names that are one once they are identifiers."""
+    for kind, names in (("link", made.bodies), ("joint", made.joints)):
+        whose = dict[str, str]()
+        for name in names:
+            if (other := whose.setdefault(_word(name), name)) != name:
+                raise InputError(
+                    f"file: {kind}s {other!r} and {name!r} are both {_word(name)!r} where names are letters, digits "
+                    "and _; rename one"
+                )
+    for name, body in made.bodies.items():
+        if not np.all(np.isfinite([body.mass, *body.com, *body.inertia.ravel()])):
+            raise InputError(f"file: link {name!r} has a mass, place or inertia that is no finite number; correct it")
+        if body.mass < 0:
+            raise InputError(f"file: link {name!r} has the mass {body.mass:g} kg; give one that is not negative")
+    for name, joint in made.joints.items():
+        if not np.all(np.isfinite([*joint.place, *joint.turn.ravel(), *joint.axis, joint.damping, joint.limit])):
+            raise InputError(
+                f"file: joint {name!r} has an origin, axis, damping or effort that is no finite number; correct it"
+            )
+    return made
 
 
 def _urdf(path: Path, data: bytes) -> _Read:
@@ -128,7 +151,8 @@ def _urdf(path: Path, data: bytes) -> _Read:
             found = URDF.from_xml_string(data)
             root = found.get_root()
     except Exception as error:
-        raise InputError(f"file: {path.name} is no URDF that can be read ({type(error).__name__}: {error})") from error
+        said = " ".join(str(error).split())
+        raise InputError(f"file: {path.name} is no URDF that can be read ({type(error).__name__}: {said})") from error
     bodies = {}
     for link in found.links:
         body = bodies[link.name] = _Body()
@@ -190,7 +214,8 @@ def _mjcf(path: Path, data: bytes) -> _Read:
                 else mujoco.MjModel.from_xml_string(data.decode())
             )
     except Exception as error:
-        raise InputError(f"file: {path.name} is no MJCF that can be read ({error})") from error
+        said = " ".join(str(error).split())
+        raise InputError(f"file: {path.name} is no MJCF that can be read ({said})") from error
     names = [_word(one.body(k).name or f"body{k}") for k in range(one.nbody)]
     bodies, joints = {names[0]: _Body()}, dict[str, _Joint]()
     kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",

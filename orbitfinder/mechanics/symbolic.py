@@ -44,6 +44,7 @@ def from_sympy(
         raise InputError("method: SymPy is not installed; pip install 'orbitfinder[robot]'") from error
     if not isinstance(method, (KanesMethod, LagrangesMethod)):
         raise InputError(f"method: {type(method).__name__}; give a sympy LagrangesMethod or KanesMethod")
+    _check_values(values)
     coordinates, speeds = list(method.q), list(method.u)
     if len(speeds) != len(coordinates) or len(getattr(method, "coneqs", ())):
         raise InputError("method: has constraints, which are not read from SymPy; see of.constrained")
@@ -55,16 +56,32 @@ def from_sympy(
     else:
         level = method._L[0] if potential is None else method._L[0] - sympy.sympify(potential)
     energy = reader(level)
+    forces = _beyond(method, energy, reader, [str(one) for one in controls])
+    if forcing_period is None and reader.timed:
+        raise InputError("forcing_period: the equations depend on time; give the period of what drives them, in s")
     symbols = Symbols(
         reader.q, reader.v, reader.p if reader.names else None, tuple(reader.names), tuple(reader.values),
         time=None if forcing_period is None else reader.t, forcing_period=forcing_period,
     )  # fmt: skip
     turning = [True] * len(coordinates) if angles is True else [one in list(angles or []) for one in coordinates]
     return lagrange(
-        energy, ca.SX(0), symbols, forces=_beyond(method, energy, reader),
+        energy, ca.SX(0), symbols, forces=forces,
         names=[one.func.__name__ for one in coordinates], angles=turning,
         points=None if points is None else reader(sympy.Matrix(points)), controls=[str(one) for one in controls],
     )  # fmt: skip
+
+
+def _check_values(values: Any) -> None:
+    """`InputError` unless these are finite numbers by symbol."""
+    if not isinstance(values, Mapping):
+        raise InputError(f"values: must be numbers by symbol, got {values!r}; give such as {{m: 1.0}}")
+    for symbol, value in values.items():
+        try:
+            finite = bool(np.isfinite(float(value)))
+        except (TypeError, ValueError):
+            finite = False
+        if not finite:
+            raise InputError(f"values.{symbol}: must be a finite number, got {value!r}; give one")
 
 
 def _speeds(method: Any, speeds: list[Any], rates: list[Any]) -> dict[Any, Any]:
@@ -87,7 +104,7 @@ def _of_bodies(method: Any, potential: Any) -> Any:
     return kinetic - (sum(one.potential_energy for one in method.bodies) if potential is None else potential)
 
 
-def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader) -> ca.SX | None:
+def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader, controls: Sequence[str]) -> ca.SX | None:
     """The generalized forces (n) that SymPy's equations M q'' = f hold beyond those of a Lagrangian; None without any.
 
     Raises `InputError` where the two mass matrices differ: the energies are not those of the equations.
@@ -96,7 +113,7 @@ def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader) -> ca.SX | None:
         method.form_lagranges_equations()
     matrix, forcing = reader(method.mass_matrix), reader(method.forcing)
     own, bias = mass_matrix_and_bias(lagrangian, ca.SX(0), reader.q, reader.v)
-    rest = forcing + bias
+    rest, drive = _driven(forcing + bias, reader, controls)
     tried = ca.Function("tried", [reader.t, reader.q, reader.v, reader.p], [matrix, matrix - own, forcing, rest])
     random, there, worst = np.random.default_rng(0), False, 0.0
     for _ in range(TRIALS):
@@ -110,7 +127,19 @@ def _beyond(method: Any, lagrangian: ca.SX, reader: _Reader) -> ca.SX | None:
             f"method: its mass matrix differs from that of its energies by {worst:.2g} of it; are bodies missing, or "
             "does the Lagrangian belong to another system?"
         )
-    return ca.simplify(rest) if there else None
+    if not there:
+        return drive if drive.nnz() else None
+    return ca.simplify(rest) + drive
+
+
+def _driven(rest: ca.SX, reader: _Reader, controls: Sequence[str]) -> tuple[ca.SX, ca.SX]:
+    """Forces (n) without the controls, and what those add where they do so linearly, as torques do; none otherwise."""
+    held = [k for k, name in enumerate(reader.names) if name in controls]
+    u, own = reader.p[held], ca.DM([reader.values[k] for k in held])
+    slope = ca.simplify(ca.jacobian(rest, u))
+    if not held or ca.depends_on(slope, u):
+        return rest, ca.SX(*rest.shape)
+    return ca.substitute(rest, u, own), slope @ (u - own)
 
 
 class _Reader:
@@ -125,6 +154,8 @@ class _Reader:
         count = len(coordinates)
         self.t, self.q, self.v = ca.SX.sym("t"), ca.SX.sym("q", count), ca.SX.sym("v", count)
         self.p = ca.SX.sym("p", len(self.names))
+        self.timed = False
+        """whether anything read so far depends on time"""
         self.renamed: dict[Any, Any] = {}
         """speeds as rates"""
         self.plain = [sympy.Dummy(f"q{k}") for k in range(count)], [sympy.Dummy(f"v{k}") for k in range(count)]
@@ -138,6 +169,7 @@ class _Reader:
     def __call__(self, expression: Any) -> ca.SX:
         """The same in CasADi; `InputError` for symbols without a value."""
         flat = self.flat(expression)
+        self.timed |= self.clock in flat.free_symbols
         own = {str(one): one for one in flat.free_symbols if one not in (*self.plain[0], *self.plain[1], self.clock)}
         left = flat.atoms(self.sympy.Derivative, self.sympy.core.function.AppliedUndef)
         for name in [*own, *map(str, left)]:

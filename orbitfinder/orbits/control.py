@@ -27,7 +27,7 @@ from scipy.optimize import lsq_linear
 
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.dop853 import SECOND, TIGHTEST, ReferenceSettings, integrate
-from orbitfinder.loops.control import Basis, Control, Task, stated
+from orbitfinder.loops.control import Basis, Control, Task
 from orbitfinder.loops.controlled import Arrangement, Program, Solution, arranged, optimum
 from orbitfinder.loops.ipopt import SolveSettings
 from orbitfinder.loops.problem import Problem
@@ -124,6 +124,7 @@ def recorded(
     values = dict(zip(program.parts.free, map(float, w.free), strict=True))
     model = with_parameters(problem.model, values)
     entry = _entry(problem, program, solution, values)
+    entry |= {"numbers": dict(problem.control.numbers)} if problem.control.numbers else {}
     turns = np.asarray(problem.turns, int)
     found = gather_controlled(model, w.nodes[0], w.period, turns, entry, problem.symmetry, problem.relative)
     entry |= {"cost": found.cost, "multipliers": dict(found.multipliers), "costate": [float(x) for x in found.costate]}
@@ -167,7 +168,7 @@ def control_of(entry: Mapping[str, Any]) -> Control:
         tasks = tuple(Task(**one) for one in entry["tasks"])
         return Control(
             entry["cost_of"], entry["shape"], int(entry["intervals"]), int(entry["harmonics"]), bool(entry["average"]),
-            str(entry["final"]), tasks, entry["method"],
+            str(entry["final"]), tasks, entry["method"], numbers=dict(entry.get("numbers", {})),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"control: malformed entry ({error}); run the problem again") from error
@@ -303,8 +304,8 @@ class _Motion:
                       ca.SX.sym("free", len(parts.free)))  # fmt: skip
         p = model.parameters((*parts.free, *parts.model.controls), ca.vertcat(free, u))
         rate = model.rate(0.0, x, p)
-        cost = stated(parts.control.cost, parts.model, x, p, "control.cost")
-        costs = ca.vertcat(cost, *(stated(one.expression, parts.model, x, p, "task.expression") for one in parts.means))
+        cost = parts.stated(parts.control.cost, x, p, "control.cost", free)
+        costs = ca.vertcat(cost, *(parts.stated(one.expression, x, p, "task.expression", free) for one in parts.means))
         outputs = (rate, costs, ca.jacobian(rate, u), ca.jacobian(costs, u))
         return ca.Function("pointwise", [x, u, free], [ca.densify(one) for one in outputs])
 

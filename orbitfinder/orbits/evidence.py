@@ -36,7 +36,7 @@ from orbitfinder.integrate.dop853 import (
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
 from orbitfinder.loops.symmetry import symplectic
-from orbitfinder.mechanics.catalogue import with_parameters
+from orbitfinder.mechanics.catalogue import REMADE, with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
@@ -85,17 +85,30 @@ class Motion:
 
 
 class Hamiltonian:
-    """Hamilton's equations of a Model in y = (q, p) (m numbers), under constraints in as few as it offers."""
+    """Hamilton's equations of a Model in y = (q, p) (m numbers), under constraints in as few as it offers.
 
-    def __init__(self, model: Model) -> None:
-        self.model, self.equations = model, hamilton(model)
+    Parameters left `free` have the values that were `put` last; only motions are looked at then.
+    """
+
+    def __init__(self, model: Model, free: tuple[str, ...] = ()) -> None:
+        self.model, self.equations, self.free = model, hamilton(model, free), free
         self.coordinates = self.equations.coordinates
-        self.field = vector_field(self.equations.field)
+        self._values = model.parameter_values[[model.parameter_index(name) for name in free]].copy()
+        self._given = [self._values] if free else []
+        self.field = vector_field(self.equations.field, *self._given)
+
+    def put(self, values: np.ndarray) -> None:
+        """Give the free parameters (k) these values."""
+        self._values[:] = values
 
     def start(self, state: np.ndarray) -> np.ndarray:
         """(q, momentum) of a state (2n) of the model."""
         q, v = self._halves(state)
-        return np.concatenate([q, self.equations.momentum(q, v).full().ravel()])
+        return np.concatenate([q, self.equations.momentum(q, v, *self._given).full().ravel()])
+
+    def masses(self, state: np.ndarray) -> np.ndarray:
+        """Diagonal (m / 2) of the mass matrix at (q, v) or (q, momentum)."""
+        return masses_of(lambda q, v: self.coordinates.kinetic(q, v, *self._given), state)
 
     def _halves(self, state: np.ndarray) -> list[np.ndarray]:
         """q and v, empty of a first-order system, of a state of the model."""
@@ -107,7 +120,9 @@ class Hamiltonian:
             return path
         places, lift = path[:, : self.coordinates.size], self.coordinates.lift
         rates = self.field.many(np.zeros(len(path)), path)[:, : self.coordinates.size]  # type: ignore[attr-defined]
-        return np.hstack([places, rates]) if lift is None else lift.map(len(path))(places.T, rates.T).full().T
+        if lift is None:
+            return np.hstack([places, rates])
+        return np.asarray(lift.map(len(path))(places.T, rates.T, *(one[:, None] for one in self._given)).full().T)
 
     def frame(self, state: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Gradients of the invariants, symmetry directions (the flow first) and gradients of the constraints at y."""
@@ -144,7 +159,7 @@ def canonical_motion(
     equations = Hamiltonian(model)
     chosen, start = equations.coordinates.chosen, equations.start(state)
     first_order = model.rates is not None
-    masses = np.zeros(0) if first_order else masses_of(equations.coordinates.kinetic, state[chosen])
+    masses = np.zeros(0) if first_order else equations.masses(state[chosen])
     units = units_of(equations.field, start, masses, period, model.angular)
     path = integrate_in(units, equations.field, start, moments, settings, period / STEPS_PER_PERIOD)
     half = start.size // 2
@@ -455,15 +470,23 @@ class ClosureCheck:
         now: float = 0.0,
     ) -> np.ndarray:
         """(q, v) after a time from `now`, by steps no longer than a share of it, in powers of 256 near the `units`."""
-        if self._at != dict(free or {}):
-            self._at = dict(free or {})
-            self._equations = Hamiltonian(with_parameters(self._model, self._at))
+        self._put(free or {})
         start, span = self._equations.start(state), np.array([now, now + duration])
         sizes = snapped(np.broadcast_to(units, state.shape)[self._equations.coordinates.chosen])
         if np.all(sizes == 1.0):
             path = integrate(self._equations.field, start, span, CHECKED, longest * duration)
         else:
             if self._model.rates is None:
-                sizes[start.size // 2 :] *= snapped(masses_of(self._equations.coordinates.kinetic, start))
+                sizes[start.size // 2 :] *= snapped(self._equations.masses(start))
             path = integrate_in(sizes, self._equations.field, start, span, CHECKED, longest * duration)
         return np.asarray(self._equations.states(path[-1:])[0])
+
+    def _put(self, free: Mapping[str, float]) -> None:
+        """Take these values of freed parameters; chains and linkages are made anew with them."""
+        if self._model.system.get("kind") in REMADE:
+            if self._at != dict(free):
+                self._at, self._equations = dict(free), Hamiltonian(with_parameters(self._model, free))
+            return
+        if self._equations.free != tuple(free):
+            self._equations = Hamiltonian(self._model, tuple(free))
+        self._equations.put(np.array(list(free.values())))

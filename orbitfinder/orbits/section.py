@@ -161,6 +161,18 @@ def surface(
     return Surface(model, found, _axes(model, found, axes), dict(levels or {}))
 
 
+def named_surface(
+    model: Model, plane: str, axes: Sequence[str], *, levels: Mapping[str, float] | None = None,
+    state: np.ndarray | None = None,
+) -> Surface:  # fmt: skip
+    """The section that a record names in words, its `plane`, as `Surface.name` gives them."""
+    if model.forced or model.hybrid is not None:
+        return surface(model, None, axes, levels=levels)
+    where, _, side = plane.partition(",")
+    direction = {"growing": 1, "falling": -1}.get(side.strip(), 0)
+    return surface(model, where, axes, direction, levels=levels, state=state)
+
+
 def _plane(model: Model, plane: str | None, direction: int, state: np.ndarray | None) -> Plane:
     """The plane of a text, or the one that fits. Raises `InputError`."""
     if model.hybrid is not None:

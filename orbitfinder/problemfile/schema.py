@@ -552,6 +552,9 @@ class ControlTable(Table):
     guess: dict[str, float | list[float]] = Field(
         {}, description="where coefficients start, by control, one number or all of them; 0 when left out"
     )
+    numbers: dict[str, float] = Field(
+        {}, description="named numbers that cost and tasks may mention, such as { weight = 0.1 }"
+    )
     task: list[TaskTable] = Field([], description="what the motion must do, each as [[control.task]]")
 
 
@@ -582,7 +585,7 @@ class ProblemTable(Table):
         return self
 
 
-PYDANTIC = re.compile(r"(constrained-|function-|list\[).*|float|int|bool|str")
+PYDANTIC = re.compile(r"(constrained-|function-|list\[|dict\[).*|float|int|bool|str")
 """What pydantic puts into the place of a fault where a value may be of several kinds."""
 
 

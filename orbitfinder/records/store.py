@@ -9,18 +9,19 @@ from typing import Any
 
 from orbitfinder.errors import InputError
 from orbitfinder.records.family import load_family
+from orbitfinder.records.optima import load_optima
 from orbitfinder.records.orbit import AGAIN, Orbit, orbit_in, read_orbit
 from orbitfinder.records.reading import file_head, json_file
 
 DATABASES = (".sqlite", ".sqlite3", ".db")
-OURS = re.compile(rb'\s*(?:(\[)|\{[^\[{]*?"format"\s*:\s*"orbitfinder/(orbit|family|tori)")')
+KINDS = "orbit|family|tori|optima|section|manifold|connection|controller"
+OURS = re.compile(rb'\s*(?:(\[)|\{[^\[{]*?"format"\s*:\s*"orbitfinder/(' + KINDS.encode() + rb')")')
 HEAD = 400
 """Bytes of a file in which its format is said"""
 
 
 def kind_of(file: Path) -> str:
-    """What a file holds, by its name and its first bytes: orbit | family | tori |
-    export (of an atlas) | atlas, or nothing."""
+    """What a file holds, by its name and its first bytes: one of `KINDS`, export (of an atlas), atlas, or nothing."""
     if file.suffix in DATABASES:
         return "atlas"
     found = OURS.match(file_head(file, HEAD))
@@ -55,6 +56,9 @@ def load_orbit(path: str | Path) -> Orbit:
     if kind == "family":
         point: Orbit = _chosen(load_family(file).points, number, path)
         return point
+    if kind == "optima":
+        optimum: Orbit = _chosen(load_optima(file).points, number, path)
+        return optimum
     if kind == "export":
         return orbit_in(_chosen(json_file(file, "atlas export", AGAIN), number, path), str(path))
     if kind == "atlas":

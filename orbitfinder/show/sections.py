@@ -11,12 +11,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from orbitfinder.errors import InputError
+from orbitfinder.families.tori import crossed
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, wrapped
-from orbitfinder.orbits.section import Surface, pierced, surface
+from orbitfinder.orbits.section import named_surface, pierced
 from orbitfinder.records.manifold import Connection, Manifold, reach
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.section import Section
+from orbitfinder.records.torus import Torus
 from orbitfinder.show.plot import axis
 from orbitfinder.show.style import dress, new_figure, save_png
 from orbitfinder.show.svg import COLOURS
@@ -36,14 +38,15 @@ def draw_section(
     orbits: Sequence[Orbit] = (),
     manifolds: Sequence[Manifold] = (),
     connections: Sequence[Connection] = (),
+    tori: Sequence[Torus] = (),
     model: Model | None = None,
 ) -> Path:
-    """Draw a section as PNG, with the crossings of orbits, the curves of manifolds and the points of connections in it.
+    """Draw a section as PNG, with the crossings of orbits and tori, the curves of manifolds, the points of connections.
 
     Regular motions are coloured, each with a colour of its own, chaotic ones grey. Without a section the plane is that
     of the first manifold or connection. Raises `InputError` where they lie on different planes.
     """
-    return save_png(section_figure(section, orbits, manifolds, connections, model), Path(path))
+    return save_png(section_figure(section, orbits, manifolds, connections, tori, model), Path(path))
 
 
 def section_figure(
@@ -51,6 +54,7 @@ def section_figure(
     orbits: Sequence[Orbit] = (),
     manifolds: Sequence[Manifold] = (),
     connections: Sequence[Connection] = (),
+    tori: Sequence[Torus] = (),
     model: Model | None = None,
 ) -> Figure:
     """The figure that `draw_section` writes."""
@@ -76,8 +80,14 @@ def section_figure(
     for one in connections:
         axes.plot(*one.states[:, [across, up]].T, "x", color="black", markersize=4, markeredgewidth=0.8)
         axes.plot(one.state[across], one.state[up], "D", color="black", markersize=5, label=f"{one.kind} point")
+    for k, torus in enumerate(tori):
+        found = named_surface(model, first.plane, first.axes)
+        points = wrapped(crossed(torus, found), model.angular)
+        axes.plot(points[:, across], points[:, up], ".", color="black", markersize=1.4, label="" if k else "torus")
     for orbit in orbits:
-        points = wrapped(pierced(_surface(first, orbit, model), orbit).states, model.angular)
+        points = wrapped(
+            pierced(named_surface(model, first.plane, first.axes, state=orbit.state), orbit).states, model.angular
+        )
         axes.plot(points[:, across], points[:, up], "o", color="white", markeredgecolor="black", markersize=6.5,
                   label=f"{orbit.name}: {orbit.stability}", zorder=5)  # fmt: skip
     _limits(axes, model, first.axes, section, manifolds, connections)
@@ -131,15 +141,6 @@ def _limits(
     room = 0.06 * (high - low) + 1e-12 * np.abs(high)
     axes.set_xlim(low[0] - room[0], high[0] + room[0])
     axes.set_ylim(low[1] - room[1], high[1] + room[1])
-
-
-def _surface(first: Section | Manifold | Connection, orbit: Orbit, model: Model) -> Surface:
-    """The plane that a record names, for another orbit."""
-    if model.forced or model.hybrid is not None:
-        return surface(model, None, first.axes)
-    where, _, side = first.plane.partition(",")
-    direction = {"growing": 1, "falling": -1}.get(side.strip(), 0)
-    return surface(model, where, first.axes, direction, state=orbit.state)
 
 
 def _label(model: Model, i: int) -> str:

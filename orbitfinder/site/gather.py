@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.orbits.certify import certify
 from orbitfinder.records.family import FORMAT as FAMILY
 from orbitfinder.records.family import Family, load_family
+from orbitfinder.records.manifold import Connection, Manifold, load_connection, load_manifold
 from orbitfinder.records.orbit import (
     AGAIN,
     certificate_to_document,
@@ -29,11 +30,18 @@ from orbitfinder.records.orbit import (
 )
 from orbitfinder.records.orbit import FORMAT as ORBIT
 from orbitfinder.records.reading import json_file
+from orbitfinder.records.section import Section, load_section
 from orbitfinder.records.store import DATABASES, kind_of, member
+from orbitfinder.records.torus import Tori, load_tori
 
 MOST_ITEMS = 500
 """Orbits of an atlas that are shown, evenly chosen in order of energy."""
-NAMES = ("orbit.json", "family.json")
+NAMES = ("orbit.json", "family.json", "section.json")
+Laid = Manifold | Connection | Tori
+LAID: Mapping[str, Callable[[Path], Laid]] = {
+    "manifold": load_manifold, "connection": load_connection, "tori": load_tori,
+}  # fmt: skip
+"""What is drawn in a section's page, by its format"""
 
 
 @dataclass(frozen=True)
@@ -47,11 +55,13 @@ class OrbitFile:
 
 @dataclass(frozen=True)
 class AtlasFile:
-    """An atlas: how many orbits it holds, and those to be shown with their numbers in order of energy."""
+    """An atlas: how many orbits it holds, and those to be shown in order of energy, each with its K of FILE#K."""
 
     name: str
     total: int
     orbits: tuple[tuple[int, OrbitFile], ...]
+    file: str = ""
+    """its file's name, for commands"""
 
 
 @dataclass
@@ -61,6 +71,9 @@ class Gathered:
     orbits: list[OrbitFile] = field(default_factory=list)
     families: list[Family] = field(default_factory=list)
     atlases: list[AtlasFile] = field(default_factory=list)
+    sections: list[Section] = field(default_factory=list)
+    laid: list[Laid] = field(default_factory=list)
+    """what is drawn in sections of its system"""
 
 
 def evenly(count: int, most: int) -> list[int]:
@@ -123,6 +136,12 @@ def _take(file: Path, found: Gathered) -> None:
     if file.suffix in DATABASES:
         found.atlases.append(_from_database(file))
         return
+    if (kind := kind_of(file)) == "section":
+        found.sections.append(load_section(file))
+        return
+    if kind in LAID:
+        found.laid.append(LAID[kind](file))
+        return
     document = json_file(file, "result file", AGAIN)
     if isinstance(document, list):
         found.atlases.append(_from_export(document, file))
@@ -158,9 +177,10 @@ def _orbit(document: Any, where: str) -> OrbitFile:
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
     """The atlas of a JSON list of orbit documents."""
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    orbits.sort(key=lambda one: _order(one.document["energy"] or 0.0, float(one.document["period"])))
-    chosen = tuple((k + 1, orbits[k]) for k in evenly(len(orbits), MOST_ITEMS))
-    return AtlasFile(file.stem, len(orbits), chosen)
+    ordered = sorted(
+        enumerate(orbits), key=lambda one: _order(one[1].document["energy"] or 0.0, float(one[1].document["period"]))
+    )
+    return AtlasFile(file.stem, len(orbits), tuple(ordered[k] for k in evenly(len(orbits), MOST_ITEMS)), file.name)
 
 
 def _order(energy: float, period: float) -> tuple[float, float]:
@@ -174,9 +194,9 @@ def _from_database(file: Path) -> AtlasFile:
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:
         rows = sorted(atlas.rows(), key=lambda row: _order(row.energy, row.period))
-        chosen = [(k + 1, rows[k].id) for k in evenly(len(rows), MOST_ITEMS)]
-        orbits = tuple((k, _orbit(atlas.document(number), f"{file}: orbit {number}")) for k, number in chosen)
-    return AtlasFile(file.stem, len(rows), orbits)
+        chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
+        orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
+    return AtlasFile(file.stem, len(rows), orbits, file.name)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,41 @@
+"""Pictures of families of optima: what they cost along their parameter."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from orbitfinder.records.optima import Optima
+from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import COLOURS
+
+MARKS = {"fold": ("D", "turning point"), "active": ("^", "constraint becomes active"),
+         "inactive": ("v", "constraint is let go"), "least": ("o", "least cost"), "largest": ("s", "largest cost"),
+         "costless": ("*", "no control needed"), "branch": ("x", "other optima branch off")}  # fmt: skip
+
+
+def save_optima_figure(optima: Optima, folder: str | Path) -> Path:
+    """Write `optima.png`; returns its path."""
+    return save_png(optima_figure(optima), Path(folder) / "optima.png")
+
+
+def optima_figure(optima: Optima) -> Figure:
+    """Cost against the parameter: solid where it is a local least, dashed where some direction lowers it; turning
+    points, changes of the active constraints and extremes marked."""
+    figure = new_figure(8.0, 5.2, optima.name, f"least cost along {optima.parameter}; {optima.end}")
+    axes, values, costs = figure.subplots(), optima.values, optima.costs
+    for (k, first), (m, second) in pairwise(enumerate(optima.descents)):
+        least = first == 0 or second == 0  # a turning point itself is the end of both
+        axes.plot(values[[k, m]], costs[[k, m]], "-" if least else "--", color=COLOURS[0], linewidth=1.4)
+    axes.plot(values, costs, ".", color=COLOURS[0], markersize=4)
+    for kind, (mark, words) in MARKS.items():
+        own = [one for one in optima.changes if one.kind == kind]
+        if own:
+            axes.plot([one.value for one in own], [one.cost for one in own], mark, color=COLOURS[1], label=words,
+                      markersize=8)  # fmt: skip
+    if optima.changes:
+        axes.legend(loc="best", frameon=False, fontsize=9)
+    dress(axes, optima.parameter, "cost")
+    return figure

@@ -1,0 +1,170 @@
+"""The page of a Poincare section: its points, what else lies in it, and the motions that a click shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError, OrbitfinderError, plural
+from orbitfinder.families.tori import crossed
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.model import Model, positions, wrapped
+from orbitfinder.orbits.section import Surface, named_surface, pierced
+from orbitfinder.records.manifold import Connection, Manifold
+from orbitfinder.records.orbit import Orbit, orbit_in
+from orbitfinder.records.section import Section
+from orbitfinder.records.torus import Torus
+from orbitfinder.site.gather import Gathered, evenly
+from orbitfinder.site.motion import Motion, packed
+from orbitfinder.site.text import coordinate, mechanism, number
+
+MOST_MOTIONS, MOST_POINTS = 150, 6000
+"""Motions that can be picked, and points that are drawn of all of them"""
+RETURNS, SAMPLES = 6, 480
+"""Returns of a motion that are shown, and samples of them"""
+LEVEL = 1e-9
+"""Energies nearer than this, relative, are one"""
+
+
+def section_values(section: Section, data: dict[str, Any]) -> dict[str, Any]:
+    """What the template of a section page is filled with."""
+    drawn = sum(len(one["x"]) for one in data["items"])
+    level = f", energy {number(section.energy, 10)}" if np.isfinite(section.energy) else ""
+    motions = [one for one in data["items"] if one["kind"] != "orbit"]
+    regular = sum(one["kind"] == "regular" for one in motions)
+    told = f"{plural(len(motions), 'motion')}, {regular} of them regular"
+    if not np.isfinite(section.growth).any():
+        told = plural(len(motions), "motion")
+    more = "" if drawn >= section.returns else f" The plot shows {drawn} of {section.returns} returns."
+    tori = sum(one["kind"] == "torus" for one in data["curves"])
+    laid = [one["name"] for one in data["curves"] if one["kind"] != "torus"]
+    laid += [f"{tori} invariant tori" if tori > 1 else "an invariant torus"] if tori else []
+    return {"summary": f"{mechanism(section.system)}: {section.plane}{level}", "told": f"{told}.{more}",
+            "laid": laid}  # fmt: skip
+
+
+def section_data(section: Section, found: Gathered) -> dict[str, Any]:
+    """What the script of a section page works with: `items` to pick (motions and orbits), `curves` beside them."""
+    try:
+        model: Model | None = build_model(section.system)
+    except OrbitfinderError:
+        model = None
+    items, curves = _motions(section, model), list[dict[str, Any]]()
+    if model is not None:
+        surface = named_surface(model, section.plane, section.axes)
+        items += _orbits(section, model, found)
+        curves = [one for laid in found.laid for one in _laid(laid, section, surface) if _belongs(laid, section)]
+    return {"name": section.name, "axes": [coordinate(one) for one in section.axes], "items": items, "curves": curves,
+            "told": bool(np.isfinite(section.growth).any())}  # fmt: skip
+
+
+def _belongs(one: Any, section: Section) -> bool:
+    """Whether a record is of a section's system, and of its energy where it has one itself."""
+    energy = getattr(one, "energy", float("nan"))
+    level = energy == energy and section.energy == section.energy
+    near = not level or abs(energy - section.energy) <= LEVEL * max(abs(energy), 1e-300)
+    return dict(one.system) == dict(section.system) and near
+
+
+def _motions(section: Section, model: Model | None) -> list[dict[str, Any]]:
+    """The motions of a section with their points (the first of each), evenly chosen where there are many."""
+    chosen = evenly(len(section.starts), MOST_MOTIONS)
+    most, regular, told = max(1, MOST_POINTS // len(chosen)), section.regular, np.isfinite(section.growth).any()
+    moving = _paths(section, model, chosen)
+    found = []
+    for k, motion in zip(chosen, moving, strict=True):
+        points = section.points[section.seeds == k]
+        kind = "motion" if not told else "regular" if regular[k] else "chaotic"
+        found.append(
+            {"kind": kind, "name": f"motion {k + 1}", "x": _short(points[:most, 0]), "y": _short(points[:most, 1]),
+             "motion": motion, "facts": [["Motion", f"{k + 1} of {len(section.starts)}"], ["Kind", kind],
+                                         ["Returns", str(len(points))],
+                                         ["Neighbours part by", number(float(section.growth[k]), 3) if told else ""]]}
+        )  # fmt: skip
+    return found
+
+
+def _paths(section: Section, model: Model | None, chosen: Sequence[int]) -> list[dict[str, Any] | None]:
+    """The first returns of motions for the page, None of what cannot be integrated."""
+    if model is None or model.hybrid is not None:
+        return [None] * len(chosen)
+    ends = [section.times[section.seeds == k][:RETURNS] for k in chosen]
+    span = float(np.median([one[-1] for one in ends if len(one)]))
+    motions = named_surface(model, section.plane, section.axes).motions
+    paths = motions.sampled(section.starts[list(chosen)], span / SAMPLES, SAMPLES)
+    return [_packed(model, path, span) for path in paths]
+
+
+def _packed(model: Model, path: np.ndarray, span: float) -> dict[str, Any] | None:
+    """A motion that does not close, as a page's Motion that jumps back at its end."""
+    if not np.isfinite(path).all():
+        return None
+    n, times = model.degrees_of_freedom, np.linspace(0.0, span, len(path))
+    if model.points is not None:
+        points, drawn = positions(model, path), "mechanism"
+    else:
+        points, drawn = np.stack([-path[:, min(1, path.shape[1] - 1)], path[:, 0]], axis=1)[:, :, None], "plane"
+    motion = Motion(span, times, path, model.state_names, model.angles or (False,) * n, points[:-1], drawn,
+                    strokes=model.strokes)  # fmt: skip
+    return packed(motion) | {"jumps": [0, len(points) - 2]}  # neither drawn to its start nor from it
+
+
+def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, Any]]:
+    """The orbits of the section's system and energy, as items: their crossings and their motion."""
+    items = []
+    for file in found.orbits:
+        orbit = orbit_in(file.document, str(file.document["name"]))
+        if not _belongs(orbit, section):
+            continue
+        surface = named_surface(model, section.plane, section.axes, state=orbit.state)
+        try:
+            points = surface.chart(pierced(surface, orbit).states)
+        except InputError:
+            continue
+        facts = [["Orbit", orbit.name], ["Stability", orbit.stability], ["Period", f"{number(orbit.period, 10)} s"]]
+        items.append({"kind": "orbit", "name": orbit.name, "x": _short(points[:, 0]), "y": _short(points[:, 1]),
+                      "motion": _closed(model, orbit, surface), "facts": facts})  # fmt: skip
+    return items
+
+
+def _closed(model: Model, orbit: Orbit, surface: Surface) -> dict[str, Any] | None:
+    if model.hybrid is not None:
+        return None
+    path = surface.motions.sampled(orbit.state[None], orbit.period / SAMPLES, SAMPLES)[0]
+    return _packed(model, path, orbit.period)
+
+
+def _laid(one: Manifold | Connection | Any, section: Section, surface: Surface) -> list[dict[str, Any]]:
+    """Manifolds, connections and tori as curves and points; `InputError` for those of another plane."""
+    if hasattr(one, "tori"):
+        level = [torus for torus in one.tori if _same_level(torus, section)]
+        return [_curve("torus", f"torus {number(torus.rotation, 6)}", surface.chart(crossed(torus, surface)))
+                for torus in level]  # fmt: skip
+    if (one.plane.split(",")[0], tuple(one.axes)) != (section.plane.split(",")[0], tuple(section.axes)):
+        raise InputError(
+            f"{one.name}: lies on {one.plane} with axes {', '.join(one.axes)}, the section on {section.plane} with "
+            f"{', '.join(section.axes)}; make both with one plane and axes"
+        )
+    if isinstance(one, Connection):
+        return [_curve("connection", f"{one.kind} {one.name}", surface.chart(one.states))]
+    angular = surface.model.angular
+    pieces = [wrapped(curve, angular)[:, list(surface.axes)] for curve in one.curves]
+    gap = np.full((1, 2), np.nan)
+    return [_curve(one.which, f"{one.name}, {one.which} manifold", np.vstack([np.vstack([c, gap]) for c in pieces]))]
+
+
+def _same_level(torus: Torus, section: Section) -> bool:
+    if not (np.isfinite(torus.energy) and np.isfinite(section.energy)):
+        return True
+    return abs(torus.energy - section.energy) <= LEVEL * max(abs(section.energy), 1e-300)
+
+
+def _curve(kind: str, name: str, points: np.ndarray) -> dict[str, Any]:
+    return {"kind": kind, "name": name, "x": _short(points[:, 0]), "y": _short(points[:, 1])}
+
+
+def _short(values: np.ndarray) -> list[float | None]:
+    """Numbers for a plot, None for nan."""
+    return [float(f"{one:.6g}") if np.isfinite(one) else None for one in values.tolist()]

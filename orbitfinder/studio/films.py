@@ -1,0 +1,56 @@
+"""What the stage of the studio shows: poses and motions as the players of pages take them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.site.motion import Motion, in_plane, packed
+
+FRAMES = 40
+"""Samples of a simulated motion a second"""
+MOST_FRAMES = 2400
+ROOM = 1.15
+"""How much larger than what is in it the stage is"""
+
+
+def film(model: Model, times: np.ndarray, states: np.ndarray) -> dict[str, Any]:
+    """A simulated motion (k times, k x d states) that begins anew at its end."""
+    duration = float(times[-1] - times[0])
+    count = int(np.clip(duration * FRAMES, 2, min(MOST_FRAMES, max(2, len(times) - 1))))
+    chosen = states[np.linspace(0, len(times) - 1, count).round().astype(int)]
+    n = model.degrees_of_freedom
+    drawn = "mechanism" if model.points is not None else "plane"
+    points = positions(model, chosen) if model.points is not None else in_plane(chosen, n)
+    angles = model.angles or (True,) * n
+    return packed(
+        Motion(max(duration, 1e-9), times, states, model.state_names, angles, points, drawn, strokes=model.strokes)
+    )
+
+
+def pose(model: Model, state: np.ndarray) -> dict[str, Any]:
+    """A motion that stands still at a state."""
+    return film(model, np.array([0.0, 1.0]), np.array([state, state]))
+
+
+def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
+    """The part of the plane that the stage shows, down and right (m): `centre` and `spans`.
+
+    Of a chain it is the circle that it reaches, so that dragging never leaves the stage.
+    """
+    if model.system.get("kind") == "chain":
+        reach = 2.0 * float(np.sum(model.system["length"]))
+        return {"centre": [0.0, 0.0], "spans": [ROOM * reach, ROOM * reach]}
+    points = positions(model, states) if model.points is not None else in_plane(states, model.degrees_of_freedom)
+    low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
+    size = np.maximum(high - low, 0.3 * max(float((high - low).max()), 1e-9))
+    return {"centre": ((low + high) / 2).tolist(), "spans": (ROOM * size).tolist()}
+
+
+def draggable(model: Model) -> list[float]:
+    """The lengths (m) of the links of a chain whose joints can be dragged; [] of what has sliders only."""
+    system = model.system
+    plain = system.get("kind") == "chain" and model.constraint is None
+    return [float(one) for one in system["length"]] if plain else []

@@ -1,0 +1,618 @@
+"""The page of the studio: from a dragged mechanism over close returns to orbits, their certificates and families."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from orbitfinder import site
+from orbitfinder.errors import InputError, OrbitfinderError, plural
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.model import energy
+from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.show.html import certificate_html
+from orbitfinder.studio import plots
+from orbitfinder.studio.films import draggable
+from orbitfinder.studio.session import Item, Session, leaving, parameters
+from orbitfinder.studio.tasks import Film, Found, Return, Simulated, Step
+from orbitfinder.studio.worker import RefusedError, StoppedError, Worker
+
+ASSETS = Path(__file__).parent / "assets"
+SITE = Path(site.__path__[0]) / "assets"
+POINTS = 40
+"""Points each way along a family, unless another number is asked for"""
+TRIED = 4
+"""Close returns that are tried in turn"""
+REDRAWN = 0.25
+"""s between two pictures of a family that grows"""
+MOST_SLIDERS = 24
+
+
+class Page:
+    """One tab: a quick process for what the stage shows, another one for searches, which can be cancelled."""
+
+    def __init__(self, session: Session, taken: set[str], assets: str) -> None:
+        self.session, self.taken, self.assets = session, taken, assets
+        self.quick, self.long = Worker(), Worker()
+        self.state = [float(one) for one in session.opened.state]
+        self.returns: tuple[Return, ...] = ()
+        self.picked: int | None = None
+        self.orbit: Orbit | None = None
+        self.item: Item | None = None
+        self.points: list[FamilyPoint] = []
+        self.films: dict[bytes, Film | None] = {}
+        self.wanted: dict[str, Any] = {}
+        self.dark = False
+        self.shown = False
+
+    async def built(self) -> None:
+        """The page; what it shows first is simulated once it is there."""
+        files = [f"{self.assets}/site/core.js", f"{self.assets}/studio/stage.js"]
+        ui.add_head_html(f'<link rel="stylesheet" href="{self.assets}/studio/studio.css">')
+        ui.add_head_html("".join(f'<script src="{one}"></script>' for one in files))
+        ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
+        self.theme = ui.dark_mode()
+        self._head()
+        with ui.element("main").classes("studio"):
+            with ui.element("div"):
+                self._stage()
+                self._sliders()
+            with ui.element("div"):
+                self._returns()
+                self._family()
+                self._kept()
+        self.timer = ui.timer(REDRAWN, self._redraw)
+        ui.on("held", self._held)
+        ui.on("released", self._released)
+        client = ui.context.client
+        client.on_delete(self.close)
+        await client.connected()
+        self.dark = bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=10))
+        self._recoloured(self.dark)
+        ui.run_javascript(f"stage.mount('stage', {json.dumps(draggable(self.session.model))})")
+        await self._first()
+
+    def close(self) -> None:
+        """End the processes of a tab that has gone."""
+        self.timer.deactivate()
+        self.quick.close()
+        self.long.close()
+
+    # ------------------------------------------------------------------ what the page is made of
+
+    def _head(self) -> None:
+        with ui.row().classes("w-full items-center no-wrap gap-2"):
+            ui.html(f"<h1>{_safe(self.session.title)}</h1>", sanitize=False)
+            self.status = ui.label("").classes("quiet grow").props('role="status" aria-live="polite" id="status"')
+            self.busy = ui.spinner(size="1.4em")
+            self.cancel = ui.button("Cancel", on_click=self.long.stop).props('outline dense no-caps id="cancel"')
+            ui.button(icon="dark_mode", on_click=lambda: self._recoloured(not self.dark)).props(
+                'flat dense round aria-label="Light or dark"'
+            )
+            self.save = ui.button("Save", on_click=self._save).props('dense no-caps id="save" padding="4px 16px"')
+        self._free()
+
+    def _stage(self) -> None:
+        drags = bool(draggable(self.session.model))
+        with ui.card().classes("panel stage"):
+            _title("1. Drag a joint, or flick it, and let go" if drags else "1. Where it starts")
+            ui.html(
+                '<canvas id="stage" role="img" aria-label="The mechanism in motion"></canvas>', sanitize=False
+            ).classes("w-full")
+            self.readout = ui.label("").classes("number").props('id="readout"')
+            with ui.row().classes("items-center gap-3"):
+                ui.button("Run", on_click=self._run).props('no-caps dense padding="4px 16px" id="run"')
+                self.duration = ui.number(
+                    "Simulated time, s", value=round(self.session.opened.duration, 2), min=1e-3, max=1e4
+                ).props('dense style="width: 9em"')
+                ui.switch("Play", value=True, on_change=lambda e: ui.run_javascript(f"stage.play({_js(e.value)})"))
+                speeds = {0.25: "quarter speed", 1: "real time", 4: "4 times faster"}
+                ui.select(
+                    speeds, value=1, label="Speed", on_change=lambda e: ui.run_javascript(f"stage.speed({e.value})")
+                ).props("dense options-dense").classes("w-32")
+
+    def _sliders(self) -> None:
+        model = self.session.model
+        with ui.card().classes("panel"):
+            _title("State and parameters")
+            if model.constraint is None:
+                with ui.expansion("State at t = 0").classes("w-full").props("dense") as self.states:
+                    self.inputs = [
+                        self._slider(name, value, *_range(value, k < len(model.angular) and bool(model.angular[k])),
+                                     partial(self._set, k))
+                        for k, (name, value) in enumerate(zip(model.state_names, self.state, strict=True))
+                        if k < MOST_SLIDERS
+                    ]  # fmt: skip
+            with ui.expansion("Parameters: a found orbit follows them").classes("w-full").props("dense id=parameters"):
+                known = list(parameters(model).items())[:MOST_SLIDERS]
+                self.numbers = {
+                    name: self._slider(name, *at, partial(self._parameter, name)) for name, at in known
+                }  # fmt: skip
+                ui.button("Keep the orbit at these parameters", on_click=self._keep).props(
+                    'flat dense no-caps id="keep"'
+                )
+
+    def _slider(self, name: str, value: float, low: float, high: float, then: Callable[[float], Any]) -> Any:
+        with ui.row().classes("w-full items-center no-wrap gap-3"):
+            ui.label(name).classes("quiet w-24")
+            slider = ui.slider(min=low, max=high, value=value, step=(high - low) / 1000)
+            slider.props(f'aria-label="{_safe(name)}"').classes("grow")
+            shown = ui.label().classes("number w-20 text-right").bind_text_from(slider, "value", lambda x: f"{x:.5g}")
+            shown.props("aria-hidden=true")
+
+        async def moved(event: Any) -> None:
+            await self._told(lambda: then(_finite(event.args)))
+
+        slider.on("update:model-value", moved, throttle=0.03)
+        return slider
+
+    def _returns(self) -> None:
+        with ui.card().classes("panel"):
+            _title("2. Close returns: click one to find its orbit")
+            self.near = ui.plotly(plots.returns_figure((), None, False)).classes("w-full").props('id="returns"')
+            self.near.on("plotly_click", self._return_clicked)
+            with ui.row().classes("items-center gap-3"):
+                self.find = ui.button("Find the most promising", on_click=self._find_first).props(
+                    'no-caps dense padding="4px 16px" id="find"'
+                )
+                if self.session.opened.guess is not None:
+                    ui.button("Find by the file's guess", on_click=self._find_own).props(
+                        'no-caps dense outline padding="4px 16px" id="own"'
+                    )
+                self.badge = ui.button("", on_click=self._certificate).props('no-caps dense unelevated id="badge"')
+            self.badge.set_visibility(False)
+            self.about = ui.label("").classes("number").props('id="about"')
+
+    def _family(self) -> None:
+        model = self.session.model
+        energies = ["energy", "period"] if model.conservative else []
+        with ui.card().classes("panel"):
+            _title("3. Its family: slide along it, click an event to branch")
+            with ui.row().classes("items-center gap-3"):
+                self.follow = ui.button("Follow", on_click=self._follow).props(
+                    'no-caps dense padding="4px 16px" id="follow"'
+                )
+                self.along = ui.select([*energies, *model.parameter_names], value=None, label="in").props("dense")
+                self.along.classes("w-32").set_value(next(iter([*energies, *model.parameter_names]), None))
+                self.count = ui.number("points each way", value=POINTS, min=1, max=100000, precision=0).props("dense")
+                self.count.classes("w-28")
+            self.plot = ui.plotly(self._figure()).classes("w-full").props('id="family"')
+            self.plot.on("plotly_click", self._family_clicked)
+            self.slide = ui.slider(min=0, max=1, step=1, value=0).props('id="slide" aria-label="Orbit of the family"')
+            self.slide.on("update:model-value", js_handler="(value) => stage.turn(value)")
+            self.slide.on("update:model-value", self._slid, throttle=0.02)
+            self.where = ui.label("").classes("number").props('id="where"')
+            with ui.row().classes("items-center gap-3 w-full"):
+                self.events = ui.select({}, label="event").props("dense options-dense").classes("grow")
+                self.leave = ui.button("Branch", on_click=self._branch).props(
+                    'no-caps dense padding="4px 16px" id="branch"'
+                )
+                ui.button("Keep this orbit", on_click=self._keep_member).props('flat dense no-caps id="keep-member"')
+
+    def _kept(self) -> None:
+        with ui.card().classes("panel"):
+            _title("4. What was found, and how to find it again")
+            self.tree = ui.tree([], label_key="label", on_select=self._selected).props('id="tree"')
+            self.commands = ui.code("", language="bash").classes("commands")
+            self.commands.set_visibility(False)
+
+    # ------------------------------------------------------------------ what happens on it
+
+    async def _told(self, work: Callable[[], Awaitable[Any] | None]) -> None:
+        """Do something; what is refused is a sentence on the page."""
+        try:
+            found = work()
+            if found is not None:
+                await found
+        except StoppedError as error:
+            self._say(str(error).capitalize())
+        except (OrbitfinderError, OSError) as error:
+            self._say(f"{error}")
+            ui.notify(str(error), type="warning", multi_line=True, timeout=8000)
+
+    def _say(self, sentence: str) -> None:
+        self.status.set_text(sentence)
+
+    def _free(self, busy: bool = False) -> None:
+        self.busy.set_visibility(busy)
+        self.cancel.set_visibility(busy)
+
+    async def _searched(self, task: str, *arguments: Any) -> Any:
+        """The answer of the process for searches, one at a time."""
+        if self.long.busy:
+            raise InputError("a search is under way; cancel it first")
+        self._free(busy=True)
+        try:
+            return await self.long.do(task, *arguments, said=self._heard)
+        finally:
+            self._free()
+
+    def _heard(self, what: Any) -> None:
+        if isinstance(what, Step):
+            self._grown(what)
+        else:
+            self._say(str(what))
+
+    async def _first(self) -> None:
+        given = self.session.opened
+        if given.orbit is not None:
+            found: Found = await self.quick.do("opened", given.orbit)
+            self.item = self.session.keep_opened(found.orbit)
+            self._show_orbit(found)
+        elif given.family is not None:
+            self._show_family(self.session.keep_opened())
+        self._list()
+        await self._told(lambda: self._simulate(stay=given.orbit is not None or given.family is not None))
+        await self._told(self.long.start)
+
+    def _held(self, event: Any) -> None:
+        """A joint is being dragged: its energy."""
+        self._state(event.args["state"])
+        self.readout.set_text(self._energy())
+
+    async def _released(self, event: Any) -> None:
+        self._state(event.args["state"])
+        await self._run()
+
+    def _state(self, given: Sequence[Any]) -> None:
+        """The numbers of a page, which may be anything, as the state."""
+        if len(given) == len(self.state):
+            self.state = [_finite(one) for one in given]
+            for slider, value in zip(self.inputs, self.state, strict=False):
+                slider.set_value(value)
+
+    def _energy(self) -> str:
+        model = self.session.model
+        found = energy(model, np.asarray(self.state)) if model.constraint is None and model.conservative else math.nan
+        return f"E = {found:.6g} J" if math.isfinite(found) else ""
+
+    async def _set(self, k: int, value: float) -> None:
+        self.state[k] = value
+        self.readout.set_text(self._energy())
+        await self._latest("state", self._simulate)
+
+    async def _run(self) -> None:
+        await self._told(lambda: self._latest("state", self._simulate))
+
+    async def _latest(self, what: str, work: Callable[[], Awaitable[None]]) -> None:
+        """Do some work again until nothing new was asked for meanwhile."""
+        if what in self.wanted:
+            self.wanted[what] = True
+            return
+        self.wanted[what] = True
+        try:
+            while self.wanted[what]:
+                self.wanted[what] = False
+                await work()
+        finally:
+            del self.wanted[what]
+
+    async def _simulate(self, stay: bool = False) -> None:
+        duration = _finite(self.duration.value or 0.0)
+        found: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
+        self.session.energy, self.returns, self.picked = found.energy, found.returns, None
+        self.readout.set_text(_readout(found, duration))
+        self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
+        self.find.set_enabled(bool(self.returns))
+        if stay and self.shown:
+            return
+        self._show(found.film, found.view)
+
+    def _show(self, film: Film | None, view: Mapping[str, Any] | None = None, keep: bool = False) -> None:
+        if film is not None:
+            window = view or (None if self.shown else {"centre": film["centre"], "spans": [2.3 * film["half"]] * 2})
+            self.shown = True
+            ui.run_javascript(f"stage.show({json.dumps(film)}, {json.dumps(window)}, {_js(keep)})")
+
+    async def _return_clicked(self, event: Any) -> None:
+        if (at := plots.clicked(event.args)) is not None and 0 <= at[1] < len(self.returns):
+            await self._find(at[1])
+
+    async def _find(self, number: int) -> None:
+        """Find the orbit that a close return belongs to."""
+        await self._told(lambda: self._found_near(number))
+
+    async def _find_first(self) -> None:
+        """Find the orbit of the most promising close return that has one."""
+
+        async def tried() -> None:
+            said = "nothing comes back close enough; start it another way, or simulate for longer"
+            for number in range(min(TRIED, len(self.returns))):
+                try:
+                    if await self._found_near(number):
+                        return
+                except RefusedError as error:
+                    said = str(error)
+            raise InputError(said)
+
+        await self._told(tried)
+
+    async def _found_near(self, number: int) -> bool:
+        """Whether the orbit that a close return belongs to is certified."""
+        one, self.picked = self.returns[number], number
+        self.near.update_figure(plots.returns_figure(self.returns, self.picked, self.dark))
+        return await self._found(self.session.problem(one.state, one.period, self.taken))
+
+    async def _find_own(self) -> None:
+        await self._told(lambda: self._found(self.session.own_problem(self.taken)))
+
+    async def _found(self, wanted: tuple[str, Path]) -> bool:
+        name, file = wanted
+        self._say(f"{name}: searching")
+        found: Found = await self._searched("found", file, self.session.folder)
+        if found.file is not None:
+            self.item = self.session.keep_orbit(found.orbit)
+            self._list()
+        self._show_orbit(found)
+        self._say(f"{name}: {'certified' if found.file else 'not an orbit'}")
+        return found.file is not None
+
+    def _show_orbit(self, found: Found, keep: bool = False) -> None:
+        orbit = self.orbit = found.orbit
+        sure = orbit.certificate is not None and orbit.certificate.passed
+        self.badge.set_text("Certified" if sure else "Rejected")
+        self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
+        self.badge.set_visibility(True)
+        level = f", E = {orbit.energy:.8g} J" if math.isfinite(orbit.energy) else ""
+        symmetry = "" if orbit.symmetry == "none" else f", {orbit.symmetry.replace('+', ' and ')}"
+        self.about.set_text(
+            f"T = {orbit.period:.10g} s{level}, {orbit.stability}{symmetry}, closes to {orbit.closure:.0e}"
+        )
+        self._show(found.film, keep=keep)
+
+    def _certificate(self) -> None:
+        if self.orbit is None or self.orbit.certificate is None:
+            return
+        with ui.dialog() as dialog, ui.card().classes("panel certificate max-w-5xl"):
+            ui.html(certificate_html(self.orbit.certificate), sanitize=False)
+            ui.button("Close", on_click=dialog.close).props("flat no-caps")
+        dialog.open()
+
+    # ------------------------------------------------------------------ families
+
+    async def _follow(self) -> None:
+        item = self.item
+        while item is not None and item.orbit is None:
+            item = self.session.items.get(item.parent or "")
+        if item is None or not self.along.value:
+            return self._say("find an orbit first; then its family can be followed")
+        name, parameter, points = f"{item.name}-{self.along.value}", str(self.along.value), self._points()
+        await self._told(lambda: self._followed(item, name, parameter, points))
+
+    async def _followed(self, item: Item, name: str, parameter: str, points: int) -> None:
+        self._begin(name, parameter)
+        try:
+            family = await self._searched("followed", item.file, parameter, points, name, self.session.folder)
+        except StoppedError:
+            family = self.session.rescued(name)
+            if family is None:
+                raise
+        self._show_family(self.session.keep_family(family, item.name, points))
+        self._say(f"{name}: {family.counts}")
+
+    async def _branch(self) -> None:
+        if self.events.value is None or self.item is None or self.item.family is None:
+            return self._say("choose an event of a family that was followed; branches leave there")
+        item, event, points = self.item, int(self.events.value), self._points()
+        await self._told(lambda: self._branched(item, event, points))
+
+    async def _branched(self, item: Item, event: int, points: int) -> None:
+        self._say(f"{item.name}: looking for what leaves at event {event}")
+        assert item.family is not None
+        self._begin("", item.family.parameter)
+        try:
+            families: list[Family] = await self._searched("branched", item.file, event, points, self.session.folder)
+        except OrbitfinderError:
+            self._show_family(item)
+            raise
+        for number, family in enumerate(families, 1):
+            self.session.keep_family(family, item.name, points, event, number)
+        self._show_family(self.session.items[families[0].name])
+        self._say(f"{plural(len(families), 'family')} found at event {event} of {item.name}")
+
+    def _points(self) -> int:
+        return max(1, int(_finite(self.count.value or 1)))
+
+    def _begin(self, name: str, parameter: str) -> None:
+        """Forget the family that is shown, for one that grows."""
+        self.growing, self.points, self.parameter, self.stale = name, [], parameter, True
+        self.events.set_options({}, value=None)
+
+    def _grown(self, step: Step) -> None:
+        if step.family != self.growing:  # the next of several branches
+            self._begin(step.family, self.parameter)
+        for point, film in zip(step.batch.points, step.films, strict=True):
+            self.films[point.state.tobytes()] = film
+            self.points.insert(len(self.points) if step.batch.direction > 0 else 0, point)
+        self.stale = True
+        self._say(f"{step.family}: {plural(len(self.points), 'orbit')}")
+
+    growing = ""
+    parameter = "energy"
+    stale = False
+
+    def _redraw(self) -> None:
+        """The plot of a family that grows, a few times a second."""
+        if self.stale:
+            self.stale = False
+            self.plot.update_figure(self._figure())
+
+    def _figure(self, here: FamilyPoint | None = None) -> dict[str, Any]:
+        family = self.item.family if self.item is not None else None
+        known = [one.family for one in self.session.items.values() if one.family is not None]
+        others = [one for one in known if one.name != self.growing and one.parameter == self.parameter]
+        events = family.events if family is not None and family.name == self.growing else ()
+        unit = {"energy": "J", "period": "s"}.get(self.parameter, "")
+        return plots.family_figure(self.points, events, here, others, self.parameter, unit, self.dark)
+
+    def _show_family(self, item: Item) -> None:
+        assert item.family is not None
+        self.item, family = item, item.family
+        self.growing, self.parameter, self.points = family.name, family.parameter, list(family.points)
+        self.slide.props(f"max={max(1, len(self.points) - 1)}")
+        near = 0.0 if self.orbit is None else self.orbit.period
+        self.slide.set_value(min(range(len(self.points)), key=lambda k: abs(self.points[k].period - near)))
+        ui.run_javascript(f"stage.put({json.dumps([self.films.get(one.state.tobytes()) for one in self.points])})")
+        choice = leaving(family)
+        self.events.set_options(choice, value=next(iter(choice), None))
+        self.plot.update_figure(self._figure())
+        self.where.set_text(f"{family.counts}")
+        self._list()
+
+    async def _slid(self, event: Any) -> None:
+        await self._told(lambda: self._slide_to(int(_finite(event.args))))
+
+    async def _slide_to(self, number: int) -> None:
+        if not 0 <= number < len(self.points):
+            return
+        point = self.points[number]
+        sure = "certified" if point.certified else "closed"
+        self.where.set_text(
+            f"orbit {number}: {self.parameter} = {point.value:.8g}, T = {point.period:.8g} s, {point.stability}, {sure}"
+        )
+        self.badge.set_visibility(False)  # what it says is of another orbit
+        self.about.set_text("")
+        self.plot.run_plot_method("restyle", {"x": [[point.value]], "y": [[1 / point.period]]}, [plots.HERE])
+        key = point.state.tobytes()
+        if self.films.get(key) is None:
+            self.films[key] = await self.quick.do("shown", dict(point.system), point)
+            ui.run_javascript(f"stage.add({number}, {json.dumps(self.films[key])})")
+
+    async def _family_clicked(self, event: Any) -> None:
+        at = plots.clicked(event.args)
+        if at is None:
+            return
+        trace, number = at
+        if trace == plots.POINTS and 0 <= number < len(self.points):
+            self.slide.set_value(number)
+            ui.run_javascript(f"stage.turn({number})")
+            await self._told(lambda: self._slide_to(number))
+        elif trace == plots.EVENTS:
+            if number in (self.events.options or {}):
+                self.events.set_value(number)
+                await self._branch()
+            else:
+                self._say(f"no branch leaves at event {number}")
+
+    async def _keep_member(self) -> None:
+        async def kept() -> None:
+            number = int(self.slide.value)
+            if self.item is None or self.item.family is None or not 0 <= number < len(self.points):
+                raise InputError("slide along a family first; the orbit that is shown is kept")
+            orbit: Orbit = await self.quick.do("own", self.points[number])
+            await self._found(self.session.problem_of(orbit, self.taken))
+
+        await self._told(kept)
+
+    # ------------------------------------------------------------------ parameters, saving, looks
+
+    async def _parameter(self, name: str, value: float) -> None:
+        self.wanted_value = name, value
+        await self._latest("parameter", self._turn)
+
+    async def _turn(self) -> None:
+        """The orbit at another value of a parameter, or the motion where there is no orbit yet."""
+        name, value = self.wanted_value
+        if self.orbit is None:
+            self.session.model = with_parameters(self.session.model, {name: value})
+            self._remount()
+            return await self._simulate()
+        found: Found = await self.quick.do("turned", self.orbit, name, value)
+        self._show_orbit(found, keep=True)
+        self.session.model = build_model(found.orbit.system)
+        self._remount()
+        self._say(f"{name} = {value:.6g}: the orbit follows")
+
+    def _remount(self) -> None:
+        ui.run_javascript(f"stage.links({json.dumps(draggable(self.session.model))})")
+
+    async def _keep(self) -> None:
+        async def kept() -> None:
+            if self.orbit is None:
+                raise InputError("find an orbit first; then it follows the parameters and can be kept")
+            await self._found(self.session.problem_of(replace(self.orbit, expected={}), self.taken))
+
+        await self._told(kept)
+
+    async def _save(self) -> None:
+        async def saved() -> None:
+            written = self.session.save()
+            self._list()
+            self._say(
+                f"{plural(len(written), 'file')} saved in {self.session.out}" if written else "nothing new to save"
+            )
+
+        await self._told(saved)
+
+    def _list(self) -> None:
+        """The tree of what was found and the command lines."""
+        self.tree.props["nodes"] = self.session.tree()
+        self.tree.update()
+        self.tree.expand()
+        self.commands.set_content("\n".join(self.session.commands()))
+        self.commands.set_visibility(bool(self.session.commands()))
+
+    async def _selected(self, event: Any) -> None:
+        item = self.session.items.get(str(event.value))
+        if item is None:
+            return
+        if item.family is not None:
+            self._show_family(item)
+            ui.run_javascript(f"stage.turn({int(self.slide.value)})")
+            await self._told(lambda: self._slide_to(int(self.slide.value)))
+            return
+        self.item = item
+        await self._told(lambda: self._reopened(item))
+
+    async def _reopened(self, item: Item) -> None:
+        self._show_orbit(await self.quick.do("opened", item.file))
+
+    def _recoloured(self, dark: bool) -> None:
+        self.dark = dark
+        self.theme.set_value(dark)
+        self.near.update_figure(plots.returns_figure(self.returns, self.picked, dark))
+        self.plot.update_figure(self._figure())
+        ui.run_javascript("setTimeout(stage.recolour, 50)")
+
+
+def _title(text: str) -> None:
+    ui.html(f"<h2>{text}</h2>", sanitize=False)
+
+
+def _safe(text: str) -> str:
+    """Text without what HTML and attributes read as their own."""
+    return "".join(one for one in text if one not in "<>&\"'")
+
+
+def _js(value: Any) -> str:
+    return json.dumps(bool(value))
+
+
+def _finite(value: Any) -> float:
+    """A number that a page sent. Raises `InputError`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"number: {str(value)[:40]!r} is not finite; move the slider again")
+    return float(value)
+
+
+def _range(value: float, angle: bool) -> tuple[float, float]:
+    """How far a slider of a state goes."""
+    if angle and abs(value) <= math.pi:
+        return -math.pi, math.pi
+    reach = max(2.0 * abs(value), 3.0)
+    return -reach, reach
+
+
+def _readout(found: Simulated, duration: float) -> str:
+    """What a simulation says."""
+    level = "" if found.energy is None else f"E = {found.energy:.6g} J, kept to {found.change:.0e} J, "
+    return f"{level}{plural(len(found.returns), 'close return')} in {duration:g} s"

@@ -1,0 +1,82 @@
+"""The plots of the studio, as Plotly takes them: close returns, and families with their events."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.studio.tasks import Return
+
+STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
+DARK = {STABLE: "#56b4e9", UNSTABLE: "#f0a35e", MARK: "#3fc79a"}
+CALM = ("elliptic", "asymptotically stable")
+POINTS, EVENTS, HERE = 0, 1, 2
+"""The traces of a plot of families: the first two can be clicked, the third is where one is"""
+
+
+def _figure(data: list[dict[str, Any]], across: str, up: str, dark: bool, log: bool = False) -> dict[str, Any]:
+    ink, line = ("#c9d1d9", "#313a43") if dark else ("#444c55", "#e3e7eb")
+    for trace in data:
+        for part in ("marker", "line"):
+            colour = trace.get(part, {}).get("color")
+            if dark and colour is not None:
+                swapped = [DARK.get(c, c) for c in colour] if isinstance(colour, list) else DARK.get(colour, colour)
+                trace[part]["color"] = swapped
+    axis = {"gridcolor": line, "zerolinecolor": line, "linecolor": line, "automargin": True}
+    upward = {"type": "log", "exponentformat": "power", "nticks": 6} if log else {}
+    layout = {
+        "height": 250, "margin": {"l": 56, "r": 12, "t": 10, "b": 44}, "showlegend": False, "hovermode": "closest",
+        "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)", "font": {"color": ink, "size": 13},
+        "xaxis": axis | {"title": {"text": across}}, "yaxis": axis | upward | {"title": {"text": up}}, "uirevision": up,
+    }  # fmt: skip
+    return {"data": data, "layout": layout, "config": {"displayModeBar": False, "responsive": True}}
+
+
+def returns_figure(returns: Sequence[Return], picked: int | None, dark: bool) -> dict[str, Any]:
+    """Period against miss; the more promising, the larger the dot."""
+    sizes = [22 if k == 0 else max(9, 18 - 2 * k) for k in range(len(returns))]
+    colours = [MARK if k == picked else STABLE for k in range(len(returns))]
+    hover = [f"return {k + 1}: T = {one.period:.4g} s, miss {one.miss:.2g}" for k, one in enumerate(returns)]
+    data = [{
+        "x": [one.period for one in returns], "y": [max(one.miss, 1e-12) for one in returns], "mode": "markers",
+        "marker": {"size": sizes, "color": colours, "opacity": 0.9}, "hovertext": hover, "hoverinfo": "text",
+    }]  # fmt: skip
+    return _figure(data, "period T, s", "miss, of the extent", dark, log=True)
+
+
+def family_figure(
+    points: Sequence[FamilyPoint], events: Sequence[Event], here: FamilyPoint | None, others: Sequence[Family],
+    parameter: str, unit: str, dark: bool,
+) -> dict[str, Any]:  # fmt: skip
+    """The chosen family, coloured by stability, its events as diamonds, where one is on it, and the others in grey."""
+    calm = [STABLE if one.stability in CALM else UNSTABLE for one in points]
+    words = [f"{k}: {_said(one)}" for k, one in enumerate(events)]
+    data: list[dict[str, Any]] = [
+        {"x": [one.value for one in points], "y": [1 / one.period for one in points], "mode": "lines+markers",
+         "marker": {"size": 8, "color": calm}, "line": {"color": OTHER, "width": 1},
+         "hovertext": [f"T = {one.period:.5g} s, {one.stability}" for one in points], "hoverinfo": "text"},
+        {"x": [one.parameter for one in events], "y": [1 / one.period for one in events], "mode": "markers",
+         "marker": {"size": 13, "color": MARK, "symbol": "diamond"}, "hovertext": words, "hoverinfo": "text"},
+        {"x": [here.value] if here else [], "y": [1 / here.period] if here else [], "mode": "markers",
+         "marker": {"size": 18, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}, "hoverinfo": "skip"},
+    ]  # fmt: skip
+    for other in others:
+        data.append({
+            "x": other.values("value").tolist(), "y": (1 / other.values("period")).tolist(), "mode": "lines",
+            "line": {"color": OTHER, "width": 1.5, "dash": "dot"}, "hovertext": other.name, "hoverinfo": "text",
+        })  # fmt: skip
+    return _figure(data, f"{parameter}{f', {unit}' if unit else ''}", "frequency 1/T, 1/s", dark)
+
+
+def _said(event: Event) -> str:
+    return f"{event.kind.replace('_', ' ')} {event.detail}".strip()
+
+
+def clicked(event: Mapping[str, Any]) -> tuple[int, int] | None:
+    """The trace and the point that were clicked; None where a page sends something else."""
+    try:
+        one = event["points"][0]
+        return int(one.get("curveNumber", 0)), int(one.get("pointIndex", one.get("pointNumber")))
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
+        return None

@@ -1,0 +1,267 @@
+"""What one tab of the studio holds: a system, where its motion starts, what was found, and how to find it again.
+
+Everything is first written to a folder of the tab, by the same tasks as the commands; saving copies it, whole files
+at a time, under names that nobody else has.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.branches import SWITCHABLE
+from orbitfinder.families.minimal import minimal_problem
+from orbitfinder.guesses.modes import normal_modes
+from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.model import Model
+from orbitfinder.problemfile.read import load_problem_file
+from orbitfinder.problemfile.write import orbit_text
+from orbitfinder.records.family import JOURNAL, Family, assemble, load_family, read_journal, save_family
+from orbitfinder.records.orbit import Orbit, orbit_to_document
+from orbitfinder.records.reading import file_bytes, write_atomically
+from orbitfinder.records.store import kind_of, load_orbit
+from orbitfinder.site.text import mechanism
+
+SWINGS = 8.0
+"""Periods of the slowest swing, or of the guess, that a simulation covers unless something else is asked for"""
+DURATION = 20.0
+"""s, where neither is known"""
+AGAIN = "again"
+"""Folder that the command lines which repeat the work write to"""
+START = 1.0
+"""rad by which the last link of a chain is turned where no file says how it starts"""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What a FILE brings: a Model, a state (d), a duration (s), the orbit or family in it, a problem's own text."""
+
+    model: Model
+    state: np.ndarray
+    duration: float
+    name: str
+    guess: tuple[float, str] | None = None
+    """the period (s) that a problem file guesses, and its text"""
+    orbit: Path | None = None
+    family: Path | None = None
+
+
+def opened(file: Path | None) -> Opened:
+    """A problem file, orbit.json or family.json; without one a double pendulum. Raises `InputError`."""
+    if file is None:
+        return _hanging(chain(2), "double-pendulum", None)
+    if file.suffix == ".py":
+        raise InputError(f"{file}: the studio runs no Python files; give a TOML file, an orbit.json or a family.json")
+    if file.suffix == ".json":
+        return _recorded(file)
+    loaded = load_problem_file(file)
+    build_model(loaded.model.system)  # as every process of the studio does; it says why where that cannot be
+    if loaded.problem is None:
+        start = None if loaded.start is None else np.asarray(loaded.start, float)
+        return _hanging(loaded.model, loaded.name, start)
+    problem = minimal_problem(loaded.problem) if loaded.model.constraint is not None else loaded.problem
+    text = file_bytes(file).decode("utf-8-sig")
+    period = float(problem.guess.period)
+    return Opened(problem.model, np.asarray(problem.guess.state, float), SWINGS * period, loaded.name, (period, text))
+
+
+def _recorded(file: Path) -> Opened:
+    """The first orbit of an orbit.json or a family.json."""
+    kind = kind_of(file)
+    if kind not in ("orbit", "family"):
+        raise InputError(f"{file}: the studio opens a problem file, an orbit.json or a family.json")
+    orbit: Orbit = load_orbit(file) if kind == "orbit" else load_family(file).points[0]
+    place = {"orbit": file} if kind == "orbit" else {"family": file}
+    name = orbit.name if kind == "orbit" else load_family(file).name
+    return Opened(build_model(orbit.system), orbit.state, SWINGS * orbit.period, name, **place)  # type: ignore[arg-type]
+
+
+def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
+    """A system without a guess: from a state, or somewhere near where it starts by itself."""
+    n, size = model.degrees_of_freedom, len(model.state_names)
+    if state is None:
+        state = np.zeros(size)
+        state[: n if model.rates is None else size] = np.linspace(0.5, 1.0, n) * START
+    duration = DURATION
+    if model.system.get("kind") == "chain" and model.constraint is None:
+        duration = SWINGS * 2 * np.pi / float(np.sqrt(normal_modes(model)[0].min()))
+    return Opened(model, state, round(duration, 1), name)
+
+
+@dataclass
+class Item:
+    """Something found or opened: its name, its file, what it came from, and how a command line finds it again."""
+
+    name: str
+    file: Path
+    place: str
+    """the path that further commands name it by"""
+    command: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    """what is saved, relative to the folder, in the order in which it is copied"""
+    parent: str | None = None
+    family: Family | None = None
+    orbit: Orbit | None = None
+    saved: bool = False
+
+
+@dataclass
+class Session:
+    """One tab: what it opened, its own `folder`, the folder `out` that is saved to, and what it found, by name."""
+
+    opened: Opened
+    folder: Path
+    out: Path
+    model: Model = field(init=False)
+    items: dict[str, Item] = field(default_factory=dict)
+    own: set[str] = field(default_factory=set)
+    """names that were saved from here"""
+    energy: float | None = None
+    """of the motion on the stage (J)"""
+
+    def __post_init__(self) -> None:
+        self.model = self.opened.model
+
+    @property
+    def title(self) -> str:
+        """What system it is."""
+        return mechanism(self.model.system)
+
+    def problem(self, state: Any, period: float, taken: set[str]) -> tuple[str, Path]:
+        """A problem file with a guess, at the energy that it has, and the name of the orbit that it asks for."""
+        name = self.unused(taken)
+        invariants = ["energy"] if self.energy is not None else []
+        document = {
+            "name": name, "title": "", "source": "orbitfinder studio", "system": dict(self.model.system),
+            "state": [float(one) for one in state], "period": float(period), "energy": self.energy,
+            "provenance": {"invariants": invariants},
+        }  # fmt: skip
+        return name, self._written(name, orbit_text(document, expected=False))
+
+    def problem_of(self, orbit: Orbit, taken: set[str]) -> tuple[str, Path]:
+        """A problem file that finds an orbit that is known."""
+        name = self.unused(taken)
+        return name, self._written(name, orbit_text({**orbit_to_document(orbit), "name": name}))
+
+    def own_problem(self, taken: set[str]) -> tuple[str, Path]:
+        """The problem file that was opened, under a name of its own."""
+        assert self.opened.guess is not None
+        name, text = self.unused(taken), self.opened.guess[1]
+        found, count = re.subn(r"(?m)^name\s*=.*$", f'name = "{name}"', text, count=1)
+        return name, self._written(name, found if count else f'name = "{name}"\n{text}')
+
+    def _written(self, name: str, text: str | None) -> Path:
+        if text is None:
+            raise InputError("system: no problem file describes it; use `continue` on an orbit.json")
+        file = self.folder / f"{name}.toml"
+        write_atomically(file, text.encode())
+        return file
+
+    def unused(self, taken: set[str]) -> str:
+        """A name that no tab and no file in the folder has; it joins those `taken`."""
+        base, number = re.sub(r"[^A-Za-z0-9_-]+", "-", self.opened.name).strip("-") or "orbit", 1
+        while (name := f"{base}-{number}") in taken or any((self.out / one).exists() for one in (name, f"{name}.toml")):
+            number += 1
+        taken.add(name)
+        return name
+
+    def keep_opened(self, orbit: Orbit | None = None) -> Item:
+        """Remember what the file that was opened holds."""
+        file = self.opened.orbit or self.opened.family
+        assert file is not None
+        family = load_family(file) if orbit is None else None
+        return self._kept(Item(self.opened.name, file, str(file), family=family, orbit=orbit, saved=True))
+
+    def keep_orbit(self, orbit: Orbit, parent: str | None = None) -> Item:
+        """Remember a certified orbit, found by the problem file of its name."""
+        name, file = orbit.name, f"{orbit.name}/orbit.json"
+        command = ("run", str(self.out / f"{name}.toml"), "--out", AGAIN)
+        files = (f"{name}.toml", f"{name}/orbit.npz", file)
+        return self._kept(Item(name, self.folder / file, f"{AGAIN}/{file}", command, files, parent, orbit=orbit))
+
+    def keep_family(self, family: Family, parent: str, points: int, event: int | None = None, branch: int = 1) -> Item:
+        """Remember a family through an orbit, or the `branch`-th that leaves another one at an event."""
+        name, file = family.name, f"{family.name}/family.json"
+        switch = () if event is None else ("--switch", str(event), "--branch", str(branch))
+        head = ("continue", self.items[parent].place, "--parameter", family.parameter, *switch)
+        command = (*head, "--points", str(points), "--name", name, "--out", AGAIN)
+        files = tuple(f"{name}/{one}" for one in (JOURNAL, "family.npz", "family.json"))
+        return self._kept(Item(name, self.folder / file, f"{AGAIN}/{file}", command, files, parent, family=family))
+
+    def rescued(self, name: str) -> Family | None:
+        """What is there of a family whose process was stopped, as its own file; None where nothing is."""
+        journal = read_journal(self.folder / name)
+        if journal is None or not journal.batches:
+            return None
+        family = assemble(journal)
+        save_family(family, self.folder / name)
+        return family
+
+    def _kept(self, item: Item) -> Item:
+        self.items[item.name] = item
+        return item
+
+    def save(self) -> list[Path]:
+        """Copy everything found that is not saved yet into `out`; the files. Raises `InputError`, `OSError`."""
+        written = []
+        for item in [one for one in self.items.values() if not one.saved]:
+            target = self.out / item.name
+            if target.exists() and item.name not in self.own:
+                raise InputError(f"{target}: exists already and is left alone; start the studio with another --out")
+            self.own.add(item.name)
+            for name in item.files:
+                (self.out / name).parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(self.out / name, file_bytes(self.folder / name))
+                written.append(self.out / name)
+            item.saved = True
+        return written
+
+    def commands(self) -> list[str]:
+        """The command lines that find everything again, in a folder of their own."""
+        return [shlex.join(("orbitfinder", *one.command)) for one in self.items.values() if one.command]
+
+    def tree(self) -> list[dict[str, Any]]:
+        """Orbits, the families through them, the families that leave these: nodes for a tree."""
+        return self._below(None)
+
+    def _below(self, parent: str | None) -> list[dict[str, Any]]:
+        return [
+            {"id": one.name, "label": _label(one), "children": self._below(one.name)}
+            for one in self.items.values()
+            if one.parent == parent
+        ]
+
+
+def _label(item: Item) -> str:
+    mark = " (saved)" if item.saved else ""
+    if item.family is not None:
+        family = item.family
+        return f"{item.name}: {len(family.points)} orbits, {len(family.events)} events{mark}"
+    assert item.orbit is not None
+    return f"{item.name}: T = {item.orbit.period:.6g} s, {item.orbit.stability}{mark}"
+
+
+def leaving(family: Family) -> dict[int, str]:
+    """The events of a family that branches leave at, in words."""
+    return {
+        k: f"{k}: {one.kind.replace('_', ' ')} {one.detail} at {one.parameter:.6g} {family.unit}".replace("  ", " ")
+        for k, one in enumerate(family.events)
+        if one.kind in SWITCHABLE
+    }
+
+
+def parameters(model: Model) -> Mapping[str, tuple[float, float, float]]:
+    """Of each physical parameter: its value, and how far a slider goes down and up."""
+    found = {}
+    for name, value in zip(model.parameter_names, map(float, model.parameter_values), strict=True):
+        low, high = model.limits.get(name, (0.5 * value, 1.5 * value) if value else (-1.0, 1.0))
+        found[name] = value, min(low, high), max(low, high)
+    return found

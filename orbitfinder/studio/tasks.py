@@ -1,0 +1,210 @@
+"""What the studio's processes compute: simulate, find, follow, branch, show, turn a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orbitfinder.atlas.choose import solve
+from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.branches import branches
+from orbitfinder.families.folder import follow_family
+from orbitfinder.families.members import whole
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.guesses.returns import close_returns
+from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.ipopt import Progress
+from orbitfinder.loops.problem import Guess, Problem
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
+from orbitfinder.mechanics.model import Model
+from orbitfinder.orbits.refine import Refiner
+from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
+from orbitfinder.problemfile.read import load_problem
+from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
+from orbitfinder.records.orbit import Orbit, orbit_to_document, save_orbit, system_at
+from orbitfinder.records.store import load_orbit
+from orbitfinder.site.motion import Simulator, packed
+from orbitfinder.studio.films import film, view
+
+Say = Callable[[Any], None]
+Film = dict[str, Any]
+
+RETURNS = 12
+"""Close returns that are shown"""
+LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
+HALVINGS = 5
+"""Times that a step of a parameter is halved until the orbit follows"""
+
+
+@dataclass(frozen=True)
+class Return:
+    """A state whose motion nearly closes after a period (s); `miss` is relative to the motion's extent.
+
+    The nearest returns are often long and belong to no orbit: they are ranked by miss times period^3.
+    """
+
+    state: tuple[float, ...]
+    period: float
+    miss: float
+
+    @property
+    def rank(self) -> float:
+        """Smaller is more promising."""
+        return self.miss * self.period**3
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A motion on the stage, its energy (J, None where there is none), what became of it, its close returns."""
+
+    film: Film
+    view: Mapping[str, list[float]]
+    energy: float | None
+    change: float
+    returns: tuple[Return, ...]
+
+
+@dataclass(frozen=True)
+class Found:
+    """An orbit with its film and, where it is certified, its file."""
+
+    orbit: Orbit
+    film: Film | None
+    file: Path | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a step along the family of a name adds, each orbit with its film."""
+
+    family: str
+    batch: Batch
+    films: tuple[Film | None, ...]
+
+
+class Tasks:
+    """The tasks of one process, which keeps what the next one may use again; `say` tells how a task gets on."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+        self._simulator = Simulator()
+        self._refiner: tuple[Any, Refiner] | None = None
+
+    def model(self, system: Mapping[str, Any]) -> Model:
+        """The Model of a description, built once. Raises `InputError`."""
+        found = self._simulator.model(system)
+        return build_model(system) if found is None else found[0]
+
+    def simulated(self, system: Mapping[str, Any], state: list[float], duration: float) -> Simulated:
+        """The motion from a state (d) over a duration (s) and where it nearly closes."""
+        model = self.model(system)
+        count = int(np.clip(duration * SAMPLES_PER_SECOND, LEAST_SAMPLES, MOST_SAMPLES))
+        run = simulate(model, np.asarray(state, float), duration, count)
+        energy = float(run.energy[0]) if np.isfinite(run.energy[0]) else None
+        returns = tuple[Return, ...]()
+        if model.hybrid is None and np.ptp(run.states, axis=0).max() > 0:
+            near = close_returns(run.times, run.states, model.angles, RETURNS)
+            returns = tuple(Return(tuple(map(float, one.state)), float(one.period), one.distance) for one in near)
+        shown = film(model, run.times, run.states)
+        change = run.change if energy is not None else float("nan")
+        return Simulated(shown, view(model, run.states), energy, change, tuple(sorted(returns, key=lambda r: r.rank)))
+
+    def found(self, file: Path, out: Path) -> Found:
+        """The orbit of a problem file, in OUT/NAME/orbit.json where it is certified: what `orbitfinder run` does."""
+        orbit = solve(load_problem(file), progress=self._iterated)
+        kept = orbit.certificate is not None and orbit.certificate.passed
+        saved = save_orbit(orbit, out / orbit.name / "orbit.json") if kept else None
+        return Found(orbit, self._film(orbit), saved)
+
+    def opened(self, file: Path) -> Found:
+        """The orbit of an orbit.json."""
+        orbit = load_orbit(file)
+        return Found(orbit, self._film(orbit), file)
+
+    def followed(self, file: Path, parameter: str, points: int, name: str, out: Path) -> Family:
+        """The family through the orbit of a file: what `orbitfinder continue` does."""
+        settings = FamilySettings(points=points)
+        report = self._stepped(out / name)
+        return follow_family(load_orbit(file), parameter, settings=settings, out=out, name=name, progress=report)
+
+    def branched(self, file: Path, event: int, points: int, out: Path) -> list[Family]:
+        """The families that leave that of a file at an event: what `orbitfinder continue --switch` does."""
+        settings = FamilySettings(points=points, directions="away")
+        leaving = branches(file, event, settings)
+        self._say(f"{len(leaving)} found at event {event}")
+        return [
+            follow_family(one, settings=settings, out=out, name=one.name, progress=self._stepped(out / one.name))
+            for one in leaving
+        ]
+
+    def shown(self, system: Mapping[str, Any], member: FamilyPoint | Event) -> Film | None:
+        """The motion of a point or an event of a family."""
+        motion = self._simulator.member(system, member)
+        return None if motion is None else packed(motion)
+
+    def own(self, point: FamilyPoint) -> Orbit:
+        """A point of a family as an Orbit of its own."""
+        return whole(point, self.model(point.system))
+
+    def turned(self, orbit: Orbit, name: str, value: float) -> Found:
+        """The orbit at another value of a physical parameter, followed warm; its energy stays where it is conserved.
+
+        Steps that Newton's method does not survive are halved. Raises `ConvergenceError` where the orbit ends.
+        """
+        model = self.model(orbit.system)
+        last = float(model.parameter_values[model.parameter_index(name)])
+        refiner = self._warm(orbit, model, name)
+        share, step, guess = 0.0, 1.0, Guess(orbit.state, orbit.period)
+        while share < 1.0:
+            share = min(1.0, share + step)
+            pins = tuple(replace(one, value=last + share * (value - last)) if one.name == name else one
+                         for one in refiner.problem.pin)  # fmt: skip
+            pins = tuple(replace(one, value=orbit.energy) if one.name == "energy" else one for one in pins)
+            try:
+                refined = refiner.refine(guess, pins)
+            except (ConvergenceError, IntegrationError) as error:
+                share, step = max(0.0, share - step), step / 2
+                if step < 0.5**HALVINGS:
+                    raise ConvergenceError(f"{name} = {value:.6g}: the orbit was lost on the way ({error})") from error
+                continue
+            guess = Guess(refined.state, refined.period)
+        turned = refiner.orbit(refined)
+        return Found(turned, self._film(turned), None)
+
+    def _warm(self, orbit: Orbit, model: Model, name: str) -> Refiner:
+        """The Refiner of an orbit in a parameter; the last one stays warm, whatever that parameter's value is."""
+        plain = with_parameters(model, {name: 1.0}).parameter_values.tolist()
+        key = (name, plain, orbit.symmetry, orbit.winding, round(orbit.energy, 9))
+        if self._refiner is None or self._refiner[0] != key:
+            value = float(model.parameter_values[model.parameter_index(name)])
+            pins = (*((Pin("energy", orbit.energy),) if model.conservative else ()), Pin(name, value))
+            problem = Problem(
+                model, Guess(orbit.state, orbit.period), pins, winding=orbit.winding, free=(name,), name=orbit.name,
+                relative=tuple(orbit.shift), tolerance=orbit.tolerance,
+            )  # fmt: skip
+            self._refiner = key, Refiner(problem)
+        return self._refiner[1]
+
+    def _iterated(self, at: Progress) -> None:
+        self._say(f"{at.stage} {at.iteration}: defect {at.defect:.1e}, period {at.period:.6g} s")
+
+    def _stepped(self, folder: Path) -> Callable[[Batch], None]:
+        """A report of each step of the family in a folder."""
+        system: dict[str, Any] = {}
+
+        def report(batch: Batch) -> None:
+            if not system and (journal := read_journal(folder)) is not None:
+                system.update(journal.header["system"])
+            films = tuple(self.shown(system_at(system, one.free), one) for one in batch.points)
+            self._say(Step(folder.name, batch, films))
+
+        return report
+
+    def _film(self, orbit: Orbit) -> Film | None:
+        dense = (orbit.times, orbit.samples) if len(orbit.samples) > 1 else None
+        motion = self._simulator.orbit(orbit_to_document(orbit), dense)
+        return None if motion is None else packed(motion)

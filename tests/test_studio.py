@@ -1,0 +1,498 @@
+"""The studio: what its processes compute, what a tab keeps and saves, and a browser that drives the whole page."""
+
+import asyncio
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.model import energy, positions
+from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.find import find_orbit
+from orbitfinder.records.family import load_family
+from orbitfinder.records.store import load_orbit
+from orbitfinder.studio.films import draggable, pose, view
+from orbitfinder.studio.plots import clicked
+from orbitfinder.studio.serve import free_port
+from orbitfinder.studio.session import Session, leaving, opened, parameters
+from orbitfinder.studio.tasks import Return, Tasks
+from orbitfinder.studio.worker import RefusedError, StoppedError, Worker
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def session(tmp_path):
+    (tmp_path / "tab").mkdir()
+    return Session(opened(None), tmp_path / "tab", tmp_path / "out")
+
+
+@pytest.fixture(scope="module")
+def tasks():
+    said = []
+    found = Tasks(said.append)
+    found.said = said
+    return found
+
+
+def test_close_returns_are_ranked_by_miss_times_period_cubed(tasks, session):
+    run = tasks.simulated(dict(session.model.system), [0.3, 0.4, 0.0, 0.0], 20.0)
+    assert run.energy == pytest.approx(energy(session.model, np.array([0.3, 0.4, 0, 0])), rel=1e-12)
+    assert run.change < 1e-9 * abs(run.energy)
+    ranks = [one.miss * one.period**3 for one in run.returns]
+    assert len(ranks) > 3 and ranks == sorted(ranks)
+    assert run.returns[0].miss > min(one.miss for one in run.returns)  # the nearest is not the most promising here
+    assert Return((0.0,), 2.0, 0.5).rank == 4.0
+
+
+def test_what_is_found_saved_and_found_again_is_one_orbit(tasks, session, tmp_path, monkeypatch):
+    """The command lines repeat the work in another folder, to 1e-12."""
+    run = tasks.simulated(dict(session.model.system), [0.3, 0.4, 0.0, 0.0], 20.0)
+    session.energy = run.energy
+    taken: set[str] = set()
+    name, file = session.problem(run.returns[0].state, run.returns[0].period, taken)
+    found = tasks.found(file, session.folder)
+    assert found.orbit.certificate.passed and found.film["points"] == 3
+    assert any("shooting" in str(one) for one in tasks.said)
+    item = session.keep_orbit(found.orbit)
+    tasks.said.clear()
+    family = tasks.followed(item.file, "energy", 2, f"{name}-energy", session.folder)
+    steps = [one for one in tasks.said if not isinstance(one, str)]
+    assert sum(len(one.batch.points) for one in steps) >= 4 and all(film for one in steps for film in one.films)
+    session.keep_family(family, name, 2)
+    assert [node["children"][0]["id"] for node in session.tree()] == [f"{name}-energy"]
+    assert len(session.save()) == 6 and session.save() == []
+
+    monkeypatch.chdir(tmp_path)
+    for line in session.commands():
+        program, *arguments = shlex.split(line)
+        assert program == "orbitfinder"
+        result = CliRunner().invoke(cli, arguments)
+        assert result.exit_code == 0, result.output
+    saved, again = (load_orbit(place / name / "orbit.json") for place in (session.out, tmp_path / "again"))
+    assert abs(again.period / saved.period - 1) < 1e-12 and np.abs(again.state - saved.state).max() < 1e-12
+    one, other = (load_family(place / family.name / "family.json") for place in (session.out, tmp_path / "again"))
+    assert np.abs(one.values("period") / other.values("period") - 1).max() < 1e-12
+    assert certify(saved).passed
+
+
+def test_saving_leaves_what_others_wrote_alone(tasks, session):
+    orbit = find_orbit(_swing())
+    name, _ = session.problem_of(orbit, set())
+    found = tasks.found(session.folder / f"{name}.toml", session.folder)
+    session.keep_orbit(found.orbit)
+    (session.out / name).mkdir(parents=True)
+    with pytest.raises(InputError, match="exists already and is left alone"):
+        session.save()
+    assert list((session.out / name).iterdir()) == []
+    (session.out / "double-pendulum-7.toml").touch()
+    taken = {f"double-pendulum-{k}" for k in range(1, 7)}
+    assert session.unused(taken) == "double-pendulum-8" and "double-pendulum-8" in taken
+
+
+def _swing(model=None):
+    from orbitfinder.guesses.modes import normal_mode
+    from orbitfinder.loops.conditions import pin
+    from orbitfinder.loops.problem import Problem
+
+    model = model or chain(2)
+    guess = normal_mode(model, 1, 0.4)
+    return Problem(model, guess, pin(energy=energy(model, np.asarray(guess.state))), name="swing")
+
+
+def test_an_orbit_follows_a_parameter_warm_and_back(tasks):
+    orbit = find_orbit(_swing())
+    longer = tasks.turned(orbit, "length2", 1.2).orbit
+    direct = find_orbit(_swing_at(longer))
+    assert longer.certificate.passed and longer.system["length"] == [1.0, 1.2]
+    assert longer.energy == pytest.approx(orbit.energy, rel=1e-12)
+    assert longer.period == pytest.approx(direct.period, rel=1e-11)
+    back = tasks.turned(longer, "length2", 1.0).orbit
+    assert back.period == pytest.approx(orbit.period, rel=1e-11)
+    warm = tasks._refiner[1]
+    tasks.turned(back, "length2", 0.9)
+    assert tasks._refiner[1] is warm
+    with pytest.raises(ConvergenceError, match="the orbit was lost on the way"):
+        tasks.turned(orbit, "length2", 0.2)  # below the lowest energy that there is
+
+
+def _swing_at(orbit):
+    from orbitfinder.loops.conditions import pin
+    from orbitfinder.loops.problem import Guess, Problem
+    from orbitfinder.mechanics.catalogue import build_model
+
+    return Problem(build_model(orbit.system), Guess(orbit.state, orbit.period), pin(energy=orbit.energy))
+
+
+def test_what_a_chain_shows_can_be_dragged():
+    model = chain(2, length=[1.0, 0.5])
+    assert draggable(model) == [1.0, 0.5]
+    still = pose(model, np.array([0.3, 0.1, 0.0, 0.0]))
+    assert still["points"] == 3 and still["moving"] == []
+    joints = positions(model, np.array([[0.3, 0.1, 0.0, 0.0]]))[0]
+    shown = [[still["still"][str(c)] for c in range(3)], [still["still"][str(3 + c)] for c in range(3)]]
+    assert np.abs(np.array(shown) - joints).max() < 1e-9
+    assert view(model, np.zeros((1, 4)))["spans"][0] > 3.0
+    values = parameters(model)
+    assert values["length2"] == (0.5, 0.25, 0.75)
+
+
+@pytest.mark.parametrize(
+    "file, message",
+    [
+        ("thing.py", "the studio runs no Python files"),
+        ("atlas.json", "the studio opens a problem file, an orbit.json or a family.json"),
+        ("missing.toml", "missing.toml"),
+    ],
+)
+def test_other_files_are_refused_with_a_sentence(tmp_path, file, message):
+    (tmp_path / "thing.py").write_text("raise SystemExit")
+    (tmp_path / "atlas.json").write_text("[]")
+    result = CliRunner().invoke(cli, ["studio", str(tmp_path / file), "--out", str(tmp_path / "o"), "--no-browser"])
+    assert result.exit_code == 2 and message in result.output and "Traceback" not in result.output
+
+
+def test_a_port_in_use_is_named_and_another_one_is_free():
+    import socket
+
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        held.listen()
+        port = held.getsockname()[1]
+        with pytest.raises(InputError, match=f"port: {port} is in use"):
+            free_port(port)
+        assert free_port() != port
+
+
+def test_whatever_a_page_sends_is_a_number_or_nothing():
+    assert clicked({"points": [{"curveNumber": 1, "pointIndex": 4}]}) == (1, 4)
+    for nonsense in ({}, {"points": []}, {"points": [{"pointIndex": "x"}]}, {"points": [None]}, None, {"points": 3}):
+        assert clicked(nonsense) is None
+
+
+def test_a_process_is_stopped_at_once_and_the_next_task_has_another():
+    async def tried():
+        worker = Worker()
+        await worker.start()
+        first = worker.process
+        slow = asyncio.create_task(worker.do("simulated", dict(chain(9).system), [2.0] * 9 + [0.0] * 9, 3000.0))
+        await asyncio.sleep(0.3)
+        assert worker.busy and not slow.done()
+        began = time.monotonic()
+        worker.stop()
+        with pytest.raises(StoppedError, match="nothing that is saved is lost"):
+            await slow
+        waited = time.monotonic() - began
+        with pytest.raises(RefusedError, match="duration: must be positive"):
+            await worker.do("simulated", dict(chain(1).system), [0.5, 0.0], -1.0)
+        assert worker.process not in (None, first)
+        worker.close()
+        with pytest.raises(StoppedError, match="the page is closed"):
+            await worker.do("simulated", dict(chain(1).system), [0.5, 0.0], 1.0)
+        return waited
+
+    assert asyncio.run(tried()) < 0.5
+
+
+def test_a_family_whose_process_was_killed_is_kept_as_far_as_it_came(tasks, session):
+    name, _ = session.problem_of(find_orbit(_swing()), set())
+    item = session.keep_orbit(tasks.found(session.folder / f"{name}.toml", session.folder).orbit)
+    assert session.rescued("nothing") is None
+
+    class KilledError(Exception):
+        pass
+
+    def die(what):
+        if not isinstance(what, str):
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        Tasks(die).followed(item.file, "energy", 10, "part", session.folder)
+    family = session.rescued("part")
+    assert len(family.points) == 2 and family.ends == ()
+    session.keep_family(family, name, 10)
+    session.save()
+    assert len(load_family(session.out / "part" / "family.json").points) == 2
+    assert leaving(family) == {}
+
+
+# ---------------------------------------------------------------------- in a browser
+
+nicegui = pytest.mark.skipif(
+    __import__("importlib.util").util.find_spec("nicegui") is None, reason="no NiceGUI; pip install '.[studio]'"
+)
+
+
+class Server:
+    """`orbitfinder studio` in a folder of its own."""
+
+    def __init__(self, folder, *arguments):
+        command = [sys.executable, "-m", "orbitfinder", "studio", "--no-browser", *arguments]
+        environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+        environment["PYTHONPATH"] = str(ROOT)  # and NiceGUI must not think that it is tested
+        self.log = (folder / "log.txt").open("w+")
+        self.process = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.PIPE, stderr=self.log, text=True, env=environment
+        )
+        self.address = self.process.stdout.readline().strip().partition(": ")[2]
+
+    def end(self, number=signal.SIGINT):
+        self.process.send_signal(number)
+        self.process.wait(20)
+        self.process.stdout.close()
+
+    def words(self):
+        """What it wrote to standard error."""
+        self.log.seek(0)
+        return self.log.read()
+
+
+@pytest.fixture
+def server(tmp_path):
+    one = Server(tmp_path)
+    yield one
+    if one.process.poll() is None:
+        one.end(signal.SIGKILL)
+    one.log.close()
+
+
+@nicegui
+def test_the_page_is_served_to_whoever_knows_the_address_here_only(server, tmp_path):
+    base, token = re.fullmatch(r"(http://127\.0\.0\.1:\d+)/([\w-]{20,})", server.address).groups()
+
+    def status(path, **headers):
+        try:
+            return urllib.request.urlopen(urllib.request.Request(base + path, headers=headers)).status
+        except urllib.error.HTTPError as error:
+            return error.code
+
+    assert status(f"/{token}") == 200 and status(f"/{token}/site/core.js") == 200
+    assert status("/") == status(f"/{token[:-1]}") == status("/site/core.js") == 404
+    assert status(f"/{token}", Host="evil.example") == 400
+    port = base.rpartition(":")[2]
+    again = CliRunner().invoke(cli, ["studio", "--no-browser", "--port", port, "--out", str(tmp_path / "o")])
+    assert again.exit_code == 2 and f"--port: {port} is in use" in again.output
+    other = Server(tmp_path)
+    assert other.address.startswith("http://127.0.0.1:") and not other.address.startswith(base)
+    for one in (other, server):
+        one.end()
+        assert "Traceback" not in one.words()
+    other.log.close()
+
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed; pip install '.[browser]'")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+DRIVER = shutil.which("chromedriver")
+browsing = pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="no browser")
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars", "--disable-sync",
+    "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
+)  # fmt: skip
+
+
+class Tab:
+    """A browser with the studio open."""
+
+    def __init__(self, address, folder):
+        options = webdriver.ChromeOptions()
+        options.binary_location = CHROMIUM
+        for flag in (*FLAGS, f"--user-data-dir={folder}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        self.size(1440)
+        self.open(address)
+
+    def size(self, width, dark=False):
+        size = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        theme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": theme})
+
+    def open(self, address):
+        self.driver.get(address)
+        self.until("return window.stage && stage.shown > 0 && document.getElementById('readout').innerText")
+
+    def ask(self, script, *arguments):
+        return self.driver.execute_script(script, *arguments)
+
+    def until(self, script, patience=90.0):
+        end = time.monotonic() + patience
+        while not (found := self.ask(script)):
+            assert time.monotonic() < end, f"never true: {script}; {self.text('status')}"
+            time.sleep(0.02)
+        return found
+
+    def text(self, name):
+        return self.ask("const e = document.getElementById(arguments[0]); return e ? e.innerText : ''", name)
+
+    def click(self, name):
+        self.ask("document.getElementById(arguments[0]).click()", name)
+
+    def said(self, pattern, patience=90.0):
+        self.until(f"return /{pattern}/.test(document.getElementById('status').innerText)", patience)
+
+    def drag(self, joint, across, down, flick=False):
+        """Take a joint and let it go elsewhere, at rest or moving."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        place = self.ask("stage.speed(0); return stage.joint(arguments[0])", joint)
+        canvas, before = self.driver.find_element("id", "stage"), self.ask("return stage.shown")
+        size = canvas.rect
+        moves = ActionChains(self.driver, duration=20)
+        moves.move_to_element_with_offset(
+            canvas, round(place[0] - size["width"] / 2), round(place[1] - size["height"] / 2)
+        )
+        moves.click_and_hold().move_by_offset(across // 2, down // 2).move_by_offset(across // 2, down // 2)
+        (moves if flick else moves.pause(0.25)).release().perform()
+        self.until(f"return stage.shown > {before}")
+
+
+@pytest.fixture
+def tab(server, tmp_path):
+    one = Tab(server.address, tmp_path / "profile")
+    yield one
+    one.driver.quit()
+
+
+@nicegui
+@browsing
+@pytest.mark.slow
+def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_path):
+    began = time.monotonic()
+    tab.drag(2, 40, -30)
+    assert re.match(r"E = -\d+\.\d+ J, kept to \S+ J, \d+ close returns in 18\.8 s", tab.text("readout"))
+    tab.click("find")
+    tab.said("certified")
+    assert time.monotonic() - began < 10.0 * _shared()
+    assert "Certified" in tab.text("badge") and tab.text("about").startswith("T = ")
+
+    tab.click("badge")
+    tab.until("return [...document.querySelectorAll('.certificate td')].some(one => one.innerText === 'closure')")
+    _escaped(tab)
+    tab.click("follow")
+    tab.said(r": \d+ orbits?$")  # points come in
+    tab.said("closed orbits")
+    times = _slid(tab)
+    print(f"sliding: median {np.median(times):.0f} ms, worst {max(times):.0f} ms")
+    assert np.median(times) < 50.0 * _shared()
+    assert "orbit " in tab.text("where")
+
+    tab.click("branch")
+    tab.said("search|looking|found")
+    time.sleep(1.0)
+    began = time.monotonic()
+    tab.click("cancel")
+    tab.said("Stopped", 5.0)
+    assert time.monotonic() - began < 0.5 * _shared()
+    tab.click("branch")
+    tab.said("famil(y|ies) found at event")
+    tab.click("save")
+    tab.said("files? saved")
+    assert tab.driver.get_log("browser") == []
+    hosts = {
+        one.split("/")[2] for one in tab.ask("return performance.getEntries().map(one => one.name)") if "//" in one
+    }
+    assert hosts <= {server.address.split("/")[2]}  # nothing from elsewhere: it works offline
+
+    server.end(signal.SIGKILL)  # nothing saved is lost
+    saved = sorted((tmp_path / "studio").glob("*/*.json"))
+    assert len(saved) >= 3
+    commands = tab.ask("return document.querySelector('.commands').innerText").strip().splitlines()
+    assert sum("--switch" in one for one in commands) >= 1
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    for line in [one for one in commands if one.startswith("orbitfinder")][:2]:
+        command = [sys.executable, "-m", *shlex.split(line)]
+        subprocess.run(command, cwd=tmp_path, check=True, env=environment, stdout=subprocess.DEVNULL)
+    for one in (tmp_path / "again").glob("*/*.json"):
+        mine = json.loads((tmp_path / "studio" / one.relative_to(tmp_path / "again")).read_text())
+        theirs = json.loads(one.read_text())
+        for a, b in zip(mine.get("points", [mine]), theirs.get("points", [theirs]), strict=True):
+            assert abs(a["period"] / b["period"] - 1) < 1e-12
+
+
+def _shared():
+    """How much longer things take than on a quiet machine, for which the limits are."""
+    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+
+
+def _escaped(tab):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    ActionChains(tab.driver).send_keys(Keys.ESCAPE).perform()
+    tab.until("return !document.querySelector('.certificate')")
+
+
+def _slid(tab):
+    """Milliseconds from a key on the slider to the next orbit on the stage."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    tab.ask("document.querySelector('#slide [tabindex]').focus()")
+    watch = """const n = stage.shown; window.took = 0;
+    document.addEventListener('keydown', () => { const t = performance.now();
+      const look = () => stage.shown > n ? window.took = performance.now() - t : requestAnimationFrame(look);
+      requestAnimationFrame(look); }, { once: true, capture: true });"""
+    times = []
+    for key in [Keys.ARROW_RIGHT] * 6 + [Keys.ARROW_LEFT] * 12:
+        tab.ask(watch)
+        ActionChains(tab.driver, duration=1).send_keys(key).perform()
+        times.append(tab.until("return window.took", 10.0))
+    return times
+
+
+@nicegui
+@browsing
+@pytest.mark.slow
+def test_a_click_on_a_return_finds_it_and_two_tabs_do_not_meet(server, tab, tmp_path):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    tab.drag(1, 60, -40, flick=True)
+    assert tab.ask("return stage.rates()")[0] != 0  # it was let go of while it moved
+    tab.drag(2, 40, -30)
+    assert tab.ask("return stage.rates()") == [0, 0]
+    second = Tab(server.address, tmp_path / "second")
+    try:
+        dots = tab.driver.find_elements("css selector", "#returns .points path")
+        ActionChains(tab.driver).move_to_element(dots[0]).click().perform()
+        second.click("find")
+        for one in (tab, second):
+            one.said("certified$|not an orbit$|no orbit")
+        second.driver.quit()  # a browser that goes takes nothing along
+        tab.click("find")
+        tab.said("double-pendulum-3: certified")
+        tab.click("save")
+        tab.said("saved")
+    finally:
+        second.driver.quit()
+    names = {one.parent.name for one in (tmp_path / "studio").glob("*/orbit.json")}
+    assert "double-pendulum-3" in names and "double-pendulum-2" not in names
+
+
+@nicegui
+@browsing
+@pytest.mark.slow
+@pytest.mark.parametrize("dark", [False, True])
+def test_nothing_is_cut_off_at_any_width(tab, dark):
+    for width in (1440, 800, 360):
+        tab.size(width, dark)
+        tab.driver.refresh()
+        tab.until("return window.stage && stage.shown > 0")
+        assert tab.ask("return document.documentElement.scrollWidth <= innerWidth")
+        assert tab.ask("return document.body.classList.contains('body--dark')") == dark
