@@ -177,3 +177,12 @@ def test_a_doubling_is_proved(mode):
     """The determinant of K changes its sign where the half map's multipliers are +-i."""
     found = prove_branch(mode, -41.2150140, -41.2150139)
     assert found.proved and [one.kind for one in found.passages if one.proved] == ["period_doubling"]
+
+
+@pytest.mark.slow
+def test_five_joules_of_the_triple_pendulum_are_proved():
+    """The committed record of its first mode: every piece and joint again, over at least 5 J."""
+    recorded = read_branch(FAMILIES.parent / "proofs" / "triple-mode-1" / "branch-proof.json")
+    assert recorded.high - recorded.low >= 5.0 and len(recorded.pieces) < 50
+    again = replayed(recorded)
+    assert again.proved, again.reason

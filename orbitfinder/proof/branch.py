@@ -192,7 +192,7 @@ def fitted(equations: Equations, near: Callable[[float], Vector], low: float, hi
         found = np.polynomial.chebyshev.cheb2poly(one)  # without the zeros that it ends with
         powers[k, : len(found)] = found
     radius = np.full(len(powers), RADIUS * np.abs(powers).max())
-    piece = Piece(low, high, tuple(map(tuple, powers.tolist())), tuple(radius.tolist()))
+    piece = Piece(low, high, tuple(tuple(one) for one in powers.tolist()), tuple(radius.tolist()))
     return checked(equations, piece)
 
 
