@@ -64,9 +64,9 @@ def doubled(straight):
 def test_pieces_reach_from_one_end_to_the_other(straight):
     """Several pieces, each beginning where the last one ended, the recorded orbit among them."""
     low = straight.points[10].energy
-    found = prove_branch(straight, low, low + 3e-4)
+    found = prove_branch(straight, low, low + 1e-3)
     assert found.proved and len(found.pieces) > 1
-    assert found.pieces[0].low == low and found.pieces[-1].high == low + 3e-4
+    assert found.pieces[0].low == low and found.pieces[-1].high == low + 1e-3
     assert all(a.high == b.low for a, b in zip(found.pieces[:-1], found.pieces[1:], strict=True))
     for piece in found.pieces:  # the boxes go along with the energy and are narrower than the way that they go
         assert max(piece.radius) < 1e-3 * max(abs(one[1]) for one in piece.centre)
@@ -177,3 +177,12 @@ def test_a_doubling_is_proved(mode):
     """The determinant of K changes its sign where the half map's multipliers are +-i."""
     found = prove_branch(mode, -41.2150140, -41.2150139)
     assert found.proved and [one.kind for one in found.passages if one.proved] == ["period_doubling"]
+
+
+@pytest.mark.slow
+def test_five_joules_of_the_triple_pendulum_are_proved():
+    """The committed record of its first mode: every piece and joint again, over at least 5 J."""
+    recorded = read_branch(FAMILIES.parent / "proofs" / "triple-mode-1" / "branch-proof.json")
+    assert recorded.high - recorded.low >= 5.0 and len(recorded.pieces) < 50
+    again = replayed(recorded)
+    assert again.proved, again.reason

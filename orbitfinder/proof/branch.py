@@ -188,11 +188,11 @@ def fitted(equations: Equations, near: Callable[[float], Vector], low: float, hi
         rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, FARTHEST, inverse)[0]])
     bends = np.polynomial.chebyshev.chebfit(places, np.array(rows), DEGREE)
     powers = np.zeros(bends.T.shape)
-    for row, one in zip(powers, bends.T, strict=True):
+    for k, one in enumerate(bends.T):
         found = np.polynomial.chebyshev.cheb2poly(one)  # without the zeros that it ends with
-        row[: len(found)] = found
+        powers[k, : len(found)] = found
     radius = np.full(len(powers), RADIUS * np.abs(powers).max())
-    piece = Piece(low, high, tuple(tuple(map(float, one)) for one in powers), tuple(map(float, radius)))
+    piece = Piece(low, high, tuple(tuple(one) for one in powers.tolist()), tuple(radius.tolist()))
     return checked(equations, piece)
 
 
