@@ -485,9 +485,10 @@ def return_distances(times: np.ndarray, states: np.ndarray, angles: np.ndarray, 
     """
     there = between(times, states, angles.size, times[-1] / np.asarray(covers, float))
     moved, n = np.ptp(states, axis=0), angles.size
-    units = alone(moved, angles)
     if n < moved.size:
         units = np.concatenate(extents(moved[:n], moved[n:], np.ones(n), float(times[-1])))
+    else:
+        units = alone(moved, angles)
     return [float(one) for one in np.abs(wrapped(there - states[0], angles) / units).max(axis=1)]
 
 

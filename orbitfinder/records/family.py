@@ -50,6 +50,8 @@ CLOSURE = 1e-11
 """Largest independent closure of an accepted point, relative to the motion, times what errors grow by."""
 METHODS = ("product", "periodic QR")
 """How multipliers were found: as eigenvalues of the state-transition matrices' product, or factor by factor."""
+OFTEN_EMPTY = ("shift", "multiplier_errors", "multiplier_method")
+"""What is written only where there is any"""
 SEAL = "digest"
 """The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
 SEAL_DIGITS = 16
@@ -242,7 +244,7 @@ class Journal:
 def plain(value: Any) -> Any:
     """JSON-ready: arrays as lists, complex numbers as [re, im], of a point what its family does not say already."""
     if isinstance(value, (FamilyPoint, Event)):
-        told = (name for name in ENTRIES[type(value)] if name != "shift" or getattr(value, name))
+        told = (name for name in ENTRIES[type(value)] if name not in OFTEN_EMPTY or len(getattr(value, name)))
         entries = {name: plain(getattr(value, DENSE.get(name, name))) for name in told}
         return entries if value.energy == value.energy else entries | {"energy": None}  # where none is conserved
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
