@@ -50,7 +50,7 @@ PURPOSES = {
     "Follow": ("continue", "torus", "manifold", "connect"),
     "Prove": ("verify", "prove", "refine"),
     "Use": ("stabilise", "export"),
-    "Look": ("plot", "animate", "page", "reproduce"),
+    "Look": ("studio", "plot", "animate", "page", "reproduce"),
     "This program": ("doctor", "completion"),
 }
 """The commands by what they are for, in the order in which they are used"""
