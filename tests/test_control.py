@@ -203,6 +203,21 @@ def test_the_kept_amplitude_costs_what_parseval_says_and_meets_pontryagin() -> N
     assert cost_of(maintained(method="collocation")) == pytest.approx(value, rel=1e-10)
 
 
+def test_a_costate_or_a_multiplier_that_is_not_its_own_is_rejected() -> None:
+    best = of.find_orbit(pick(4.0, 20))
+    assert best.control is not None and best.certificate is not None and best.certificate.passed
+    name, value = next(iter(best.control["multipliers"].items()))
+    far = {name: value + 1e-2 * max(map(abs, best.control["multipliers"].values()))}
+    changes: tuple[dict[str, object], ...] = (
+        {"costate": [1.01 * one for one in best.control["costate"]]},
+        {"costate": []},
+        {"multipliers": dict(best.control["multipliers"]) | far},
+        {"multipliers": {}},
+    )
+    for change in changes:
+        assert of.certify(replace(best, control=dict(best.control) | change)).failures == ("costate",), change
+
+
 def test_a_control_one_per_cent_off_is_rejected_by_name() -> None:
     """The same task done by another control that closes as well: only its optimality is missing."""
     best, wrong = (of.find_orbit(replace(pick(4.0, 20), control=replace(pick(4.0, 20).control, cost=cost)))  # type: ignore[type-var]
@@ -211,15 +226,16 @@ def test_a_control_one_per_cent_off_is_rejected_by_name() -> None:
     off = np.abs(np.array(wrong.control["coefficients"]) - np.array(best.control["coefficients"])).max()
     assert 1e-3 < off / np.abs(best.control["coefficients"]).max() < 0.02
     claimed = dict(wrong.control) | {"cost_of": "force**2"}
-    true_cost = of.certify(replace(wrong, control=claimed))
-    claimed["cost"] = claimed["cost"] if "cost" not in true_cost.failures else _recomputed(wrong, claimed)
+    claimed |= _recomputed(wrong, claimed)
     failures = of.certify(replace(wrong, control=claimed)).failures
     assert failures == ("stationarity",)
 
 
-def _recomputed(orbit: of.Orbit, entry: dict) -> float:  # type: ignore[type-arg]
+def _recomputed(orbit: of.Orbit, entry: dict) -> dict:  # type: ignore[type-arg]
+    """Cost, costate and multipliers as a record of this control would truly have them."""
     model = build_model(orbit.system)
-    return gather_controlled(model, orbit.state, orbit.period, np.zeros(1, int), entry, orbit.symmetry).cost
+    found = gather_controlled(model, orbit.state, orbit.period, np.zeros(1, int), entry, orbit.symmetry)
+    return {"cost": found.cost, "costate": found.costate, "multipliers": dict(found.multipliers)}
 
 
 def test_a_limit_that_is_met_has_the_sign_of_a_limit() -> None:

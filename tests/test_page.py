@@ -30,12 +30,12 @@ from orbitfinder.mechanics.model import positions, vector_field
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
 from orbitfinder.records.family import Event, load_family
-from orbitfinder.records.orbit import orbit_to_document
+from orbitfinder.records.orbit import asked, orbit_to_document
 from orbitfinder.records.store import load_orbit
 from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import evenly, gather
-from orbitfinder.site.motion import Simulator, histories, packed, resampled
+from orbitfinder.site.motion import Simulator, histories, packed, resampled, skeleton
 from orbitfinder.site.pages import span, spread
 from orbitfinder.site.text import PAGES, coordinate, mechanism, number, script_data, size, slug_maker
 from orbitfinder.site.writing import MARK, check_target, mark, write_site
@@ -97,13 +97,19 @@ def embedded(path: Path) -> tuple[str, dict]:
 def decoded(motion: dict) -> np.ndarray:
     """Positions (m x 2 x j) out of what `packed` made."""
     many, values = motion["points"], np.frombuffer(base64.b64decode(motion["data"]), "<i2").astype(float)
-    channels = np.zeros((2 * many, motion["count"]))
+    channels = np.zeros((3 * many, motion["count"]))
     for row, channel in enumerate(motion["moving"]):
         part = values[row * motion["count"] : (row + 1) * motion["count"]]
-        channels[channel] = motion["centre"][channel >= many] + motion["half"] * part / 32767
+        channels[channel] = part / 32767
+        if channel < 2 * many:
+            channels[channel] = motion["centre"][channel >= many] + motion["half"] * part / 32767
     for channel, value in motion["still"].items():
         channels[int(channel)] = value
-    return channels.reshape(2, many, -1).transpose(2, 0, 1)
+    points = channels[: 2 * many].reshape(2, many, -1)
+    for point, parent, length, middle, _ in motion.get("rods", []):
+        angle = channels[2 * many + point] * motion["swing"] + middle * (length > 0)
+        points[:, point] = points[:, parent] + length * np.array([np.cos(angle), np.sin(angle)])
+    return points.transpose(2, 0, 1)
 
 
 def test_every_page_is_whole(site):
@@ -354,7 +360,7 @@ def test_positions_are_those_of_the_orbit(name):
     extent = np.ptp(exact, axis=(0, 2)).max()
     assert np.abs(seen - exact).max() < 1e-4 * extent
     lengths = np.linalg.norm(np.diff(seen, axis=2), axis=1)
-    assert np.abs(lengths - 1.0).max() < 1e-3
+    assert np.abs(lengths - 1.0).max() < 1e-8  # rebuilt from angles
     nodes = np.asarray(about["nodes"])
     assert np.abs(motion.at(len(nodes)) - nodes).max() < 1e-5
 
@@ -622,7 +628,9 @@ def test_atlas_database_and_export_agree(material, tmp_path):
         (tmp_path / "triples.json").write_text(json.dumps(list(atlas.documents())))
     base, export = (gather([path]).atlases[0] for path in (material / "triples.sqlite", tmp_path / "triples.json"))
     assert base.total == export.total == 2
-    assert [(k, one.document) for k, one in base.orbits] == [(k, one.document) for k, one in export.orbits]
+    assert [one.document for _, one in base.orbits] == [one.document for _, one in export.orbits]
+    assert [k for k, _ in base.orbits] == [1, 2] and [k for k, _ in export.orbits] == [0, 1]  # as FILE#K has them
+    assert (base.file, export.file) == ("triples.sqlite", "triples.json")
 
 
 def test_few_atlas_orbits_get_pages(tmp_path):
@@ -632,8 +640,8 @@ def test_few_atlas_orbits_get_pages(tmp_path):
     made, summary = build_site(gather([tmp_path / "big.json"]), Settings(atlas_pages=4))
     assert summary.orbits == 4 and sum(path.startswith("orbits/") for path in made.files) == 4
     text = made.files["data/atlases/big.js"].decode()
-    assert text.count('"page":"../orbits/') == 4 and text.count('"energy"') == 12
-    assert "big, orbit 1" in made.files["index.html"].decode()
+    assert text.count('"page":"../orbits/') == 4 and text.count('"energy":-') == 12
+    assert "orbitfinder verify big.json#11" in text and "big, orbit 11" in made.files["index.html"].decode()
 
 
 def test_an_atlas_at_one_energy_is_in_order_of_period(tmp_path):
@@ -671,3 +679,127 @@ def test_vendored_library_carries_its_licence():
         (assets / "plotly-basic.min.js").read_text(encoding="utf-8").startswith("/**\n* plotly.js (basic - minified)")
     )
     assert "@font-face" not in (assets / "page.css").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "rods", "still"), [("four-bar-rotating", 2, 4), ("fermi-pasta-ulam", 0, 14), ("rotating-hoop", 1, 2)]
+)
+def test_what_is_rigid_is_packed_as_angles(name, rods, still):
+    """Of a closed linkage all but the last link, which the page does not stretch by more than its interpolation."""
+    motion = Simulator().orbit(json.loads((ROOT / "results" / "gallery" / name / "orbit.json").read_text()))
+    made = packed(motion)
+    assert len(made.get("rods", [])) == rods and len(made["still"]) == still
+    lengths = np.linalg.norm(np.diff(decoded(made), axis=2), axis=1)
+    changes = np.ptp(lengths, axis=0) / max(made["spans"])
+    if name != "fermi-pasta-ulam":  # springs there
+        assert changes.max() < 2e-3 and np.sort(changes)[:rods].max() < 1e-8
+
+
+def test_a_turning_angle_goes_on_over_the_end_of_the_period():
+    """The crank turns once: its channel grows by a whole turn, and half way between last and first it is in between."""
+    times = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    points = np.zeros((48, 2, 2))
+    points[:, 0, 1], points[:, 1, 1] = 2 * np.cos(times), 2 * np.sin(times)
+    bones = skeleton(points, ())
+    values, turns = bones.channels(points)
+    assert bones.rods == ((1, 0, 2.0),) and turns[5] == pytest.approx(2 * np.pi)
+    assert np.abs(bones.places(values) - points).max() < 1e-12
+    assert not skeleton(points * (1 + 0.01 * np.cos(times))[:, None, None], ()).rods  # one that breathes
+    assert not skeleton(points, (("spring", (0, 1)),)).rods
+
+
+def test_relative_motions_start_again_instead_of_flying_back():
+    found = Simulator().orbit(json.loads((ROOT / "results/gallery/pendulum-on-moving-cart/orbit.json").read_text()))
+    assert found.drifts and packed(found)["jumps"] == [len(found.points) - 1] and len(found.points) < 200
+
+
+def test_a_motion_at_constant_rates_is_drawn():
+    about = json.loads((ROOT / "results/gallery/conical-pendulum/orbit.json").read_text())
+    assert Simulator().orbit(about) is not None
+
+
+def test_mixed_angles_and_lengths_have_histories():
+    about = json.loads((ROOT / "results/gallery/pendulum-on-cart/orbit.json").read_text())
+    assert histories(Simulator().orbit(about))["count"] > 200
+
+
+@pytest.mark.parametrize(("name", "grows"), [("triple-1", 1.2415), ("quadruple-1", 1.0)])
+def test_the_neighbour_leaves_an_unstable_orbit_as_its_multiplier_says(name, grows):
+    simulator, about = Simulator(), document(name)
+    motion = simulator.orbit(about)
+    near = simulator.neighbour(about, motion)
+    assert near.period == pytest.approx(3 * motion.period) and near.drifts
+    extent = np.ptp(motion.states, axis=0)
+    away = [np.abs((near.at(4, endpoint=True)[k] - motion.states[0]) / extent).max() for k in range(4)]
+    assert away[0] == pytest.approx(0.03, rel=1e-6)
+    if grows > 1.1:
+        assert away[3] > 1.5 * away[0]
+    else:
+        assert max(away) < 0.4
+
+
+def test_energies_sum_to_the_recorded_one():
+    simulator, about = Simulator(), document()
+    split = simulator.energies(about, simulator.orbit(about))
+    assert split.shape == (2, 121) and np.abs(split.sum(axis=0) - about["energy"]).max() < 1e-3
+    forced = json.loads((ROOT / "results/gallery/forced-duffing-upper/orbit.json").read_text())
+    assert simulator.energies(forced, simulator.orbit(forced)) is None and not simulator.conserves(forced["system"])
+
+
+def test_energies_are_called_kept_only_where_they_are(tmp_path):
+    """Neither a forced oscillator's energy nor the reciprocal pairs that it has not are given as facts."""
+    for name in ("forced-duffing-upper", "henon-heiles-loop"):
+        shutil.copytree(ROOT / "results" / "gallery" / name, tmp_path / name)
+    made, _ = build_site(gather([tmp_path]), Settings(verify=False))
+    forced, free = (
+        made.files[f"orbits/{name}.html"].decode() for name in ("forced-duffing-upper", "henon-heiles-loop")
+    )
+    assert "<dt>Energy, not conserved</dt>" in forced and "reciprocal pairs" not in forced and "at t = 0" in forced
+    assert "<dt>Energy</dt><dd>0.125</dd>" in free and " J</dd>" not in free and "reciprocal pairs" in free
+    assert made.files["index.html"].decode().count("<dt>Energy</dt>") == 1
+
+
+def test_a_certificate_says_which_way_its_numbers_must_be():
+    """At most or at least, held against how the checks were judged; yes and no where only that was asked."""
+    for path in [*SHIPPED.glob("*/orbit.json"), ROOT / "results/gallery/four-bar-rocking/orbit.json"]:
+        for check in load_orbit(path).certificate.checks:
+            sense = asked(check.name, check.tolerance)
+            holds = {"\u2265": check.value >= check.tolerance, "\u2264": check.value <= check.tolerance, "": True}
+            assert holds[sense] and (sense or check.tolerance == 0.0)
+    assert (
+        asked("minimal_period", 1e-6) == asked("holds: above", -1e-9) == "\u2265" and asked("closure", 1.0) == "\u2264"
+    )
+
+
+def test_the_page_says_at_least_and_at_most(site):
+    text = (site / "orbits" / "triple-1.html").read_text(encoding="utf-8")
+    rows = dict(
+        re.findall(r'<th scope="row">([^<]+)</th><td><span[^>]*>passed</span></td><td>[^<]*</td><td>([^<]*)<', text)
+    )
+    assert rows["minimal period"].startswith("\u2265 ") and rows["closure"].startswith("\u2264 ")
+    assert rows["stability"] == "yes"
+
+
+def test_families_and_orbits_are_joined(tmp_path):
+    """A branch, the family that it left, and the orbit that lies on both have links to each other."""
+    for name in ("triple-1", "triple-mode-2"):
+        shutil.copytree(ROOT / "results" / "families" / name, tmp_path / "families" / name)
+    shutil.copytree(SHIPPED / "triple-1", tmp_path / "orbits" / "triple-1")
+    made, _ = build_site(gather([tmp_path]), Settings(verify=False))
+    branch, parent, orbit = (
+        made.files[f"{place}.html"].decode()
+        for place in ("families/triple-1", "families/triple-mode-2", "orbits/triple-1")
+    )
+    assert 'href="triple-mode-2.html#event=2">triple-mode-2, branch point 2</a>' in branch
+    assert 'href="triple-1.html">triple-1, from branch point 2</a>' in parent
+    assert re.search(r'href="../families/triple-1.html#point=\d+">Family triple-1 \(the curve comes within', orbit)
+    text = made.files["data/families/triple-mode-2.js"].decode()
+    assert "orbitfinder continue families/triple-mode-2/family.json --switch 2" in text
+
+
+def test_a_family_at_one_energy_opens_on_its_parameter(tmp_path):
+    shutil.copytree(ROOT / "results" / "families" / "five-bar-length", tmp_path / "five-bar-length")
+    made, _ = build_site(gather([tmp_path]))
+    page = made.files["families/five-bar-length.html"].decode()
+    assert page.index('value="value">length3') < page.index('value="energy">energy')
+    assert "length3 0.8 to 2.2" in made.files["index.html"].decode()

@@ -219,7 +219,7 @@ def test_orbit_page_has_one_clock(browser, pages):
     browser.execute_script(slider, 600)
     wait(browser, "return Math.abs(parseFloat(document.getElementById('clock').textContent) - 0.99) < 0.006")
     second = browser.execute_script(dots)
-    assert len(first) == 5 and all(a != b for a, b in zip(first, second, strict=True))
+    assert len(first) == 7 and all(a != b for a, b in zip(first, second, strict=True))
     checks = certify(load_orbit(SHIPPED / "triple-1" / "orbit.json")).checks
     shown = [check.name for check in checks if check.name != "samples"]  # the page moves by the nodes
     assert len(browser.find_elements("css selector", "tbody.checks tr")) == len(shown)
@@ -320,3 +320,136 @@ def test_skip_link_theme_button_and_tab_order(browser, pages):
     link = find(browser, ".card h3 a")
     link.send_keys(Keys.ENTER)
     wait(browser, "return location.pathname.includes('/orbits/')")
+
+
+def test_rods_keep_their_length_between_samples(browser, pages):
+    """At any instant, not only at the samples: links are rebuilt from angles."""
+    go(browser, pages["family"])
+    changes = """const worst = []; for (const item of orbitfinder.data.explorer.items) {
+        const motion = new orbitfinder.Motion(item.motion), m = motion.points; let low = 1e9, high = 0;
+        for (let k = 0; k < 997; k++) { const now = motion.at(k / 997 * item.period);
+          const long = Math.hypot(now[2] - now[1], now[m + 2] - now[m + 1]);
+          low = Math.min(low, long); high = Math.max(high, long); }
+        worst.push(high / low - 1); } return Math.max(...worst);"""
+    assert browser.execute_script(changes) < 2e-6
+
+
+def test_curves_are_drawn_through_all_their_samples(browser, pages):
+    go(browser, pages["orbit"])
+    corners = "return [...document.querySelectorAll('.portraits .plot')].map(one => one.data[0].line.simplify)"
+    assert browser.execute_script(corners) == [False] * 3
+    drawn = browser.execute_script("return document.querySelector('.portraits .js-line').getAttribute('d').length")
+    assert drawn > 8000
+
+
+def test_filters_of_the_atlas_find_what_they_name(browser, pages, site):  # noqa: F811
+    """Each choice of each filter shows something, in sum everything; nothing left shows nothing."""
+    go(browser, site / "atlases" / "quadruples.html")
+    for field in ("stability", "symmetry"):
+        options = browser.execute_script(
+            f"return [...document.getElementById('{field}').options].map(one => one.value)"
+        )
+        found = []
+        for value in options:
+            browser.execute_script(
+                f"const f = document.getElementById('{field}'); f.value = arguments[0];"
+                "f.dispatchEvent(new Event('change'));", value
+            )  # fmt: skip
+            found.append(int(find(browser, "#item-text").text.split(" of ")[1].split(",")[0]))
+        assert found[0] == sum(found[1:]) == 2 and min(found) > 0
+        browser.execute_script(f"document.getElementById('{field}').selectedIndex = 0")
+
+
+def test_a_pick_is_held_has_an_address_and_back_returns(browser, pages):
+    go(browser, pages["family"])
+    first = ask(browser, "place", 0)
+    click(browser, *first[:2])
+    wait(browser, "return document.getElementById('lock').getAttribute('aria-pressed') === 'true'")
+    address = wait(browser, "return location.hash")
+    assert address == f"#{browser.execute_script('return orbitfinder.picked().key')}"
+    last = ask(browser, "place", -1)
+    click(browser, *last[:2], hover=True)
+    time.sleep(0.3)
+    assert browser.execute_script("return orbitfinder.picked().energy") == first[2]
+    click(browser, *last[:2])
+    wait(browser, f"return orbitfinder.picked().energy === {last[2]!r}")
+    browser.back()
+    wait(browser, f"return location.hash === '{address}' && orbitfinder.picked().energy === {first[2]!r}")
+    browser.get("about:blank")
+    browser.get(pages["family"].as_uri() + address)
+    wait(browser, f"return orbitfinder.picked && orbitfinder.picked() && orbitfinder.picked().energy === {first[2]!r}")
+
+
+def test_sliding_keeps_phase_and_scale(browser, pages):
+    go(browser, pages["family"])
+    find(browser, "#play").click()
+    share = "return [orbitfinder.player.time / orbitfinder.picked().period % 1, orbitfinder.player.scenes[0].scale]"
+    browser.execute_script("orbitfinder.player.seek(0.3 * orbitfinder.picked().period)")
+    wait(browser, "return !orbitfinder.player.stale")
+    before = browser.execute_script(share)
+    find(browser, "#next").click()
+    wait(browser, "return !orbitfinder.player.stale")
+    after = browser.execute_script(share)
+    assert before[0] == pytest.approx(0.3) and after == pytest.approx(before)
+
+
+def test_a_plot_zooms_and_shows_the_whole_again(browser, pages):
+    go(browser, pages["family"])
+    width = "const r = document.getElementById('plot')._fullLayout.xaxis.range; return r[1] - r[0]"
+    whole = browser.execute_script(width)
+    find(browser, "#near").click()
+    assert wait(browser, f"{width} < {0.5 * whole} && r[1] - r[0]") == pytest.approx(whole / 3)
+    find(browser, "#next").click()
+    assert browser.execute_script(width) == pytest.approx(whole / 3)  # a pick leaves the view alone
+    find(browser, "#whole").click()
+    assert browser.execute_script(width) == pytest.approx(whole)
+    choose_change = (
+        "const f = document.getElementById('up'); f.value = arguments[0]; f.dispatchEvent(new Event('change'));"
+    )
+    for up in ("moduli", "angles", "largest", "energy"):
+        browser.execute_script(choose_change, up)
+        assert browser.execute_script("return document.getElementById('plot').data.length") > 0
+    assert find(browser, "#plot-heading").text == "Energy against energy"
+
+
+def test_the_first_screen_has_the_button_and_the_sliders(browser, pages):
+    for kind, ids in (("orbit", ("play", "time")), ("family", ("play", "time", "item")), ("atlas", ("play", "item"))):
+        go(browser, pages[kind], width=1440)
+        for one in ids:
+            assert find(browser, f"#{one}").rect["y"] + find(browser, f"#{one}").rect["height"] <= 900, (kind, one)
+
+
+def test_search_folds_accents_and_knows_kinds_and_sources(browser, pages):
+    go(browser, pages["gallery"])
+    everything = cards(browser)
+    for text in ("QUADR\u00daple", "report figure 11", "brake triple"):
+        choose(browser, "search", text)
+        assert 0 < len(cards(browser)) < len(everything), text
+    choose(browser, "search", "mode")
+    links = browser.execute_script("return document.querySelectorAll('#links > li:not([hidden])').length")
+    assert links == 1 and browser.execute_script("return document.querySelectorAll('.group').length") == 0
+    choose(browser, "search", "")
+    groups = browser.execute_script("return [...document.querySelectorAll('.group')].map(one => one.textContent)")
+    assert groups[0].startswith("Single orbits (") and len(groups) == 3
+    choose(browser, "stability", "elliptic")
+    browser.get(pages["orbit"].as_uri())
+    browser.back()
+    wait(browser, "return document.getElementById('count').textContent")
+    chosen = find(browser, "#stability").get_attribute("value")
+    shown = browser.execute_script(
+        "return [...document.querySelectorAll('.card:not([hidden])')].map(c => c.dataset.stability)"
+    )
+    assert chosen == "" or set(shown) == {chosen}
+
+
+def test_any_two_components_and_a_neighbour(browser, pages):
+    go(browser, pages["orbit"])
+    choose_change = (
+        "const f = document.getElementById(arguments[0]); f.value = arguments[1]; f.dispatchEvent(new Event('change'));"
+    )
+    browser.execute_script(choose_change, "any-y", "5")
+    assert "rate" in browser.execute_script("return document.getElementById('any')._fullLayout.yaxis.title.text")
+    before = browser.execute_script("return orbitfinder.player.scenes[0].beside")
+    find(browser, "#beside").click()
+    assert before is None and browser.execute_script("return orbitfinder.player.scenes[0].beside.period > 4.9")
+    assert find(browser, "#beside-note").is_displayed()

@@ -170,6 +170,7 @@ def lagrange(
     invariants: Sequence[Invariant] | None = None,
     points: ca.SX | None = None,
     centres: ca.SX | None = None,
+    strokes: Sequence[tuple[str, tuple[int, ...]]] = (),
     system: Mapping[str, Any] | None = None,
     symmetries: Mapping[str, Sequence[int]] | None = None,
     scales: Mapping[str, float] | None = None,
@@ -187,7 +188,8 @@ def lagrange(
     `names` are the coordinates' names (rates get a trailing "dot"); `scales` gives sizes to measure in,
     of coordinates and parameters by name or `length` of all coordinates that are no angles, where no
     motion shows them yet (modes, searches). `controls` are parameters that may vary in time, each within
-    its `limits` (greatest magnitude, or lowest and highest). Raises `InputError` when an energy is not a scalar,
+    its `limits` (greatest magnitude, or lowest and highest). `strokes` say what is drawn through which of the points
+    (see `Model.strokes`). Raises `InputError` when an energy is not a scalar,
     depends on a foreign symbol, or T is not quadratic in all velocities.
     """
     labels, turning = coordinate_names(names, symbols), coordinate_angles(angles, symbols)
@@ -212,7 +214,7 @@ def lagrange(
         controls=controls,
         limits=limits,
     )
-    return with_scales(model, scales)
+    return with_scales(replace(model, strokes=tuple(strokes)), scales)
 
 
 def _reversals(symmetries: Mapping[str, Sequence[int]], count: int) -> tuple[tuple[str, int, tuple[int, ...]], ...]:

@@ -90,6 +90,12 @@ def whole_number(name: str, value: int, most: int) -> int:
     return value
 
 
+SPRUNG = (("ground", (0,)), ("spring", (0, 1)), ("rod", (1,)))
+TIED = (("ground", (0,)), ("spring", (0, 1)), ("slider", (1,)))
+APART = (("rod", (0,)), ("rod", (1,)), ("rod", (2,)))
+"""What is drawn: a mass on a spring that hangs, one on a track; three bodies"""
+
+
 def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
     """x'' + stiffness x + cubic x^3 = 0: a spring that hardens (cubic > 0) or softens, mass 1.
 
@@ -99,14 +105,14 @@ def duffing(stiffness: float = 1.0, cubic: float = 1.0) -> Model:
     made = ingredients(1, signed={"stiffness": stiffness, "cubic": cubic})
     q, v = made.q, made.v
     potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
-    return made.model("duffing", v**2 / 2, potential, names=["x"], points=_slider(made))
+    return made.model("duffing", v**2 / 2, potential, names=["x"], points=_slider(made), strokes=TIED)
 
 
 def double_well(depth: float = 0.25, distance: float = 1.0) -> Model:
     """Unit mass in V = depth ((x / distance)^2 - 1)^2: minima at +-distance, barrier `depth` J at 0."""
     made = ingredients(1, positive={"depth": depth, "distance": distance})
     potential = made["depth"] * ((made.q / made["distance"]) ** 2 - 1) ** 2
-    return made.model("double_well", made.v**2 / 2, potential, names=["x"], points=_slider(made))
+    return made.model("double_well", made.v**2 / 2, potential, names=["x"], points=_slider(made), strokes=TIED)
 
 
 def van_der_pol(damping: float = 1.0) -> Model:
@@ -117,7 +123,13 @@ def van_der_pol(damping: float = 1.0) -> Model:
     made = ingredients(1, signed={"damping": damping})
     q, v = made.q, made.v
     return made.model(
-        "van_der_pol", v**2 / 2, q**2 / 2, forces=made["damping"] * (1 - q**2) * v, names=["x"], points=_slider(made)
+        "van_der_pol",
+        v**2 / 2,
+        q**2 / 2,
+        forces=made["damping"] * (1 - q**2) * v,
+        names=["x"],
+        points=_slider(made),
+        strokes=TIED,
     )
 
 
@@ -135,7 +147,9 @@ def forced_duffing(
     q, v = made.q, made.v
     potential = made["stiffness"] * q**2 / 2 + made["cubic"] * q**4 / 4
     push = made["force"] * ca.cos(made["frequency"] * made.t) - made["damping"] * v
-    return made.model("forced_duffing", v**2 / 2, potential, forces=push, names=["x"], points=_slider(made))
+    return made.model(
+        "forced_duffing", v**2 / 2, potential, forces=push, names=["x"], points=_slider(made), strokes=TIED
+    )
 
 
 def forced_pendulum(
@@ -212,7 +226,7 @@ def rotating_hoop(radius: float = 1.0, mass: float = 1.0, gravity: float = 9.8, 
     weight = -made["mass"] * made["gravity"] * r * ca.cos(q)
     return made.model(
         "rotating_hoop", kinetic, weight, names=["theta"], angles=[True], points=r * ca.horzcat(ca.SX.zeros(2),
-        ca.vertcat(ca.cos(q), ca.sin(q))),
+        ca.vertcat(ca.cos(q), ca.sin(q))), strokes=(("disc", (0, 1)), ("rod", (1,))),
     )  # fmt: skip
 
 
@@ -240,7 +254,7 @@ def spring_pendulum(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     potential = made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * q[0]
     return made.model(
         "spring_pendulum", made["mass"] * ca.sumsqr(v) / 2, potential, names=["x", "y"],
-        points=ca.horzcat(ca.SX.zeros(2), q), centres=q,
+        points=ca.horzcat(ca.SX.zeros(2), q), centres=q, strokes=SPRUNG,
     )  # fmt: skip
 
 
@@ -257,6 +271,7 @@ def spherical_pendulum(length: float = 1.0, mass: float = 1.0, gravity: float = 
     return made.model(
         "spherical_pendulum", kinetic, -made["mass"] * made["gravity"] * bob[0], names=["theta", "phi"],
         angles=[True, True], points=ca.horzcat(ca.SX.zeros(2), bob), centres=bob,
+        strokes=(("ground", (0,)), ("rod", (0, 1))),
     )  # fmt: skip
 
 
@@ -273,7 +288,7 @@ def swinging_spring(length: float = 1.0, mass: float = 1.0, stiffness: float = 2
     return made.model(
         "swinging_spring", made["mass"] * (v[0] ** 2 + v[1] ** 2 + (r * v[2]) ** 2) / 2,
         made["stiffness"] * stretch**2 / 2 - made["mass"] * made["gravity"] * z, names=["z", "r", "phi"],
-        angles=[False, False, True], points=ca.horzcat(ca.SX.zeros(2), bob), centres=bob,
+        angles=[False, False, True], points=ca.horzcat(ca.SX.zeros(2), bob), centres=bob, strokes=SPRUNG,
     )  # fmt: skip
 
 
@@ -300,6 +315,7 @@ def turning_three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 
     return made.model(
         "turning_three_bodies", kinetic, -made["gravitation"] * pull,
         names=["r", "phi", "u", "w"], angles=[False, True, False, False], points=places, centres=places,
+        strokes=APART,
     )  # fmt: skip
 
 
@@ -321,7 +337,7 @@ def pendulum_on_cart(
         potential += made["stiffness"] * q[0] ** 2 / 2
     return made.model(
         "pendulum_on_cart", kinetic, potential, names=["y", "theta"], angles=[False, True],
-        points=ca.horzcat(ca.vertcat(0, q[0]), bob),
+        points=ca.horzcat(ca.vertcat(0, q[0]), bob), strokes=(("slider", (0,)), ("rod", (0, 1))),
     )  # fmt: skip
 
 
@@ -344,6 +360,8 @@ def cart_chain(
     return made.model(
         "cart_chain", made["mass"] * ca.sumsqr(made.v) / 2, potential, names=[f"y{i + 1}" for i in range(count)],
         points=ca.horzcat(ca.SX.zeros(count + 2), places).T, fixed={"carts": count},
+        strokes=(*(("spring", (k, k + 1)) for k in range(count + 1)), ("ground", (0,)), ("ground", (count + 1,)),
+                 *(("slider", (k + 1,)) for k in range(count))),
     )  # fmt: skip
 
 
@@ -430,7 +448,7 @@ def three_bodies(mass1: float = 1.0, mass2: float = 1.0, mass3: float = 1.0) -> 
     places = ca.horzcat(centre - second / pair * r, centre + first / pair * r, pair / (pair + third) * far)
     return made.model(
         "three_bodies", kinetic, potential, names=["rx", "ry", "Rx", "Ry"],
-        points=ca.vertcat(-places[1, :], places[0, :]),
+        points=ca.vertcat(-places[1, :], places[0, :]), strokes=APART,
         invariants=[energy_invariant(kinetic, potential, *arguments), momentum],
     )  # fmt: skip
 

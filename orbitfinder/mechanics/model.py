@@ -129,7 +129,8 @@ class Model:
     rates: ca.Function | None = None
     hamiltonian: bool = False
     strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
-    """what is drawn through which of the points: rod, spring, ground, slider, disc (centre, rim); () is a polyline"""
+    """what is drawn through which of the points: rod (of one point a mass), spring, ground, slider, disc (centre,
+    rim); () is a polyline"""
     scales: Mapping[str, float] = field(default_factory=dict)
     """sizes to measure in: of coordinates by name, of all that are no angles by "length", of physical parameters"""
     controls: tuple[str, ...] = ()

@@ -271,6 +271,7 @@ def _controlled_record_checks(
         if orbit.symmetry != NONE.name
         else None,
         _at_most("nodes", far, NODES_OFF * max(scale, 1.0), "off the recomputed motion"),
+        _at_most("costate", _costate_off(orbit, found), allowed.stationarity, f"{RECORDED}, with the multipliers"),
         _at_most("limits", 0.0 if not own or own == orbit.control["limits"] else 1.0, 0.0, "those of the system"),
         _at_most("unfolding", orbit.period * max(map(abs, orbit.unfolding)), allowed.unfolding, "back at 0")
         if any(orbit.unfolding)
@@ -284,6 +285,17 @@ def _controlled_record_checks(
     if orbit.record is not None:
         checks.append(_same("record", orbit.record, digest(orbit_to_document(orbit))))
     return [check for check in checks if check]
+
+
+def _costate_off(orbit: Orbit, found: ControlledEvidence) -> float:
+    """How far the recorded costate and multipliers are from those found again, relative to the cost and the largest."""
+    assert orbit.control is not None
+    claimed, told = np.array(orbit.control.get("costate", []), float), orbit.control.get("multipliers", {})
+    if claimed.shape != found.costate.shape or set(told) != set(found.multipliers):
+        return np.inf
+    largest = max([found.cost_size, *map(abs, found.multipliers.values())])
+    apart = [abs(told[name] - one) / largest for name, one in found.multipliers.items()]
+    return float(max([*np.abs((claimed - found.costate) * found.extents) / found.cost_size, *apart]))
 
 
 def _hybrid_premises(model: Model, evidence: HybridEvidence, turns: np.ndarray) -> Iterator[Check]:

@@ -24,7 +24,7 @@ except ImportError as error:  # pragma: no cover - depends on what is installed
         "install orbitfinder with its extra 'proof': pip install 'orbitfinder[proof]'"
     ) from error
 
-arb, arb_mat, arb_series, fmpq = flint.arb, flint.arb_mat, flint.arb_series, flint.fmpq
+arb, arb_mat, arb_poly, arb_series, fmpq = flint.arb, flint.arb_mat, flint.arb_poly, flint.arb_series, flint.fmpq
 FLINT = flint.__version__
 Vector = list[Any]
 """ball numbers, one per component"""

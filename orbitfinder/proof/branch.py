@@ -1,13 +1,14 @@
 """A family proved over an interval of energies without a gap, and points on it where multipliers pass a value.
 
-For every energy E of a piece [E_a, E_b] the orbit is sought in a slanted box, u = m + t (E - E_m) + y with |y| <= r,
-t near du/dE. With e = E - E_m, and X the box of all such u,
+For every energy E(e) = E_m + e (E_b - E_a) / 2, |e| <= 1, of a piece [E_a, E_b] the orbit is sought in a box,
+u = m(e) + y with |y| <= r, m a polynomial. With C(e) a polynomial near the inverse of DF
 
-    K(Y) = -C (F(m, E_m) + (DF(X) t - dF) e) + (1 - C DF(X)) Y,    dF = (0, ..., 0, 1)
+    K(Y) = -C(e) F(m(e), E(e)) + (1 - C(e) DF(m(e) + Y)) Y
 
-holds Krawczyk's operator of every E in the piece: the mean value theorem along t. If K(Y) lies in the interior of Y,
-then for each E there is exactly one zero in the box, and it is a C^1 function of E. Two pieces that share an energy
-have the same orbit there if the first one's K(Y), moved to that energy, lies in the second one's box.
+is Krawczyk's operator for each e. F and DF are enclosed as polynomials in e with ball coefficients (`along`), so that
+what cancels for each e does so in the enclosures. If K(Y) lies in the interior of Y for every e, then for each E there
+is exactly one zero in the box; DF is regular there, so it is a C^1 function of E. Two pieces that share an energy have
+the same orbit there if the first one's K(Y), moved to that energy, lies in the second one's box.
 Source: A. Neumaier, Interval Methods for Systems of Equations (1990), section 5.1, with parameters.
 """
 
@@ -26,16 +27,16 @@ from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.loops.symmetry import named
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model
+from orbitfinder.proof.along import DEGREE, Along, along, bundle, ranged, ranges, table, transported
 from orbitfinder.proof.balls import (
     FLINT,
     Vector,
     arb,
     arb_mat,
-    between,
+    arb_poly,
     column,
     decimal,
     exact,
-    floats,
     identity,
     inside,
     precision,
@@ -47,8 +48,7 @@ from orbitfinder.proof.krawczyk import (
     Arc,
     Equations,
     approximate_inverse,
-    arcs_over,
-    jacobian,
+    jacobian_rows,
     linearised,
     norm,
     residual,
@@ -73,15 +73,15 @@ ROUGH = Settings(order=12, bits=80, tolerance=1e-14)
 """How the centres of a branch's boxes are found"""
 SHARP = Settings()
 """How the ends of a branch are enclosed"""
-FORMAT, VERSION, AGAIN = "orbitfinder/branch-proof", 1, "prove the branch again"
-FIRST = 1e-4
-"""Energies of the first piece that is tried, relative to those asked for where they are fewer (J)"""
-SLACK = 0.3
-"""r beside the half width of a piece along t, before it is known"""
+FORMAT, VERSION, AGAIN = "orbitfinder/branch-proof", 2, "prove the branch again"
+FIRST = 2e-3
+"""Energies of the first piece that is tried, relative to those of the family"""
+RADIUS = 1e-8
+"""Half width of a piece's box at least, beside its unknowns"""
 REMAINDER = 1e-4
-"""Remainder of a step beside the half width of a piece"""
-EASY = 0.35
-"""A piece whose image fills no more of its box is followed by a wider one"""
+"""Remainder of a step beside the half width of a piece's box"""
+WANTED = 0.2
+"""How much of its box the image of a piece is to fill"""
 FARTHEST = 0.3
 """How far from the nearest point of the family the first orbit may be (rad, rad/s, s)"""
 NARROWEST = 1e-6
@@ -90,41 +90,47 @@ NARROWEST = 1e-6
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of a branch: exactly one orbit for each energy from `low` to `high` in its slanted box.
+    """A piece of a branch: exactly one orbit for each energy from `low` to `high` in the box about its centre there.
 
-    `centre` (exact floats) is m at the middle energy, `tangent` t, `radius` r of each unknown.
+    `centre` (exact floats) are the coefficients c_0, c_1, ... of each unknown in e, -1 at `low` and 1 at `high`,
+    `radius` the box's half width in each.
     """
 
     low: float
     high: float
-    centre: tuple[float, ...]
-    tangent: tuple[float, ...]
+    centre: tuple[tuple[float, ...], ...]
     radius: tuple[float, ...]
     contraction: float = float("nan")
 
     @property
-    def energies(self) -> Any:
-        """The ball that holds every energy of the piece."""
-        return between(decimal(self.low), decimal(self.high))
+    def energy(self) -> Along:
+        """The energy as a function of e."""
+        low, high = decimal(self.low), decimal(self.high)
+        return Along(arb_poly([(low + high) / 2, (high - low) / 2]))
 
     @property
-    def middle(self) -> float:
-        """The energy of the centre, exact."""
-        return 0.5 * (self.low + self.high)
+    def functions(self) -> list[Along]:
+        """The centre as functions of e."""
+        return [Along(arb_poly(list(one))) for one in self.centre]
 
-    def along(self, energy: Any) -> Vector:
-        """m + t (E - E_m) at an energy or over a ball of them."""
-        ahead = energy - arb(self.middle)
-        return [arb(m) + arb(t) * ahead for m, t in zip(self.centre, self.tangent, strict=True)]
+    @property
+    def spread(self) -> Vector:
+        """The box about its centre."""
+        return [arb(0, r) for r in self.radius]
 
-    def box(self, energy: Any) -> Vector:
-        """The box of unknowns at an energy or over a ball of them."""
-        return [x + arb(0, r) for x, r in zip(self.along(energy), self.radius, strict=True)]
+    @property
+    def box(self) -> Vector:
+        """The box of unknowns that holds every orbit of the piece."""
+        return [x + y for x, y in zip(ranges(self.functions), self.spread, strict=True)]
+
+    def at(self, place: float) -> Vector:
+        """The centre at a value of e."""
+        return [one.whole(arb(place)) for one in self.functions]
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A piece with what was shown of it: K(Y) - m - t e (`image`), the norm, the segments over the whole box."""
+    """A piece with what was shown of it: K(Y) less the centre (`image`), the norm, the segments over every energy."""
 
     piece: Piece
     image: Vector
@@ -132,47 +138,79 @@ class Checked:
     proved: bool
     arcs: list[Arc]
 
-    def ends(self, energy: float) -> Vector:
-        """Where the orbit of one energy of the piece is."""
-        return [x + y for x, y in zip(self.piece.along(decimal(energy)), self.image, strict=True)]
+    def end(self, place: float) -> Vector:
+        """Where the orbit of one end (-1 or 1) of the piece is."""
+        return [x + y for x, y in zip(self.piece.at(place), self.image, strict=True)]
 
 
 def checked(equations: Equations, piece: Piece) -> Checked:
-    """The operator on a piece, integrated as finely as its width asks for."""
-    half = 0.5 * max(map(abs, piece.tangent)) * (piece.high - piece.low)
-    settings = replace(ROUGH, tolerance=min(1e-7, max(1e-40, REMAINDER * half)))
-    here, centre = replace(equations, energy=arb(piece.middle)), [arb(x) for x in piece.centre]
-    tangent, ahead = [arb(t) for t in piece.tangent], piece.energies - arb(piece.middle)
-    spread = [arb(0, r) for r in piece.radius]
-    around = [x + y for x, y in zip(centre, spread, strict=True)]
-    arcs = arcs_over(here, around, centre, settings, (tangent, ahead))
-    values = residual(here, centre, [arc[0] for arc in arcs])
-    slopes = jacobian(here, piece.box(piece.energies), [arc[1] for arc in arcs])
-    inverse, last = exact(approximate_inverse(floats(slopes))), len(values) - 1
-    along = (slopes * column(tangent)).entries()
-    moved = [f + (a - int(k == last)) * ahead for k, (f, a) in enumerate(zip(values, along, strict=True))]
-    defect = identity(len(values)) - inverse * slopes
-    parts = zip((inverse * column(moved)).entries(), (defect * column(spread)).entries(), strict=True)
+    """The operator on a piece, every energy of it at once."""
+    settings = replace(ROUGH, tolerance=REMAINDER * min(piece.radius))
+    here, centre, nodes = replace(equations, energy=piece.energy), piece.functions, equations.formulation.nodes
+    still = nodes([arb(0)] * len(centre))
+    starts = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(piece.spread), still, strict=True)]
+    found = [
+        transported(here.field, bundle(node, start), settings)
+        for node, start in zip(nodes(centre), starts, strict=True)
+    ]
+    values: np.ndarray = np.array(residual(here, centre, [end.point for end, _ in found]), dtype=object)
+    around = [x + y for x, y in zip(centre, piece.spread, strict=True)]
+    rows = jacobian_rows(here, around, [end.derivatives.ravel().tolist() for end, _ in found])
+    slopes: np.ndarray = np.array(rows, dtype=object)
+    inverse = inverse_along(slopes)
+    defect = ranged(table(identity(len(centre))) - inverse @ slopes)
+    parts = zip(ranges(inverse @ values), (defect * column(piece.spread)).entries(), strict=True)
     image = [e - f for f, e in parts]
-    return Checked(piece, image, norm(defect), inside(spread, image), arcs)
+    arcs = [(ranges(end.point), ranged(end.derivatives), ranges(end.hull), steps) for end, steps in found]
+    return Checked(piece, image, norm(defect), inside(piece.spread, image), arcs)
 
 
-def fitted(equations: Equations, near: Vector, low: float, high: float) -> Checked:
-    """A piece about the orbit at its middle energy, from unknowns near that; r is twice the image in a first box."""
-    middle = 0.5 * (low + high)
-    here = replace(equations, energy=arb(middle))
-    centre = solve(here, near, ROUGH, 1e-13, FARTHEST)[0]
-    tangent = linearised(here, centre, ROUGH)[1][:, -1]
-    half = 0.5 * np.abs(tangent) * (high - low)
-    radius = SLACK * (0.2 * half + half.max())
-    places = tuple(float(x.mid()) for x in centre)
-    piece = Piece(low, high, places, tuple(map(float, tangent)), tuple(map(float, radius)))
-    found = checked(equations, piece)
-    if found.proved or not fill(found) < 1e3:
-        return found
-    wide = zip(found.image, found.piece.radius, strict=True)
-    wider = tuple(max(2 * float(abs(x).upper()), 0.2 * r) for x, r in wide)
-    return checked(equations, replace(found.piece, radius=wider))
+def inverse_along(slopes: np.ndarray) -> np.ndarray:
+    """A polynomial in e near the inverse of a matrix of functions: C_0 = M_0^-1, C_k = -C_0 sum_{j>=1} M_j C_{k-j}."""
+    flat = [one.short for one in along(slopes.ravel().tolist())]
+    terms = [np.array([float(one[k].mid()) for one in flat]).reshape(slopes.shape) for k in range(DEGREE + 1)]
+    found = [approximate_inverse(terms[0])]
+    for k in range(1, DEGREE + 1):
+        found.append(-found[0] @ sum(terms[j] @ found[k - j] for j in range(1, k + 1)))
+    inverse = np.empty(slopes.shape, dtype=object)
+    for i, j in np.ndindex(slopes.shape):
+        inverse[i, j] = Along(arb_poly([float(one[i, j]) for one in found]))
+    return inverse
+
+
+def fitted(equations: Equations, near: Callable[[float], Vector], low: float, high: float) -> Checked:
+    """A piece through orbits at Chebyshev's points between two energies, from unknowns near those at a value of e."""
+    places = np.polynomial.chebyshev.chebpts1(DEGREE + 1)
+    rows, middle, half = [], 0.5 * (low + high), 0.5 * (high - low)
+    inverse = linearised(replace(equations, energy=arb(middle)), near(0.0), ROUGH)[1]
+    for place in places.tolist():
+        here = replace(equations, energy=arb(middle) + arb(half) * arb(place))
+        rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, FARTHEST, inverse)[0]])
+    bends = np.polynomial.chebyshev.chebfit(places, np.array(rows), DEGREE)
+    powers = np.zeros(bends.T.shape)
+    for k, one in enumerate(bends.T):
+        found = np.polynomial.chebyshev.cheb2poly(one)  # without the zeros that it ends with
+        powers[k, : len(found)] = found
+    radius = np.full(len(powers), RADIUS * np.abs(powers).max())
+    piece = Piece(low, high, tuple(tuple(one) for one in powers.tolist()), tuple(radius.tolist()))
+    return checked(equations, piece)
+
+
+def scaled(found: Checked | None) -> float:
+    """How much wider (or narrower) than a piece the next one may be: what is left out grows with e to the D + 1."""
+    if found is None:
+        return 0.4
+    wanted = (WANTED / max(fill(found), 1e-300)) ** (1.0 / (DEGREE + 1))
+    return float(np.clip(wanted, 0.3, 2.0 if found.proved else 0.8))
+
+
+def guess(found: Sequence[Checked], near: Vector, low: float, high: float) -> Callable[[float], Vector]:
+    """Unknowns near the orbits of the next piece by e: the last one's polynomials carried on."""
+    if not found:
+        return lambda place: near
+    last = found[-1].piece
+    far = (high - low) / (last.high - last.low)
+    return lambda place: last.at(1.0 + far * (place + 1.0))
 
 
 def fill(found: Checked) -> float:
@@ -185,7 +223,7 @@ def fill(found: Checked) -> float:
 
 def same_orbit(before: Checked, after: Piece) -> bool:
     """Whether the orbit of the energy that two pieces share is in the box of the second one as it is of the first."""
-    return inside(after.box(decimal(before.piece.high)), before.ends(before.piece.high))
+    return inside([x + y for x, y in zip(after.at(-1.0), after.spread, strict=True)], before.end(1.0))
 
 
 @dataclass(frozen=True)
@@ -275,24 +313,24 @@ class _Run:
     equations: Equations
     say: Progress
 
-    def pieces(self, near: Vector, low: float, high: float) -> list[Checked]:
+    def pieces(self, near: Vector, low: float, high: float, first: float) -> list[Checked]:
         """The pieces from one energy to another, from unknowns near the first orbit. Raises `NotProved`."""
         found: list[Checked] = []
-        here, length = low, min(FIRST, high - low)
+        here, length = low, min(first, high - low)
         while here < high:
-            following = high if high - here < 1.5 * length else here + length
+            following = high if high - here < 1.3 * length else here + length
+            one, why = None, "the operator does not map the box into itself"
             try:
-                one = fitted(self.equations, near, here, following)
-                if not one.proved:
-                    raise NotProved
-                self.join(found, one)
+                one = fitted(self.equations, guess(found, near, here, following), here, following)
+                if one.proved:
+                    self.join(found, one)
             except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-                length *= 0.5
-                if length < NARROWEST * (high - low):
-                    raise NotProved(f"no piece of the branch is short enough beyond {here!r} J: {error}") from error
-                continue
-            length *= 1.4 if fill(one) < EASY else 1.0 if fill(one) < 0.7 else 0.8
-            near, here = one.piece.along(decimal(following)), following
+                one, why = None, str(error)
+            length = (following - here) * scaled(one)
+            if one is not None and one.proved:
+                here = following
+            elif length < NARROWEST * (high - low):
+                raise NotProved(f"no piece of the branch is short enough beyond {here!r} J: {why}")
         return found
 
     def again(self, pieces: Sequence[Piece]) -> list[Checked]:
@@ -309,7 +347,7 @@ class _Run:
         """Add a piece. `NotProved` unless it goes on where the last one ends, and all in it are orbits."""
         if found and not (found[-1].piece.high == one.piece.low and same_orbit(found[-1], one.piece)):
             raise NotProved(f"the pieces that meet at {one.piece.low!r} J could not be shown to have one orbit there")
-        path = horizon(self.equations, one.piece.box(one.piece.energies), one.arcs)
+        path = horizon(self.equations, one.piece.box, one.arcs)
         if not moves(path):
             raise NotProved("a state of the branch could be an equilibrium")
         if path.formulation.unfolded and not self.model.hamiltonian and not positive_mass(path):
@@ -320,13 +358,14 @@ class _Run:
         found.append(one)
         self.say(f"{one.piece.low!r} to {one.piece.high!r} J: one orbit for each energy, {fill(one):.0%} of the box")
 
-    def end(self, one: Checked, energy: float) -> Trajectory:
+    def end(self, one: Checked, place: float) -> Trajectory:
         """The orbit at an end of the branch, enclosed to many digits, which is shown to be that of the piece there."""
         with precision(SHARP.bits):
+            energy = one.piece.low if place < 0 else one.piece.high
             here = replace(self.equations, field=make_field(self.model), energy=decimal(energy))
-            centre = solve(here, one.ends(energy), SHARP, CENTRE)[0]
+            centre = solve(here, one.end(place), SHARP, CENTRE)[0]
             found = enclosed(here, centre, SHARP, lambda line: None)
-            if not inside(one.piece.box(decimal(energy)), found.image):
+            if not inside([x + y for x, y in zip(one.piece.at(place), one.piece.spread, strict=True)], found.image):
                 raise NotProved(f"the orbit at {energy!r} J could not be shown to be on the branch")
             return trajectory(here, found.image, SHARP)
 
@@ -347,8 +386,8 @@ def prove_branch(
         inner = [one for one in family.events if low < one.energy < high and one.kind != "stability_change"]
         asked = [(one.kind, 2.0 * float(complex(one.multiplier).real)) for one in inner]
         empty = Branch(False, "", family.name, model.system, start.formulation, equations.section, low, high, 0.0)
-        run = _Run(model, equations, say)
-        return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high))
+        run, first = _Run(model, equations, say), FIRST * float(np.ptp(family.values("energy")))
+        return _concluded(empty, run, codes, asked, lambda: run.pieces(unknowns_at(start), low, high, first))
 
 
 def branch_model(branch: Branch, trusted: Path | None = None) -> Model:
@@ -379,7 +418,7 @@ def _concluded(
         check_graph(codes, about.formulation, run.model)
         found = pieces()
         if asked:
-            ends = [run.end(found[0], about.low), run.end(found[-1], about.high)]
+            ends = [run.end(found[0], -1.0), run.end(found[-1], 1.0)]
             with precision(SHARP.bits):
                 each = (passage(kind, level, ends) for kind, level in asked)
                 passed = [one for one in each if one is not None]
@@ -450,7 +489,7 @@ def read_branch(path: Path) -> Branch:
     symmetry = named(found.symmetry, model)
     size = model.degrees_of_freedom
     form = Formulation(symmetry, size, found.segments, found.constants, found.turns, bool(model.invariants))
-    sizes = {len(one) for piece in found.pieces for one in (piece.centre, piece.tangent, piece.radius)}
+    sizes = {len(one) for piece in found.pieces for one in (piece.centre, piece.radius)}
     fits = (len(form.constants), len(form.turns)) == (form.dimension, size) and sizes <= {form.unknowns}
     positive = all(r > 0 and np.isfinite(r) for piece in found.pieces for r in piece.radius)
     if not (fits and positive and found.segments > 0):

@@ -150,20 +150,33 @@ def _state_image(
 
 def transition_over(field: Field, step: Step, plain: Solution, settings: Settings) -> Any:
     """dz(h)/dz over the starting box (d+2 square), by the same argument for the variational equations."""
-    order, n, d, span = settings.order, field.size, field.dimension, up_to(arb(step.h))
+    order, n, d = settings.order, field.size, field.dimension
     found = plain.varied(field.varied)
-    _, rest, own = _state_image(field, found, span, step.remainder, order)
-    series, values = found.transitions(), outputs(found.code, rest)
-    slopes = [*slope_series(n, d, found.results()[1], order),
-              slope_series(n, d, {k: [x] for k, x in values[1].items()}, 1)[0]]  # fmt: skip
-    forcing = own[n:] + [values[0].get(i, arb(0)) for i in range(n)]
+    series = found.transitions()
     blocks = [block(one, d + 1, 0, d + 2) for one in series]
+    rest = transition_remainder(field, found, step, blocks, slope_series(n, d, found.results()[1], order), settings)
+    last = arb_mat(d + 2, d + 2, rest.entries() + [arb(0)] * (d + 2))
+    return horner([*series, last], arb(step.h))
+
+
+def transition_remainder(
+    field: Field, found: Solution, step: Step, blocks: list[Any], slopes: list[Any], settings: Settings
+) -> Any:
+    """The remainder H (d+1 x d+2) of the derivatives of (q, v, s) over a step.
+
+    `found` has the Jacobian's values, `blocks` are the coefficients 0..p, `slopes` those of d(a + s u)/d(q, v, s)
+    below p.
+    """
+    order, n, d, span = settings.order, field.size, field.dimension, up_to(arb(step.h))
+    _, rest, own = _state_image(field, found, span, step.remainder, order)
+    values = outputs(found.code, rest)
+    slopes = [*slopes, slope_series(n, d, {k: [x] for k, x in values[1].items()}, 1)[0]]
+    forcing = own[n:] + [values[0].get(i, arb(0)) for i in range(n)]
     trial = arb_mat(d + 1, d + 2)
     for _ in range(GUESSES + 3):
         image = _transition_image(field, found, blocks, slopes, forcing, trial, span, order)
         if inside(trial.entries()[: -d - 2], image.entries()[: -d - 2]):
-            last = arb_mat(d + 2, d + 2, trial.entries() + [arb(0)] * (d + 2))
-            return horner([*series, last], arb(step.h))
+            return trial
         grown = [arb(x.mid(), 1.5 * arb(x.rad()) + abs(x).upper() * 2.0**-10 + 1e-300)
                  for x in image.entries()[: -d - 2]]  # fmt: skip
         trial = arb_mat(d + 1, d + 2, grown + [arb(0)] * (d + 2))
@@ -218,7 +231,6 @@ class Cloud:
     turned: Any
     rest: Any
     start: Any
-    along: Any = None
 
     @property
     def point(self) -> Vector:
@@ -238,19 +250,12 @@ class Cloud:
         size = self.frame.nrows()
         slopes, start = self.derivatives, self.start
         moved = (slopes * start).entries()
-        if self.along is not None:
-            direction, span = self.along
-            moved = [x + y * span for x, y in zip(moved, (slopes * direction).entries(), strict=True)]
-            start += direction * span
         constants = [c + d for c, d in zip(self.centre[size:], start.entries()[size:], strict=True)]
         return [x + d for x, d in zip(self.point[:size], moved, strict=True)] + constants
 
 
-def cloud(box: Sequence[Any], point: Sequence[Any] | None = None, along: Any = None) -> Cloud:
-    """The Cloud of a box z (d + 2 balls) at the start, about a point of it (balls; its centre if absent).
-
-    `along` (column d + 2, ball) is a direction in which it is moved besides, and by how much.
-    """
+def cloud(box: Sequence[Any], point: Sequence[Any] | None = None) -> Cloud:
+    """The Cloud of a box z (d + 2 balls) at the start, about a point of it (balls; its centre if absent)."""
     size = len(box) - 2
     about = list(point) if point is not None else midpoints(box)
     centre = midpoints(about)
@@ -262,7 +267,6 @@ def cloud(box: Sequence[Any], point: Sequence[Any] | None = None, along: Any = N
         turned=identity(size),
         rest=arb_mat(size, size + 2),
         start=column([x - c for x, c in zip(box, about, strict=True)]),
-        along=along,
     )
 
 

@@ -51,21 +51,11 @@ class Krawczyk:
     arcs: list[Arc]
 
 
-def arcs_over(
-    equations: Equations, box: Vector, centre: Vector, settings: Settings, along: tuple[Vector, Any] | None = None
-) -> list[Arc]:
-    """Every segment integrated from the nodes of a box of unknowns, about its centre; with `along`, of that box moved
-    in a direction (of the unknowns) by every amount in a ball.
-    """
+def arcs_over(equations: Equations, box: Vector, centre: Vector, settings: Settings) -> list[Arc]:
+    """Every segment integrated from the nodes of a box of unknowns, about its centre."""
     found = []
-    nodes = equations.formulation.nodes
-    slants: list[Any] = [None] * equations.formulation.segments
-    if along is not None:
-        still = nodes([arb(0)] * len(box))
-        moved = [[x - y for x, y in zip(*pair, strict=True)] for pair in zip(nodes(along[0]), still, strict=True)]
-        slants = [(column(one), along[1]) for one in moved]
-    for node, point, slant in zip(nodes(box), nodes(centre), slants, strict=True):
-        end, steps = integrate(equations.field, cloud(node, point, slant), settings)
+    for node, point in zip(equations.formulation.nodes(box), equations.formulation.nodes(centre), strict=True):
+        end, steps = integrate(equations.field, cloud(node, point), settings)
         found.append((end.point[: equations.field.dimension], end.derivatives, end.hull, steps))
     return found
 
@@ -87,6 +77,11 @@ def residual(equations: Equations, unknowns: Vector, ends: Sequence[Vector]) -> 
 
 def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> Any:
     """DF over a box of unknowns from the segments' derivatives (d x d+2 each)."""
+    return arb_mat(jacobian_rows(equations, box, [matrix.entries() for matrix in derivatives]))
+
+
+def jacobian_rows(equations: Equations, box: Vector, derivatives: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """The rows of DF from the entries of the segments' derivatives, row after row."""
     form = equations.formulation
     d, total, mirror = form.dimension, form.unknowns, form.mirror
     free = {component: k for k, component in enumerate(form.free)}
@@ -102,9 +97,8 @@ def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> A
         if where is not None:
             rows[row][where] += value
 
-    for k, matrix in enumerate(derivatives):
+    for k, values in enumerate(derivatives):
         last = k == len(derivatives) - 1
-        values = matrix.entries()
         for row, i in enumerate(form.ends if last else range(d), start=d * k):
             line = values[i * (d + 2) : (i + 1) * (d + 2)]
             for j in range(d):
@@ -122,7 +116,7 @@ def jacobian(equations: Equations, box: Vector, derivatives: Sequence[Any]) -> A
     if form.conserved:
         for i, slope in enumerate(equations.field.energy(form.nodes(box)[0])[1]):
             put(total - 1, 0, i, slope)
-    return arb_mat(rows)
+    return rows
 
 
 def krawczyk(equations: Equations, box: Vector, settings: Settings) -> Krawczyk:
@@ -208,17 +202,19 @@ def evaluated(equations: Equations, unknowns: Vector, settings: Settings) -> Vec
 
 
 def solve(
-    equations: Equations, start: Vector, settings: Settings, target: float, farthest: float = 1e-2
-) -> tuple[Vector, int]:
+    equations: Equations, start: Vector, settings: Settings, target: float, farthest: float = 1e-2,
+    known: np.ndarray | None = None,
+) -> tuple[Vector, int]:  # fmt: skip
     """Unknowns whose last correction is below `target`, and the number of iterations.
 
     Newton's steps until they are small; then the last inverse is used again (each step gains the digits
-    that it is right to). Raises `ConvergenceError` when they do not shrink or leave the start.
+    that it is right to), from the beginning where a neighbour's is `known`. Raises `ConvergenceError` when they do not
+    shrink or leave the start.
     """
     here, last = midpoints(start), float("inf")
-    inverse = np.zeros((0, 0))
+    inverse = np.zeros((0, 0)) if known is None else known
     for k in range(MOST_ITERATIONS):
-        if k == 0 or last > ROUGH:
+        if not inverse.size or (k and last > ROUGH):
             values, inverse = linearised(equations, here, settings)
         else:
             values = evaluated(equations, here, settings)

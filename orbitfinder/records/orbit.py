@@ -33,6 +33,22 @@ SHIFT = "shift_"
 """In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
 
+AT_LEAST = (
+    "not_equilibrium", "minimal_period", "minimal_cycle", "transversal", "decided", "angle", "apart", "dimension",
+    "amplitude",
+)  # fmt: skip
+"""Checks whose number must not be smaller than what is allowed, like those whose name begins with HOLDS"""
+HOLDS = "holds: "
+
+
+def asked(name: str, tolerance: Any) -> str:
+    """What a check asks of its number: \N{GREATER-THAN OR EQUAL TO} or \N{LESS-THAN OR EQUAL TO} than its tolerance,
+    or "" where only yes or no was asked, whose tolerance is 0."""
+    if name in AT_LEAST or name.startswith(HOLDS):
+        return "\N{GREATER-THAN OR EQUAL TO}"
+    return "\N{LESS-THAN OR EQUAL TO}" if tolerance else ""
+
+
 @dataclass(frozen=True)
 class Check:
     """One question asked of an orbit: the number found, the number allowed, the answer."""

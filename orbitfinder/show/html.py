@@ -19,7 +19,7 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.orbits.course import course, sampled
 from orbitfinder.records.family import Family, FamilyPoint
-from orbitfinder.records.orbit import Certificate, Orbit
+from orbitfinder.records.orbit import Certificate, Orbit, asked
 from orbitfinder.show.svg import diagram, moving_mechanism, moving_portrait, unit_circle
 
 SAMPLES = 121
@@ -121,12 +121,13 @@ def verdict_of(certificate: Certificate) -> str:
 
 def certificate_html(certificate: Certificate) -> str:
     """Every check with its number, what is allowed and its note."""
-    rows = [
-        (one.name, f"{one.value:.2e}", f"{one.tolerance:.2e}", "passed" if one.passed else "FAILED", one.note)
-        for one in certificate.checks
-    ]
+    rows = []
+    for one in certificate.checks:
+        sense, yes = asked(one.name, one.tolerance), "yes" if one.passed else "no"
+        numbers = (f"{one.value:.2e}", f"{sense} {one.tolerance:.2e}") if sense else (yes, "yes")
+        rows.append((one.name, *numbers, "passed" if one.passed else "FAILED", one.note))
     scale = f"closure tolerances scaled by {certificate.scale:.3g}"
-    checks = table(rows, ("check", "value", "allowed", "result", "note"))
+    checks = table(rows, ("check", "value", "asked", "result", "note"))
     return f"<div>{heading(f'Certificate: {verdict_of(certificate)}', scale)}{checks}</div>"
 
 

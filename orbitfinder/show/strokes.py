@@ -24,9 +24,10 @@ def outlines(points: np.ndarray, strokes: Strokes, size: float) -> list[tuple[st
 def _outline(kind: str, at: np.ndarray, half: float) -> np.ndarray:
     if kind == "spring":
         return _spring(at[:, 0], at[:, 1], half)
-    if kind == "disc":
+    if kind == "disc" or (at.shape[1] == 1 and kind == "rod"):  # the latter a mass in one point
         turn = np.linspace(0.0, 2 * np.pi, SIDES)
-        return np.asarray(at[:, :1] + np.linalg.norm(at[:, 1] - at[:, 0]) * np.array([np.cos(turn), np.sin(turn)]))
+        radius = np.linalg.norm(at[:, 1] - at[:, 0]) if kind == "disc" else half
+        return np.asarray(at[:, :1] + radius * np.array([np.cos(turn), np.sin(turn)]))
     if kind == "slider":
         return np.asarray(at + half * np.array([[-1, -1, 1, 1, -1], [-1.6, 1.6, 1.6, -1.6, -1.6]]))
     if kind == "ground":

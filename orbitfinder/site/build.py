@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
 from typing import Any
+
+import numpy as np
 
 from orbitfinder._runtime import __version__
 from orbitfinder._runtime.caches import Kept
@@ -25,12 +28,27 @@ from orbitfinder.site.pages import (
     family_values,
     orbit_data,
     orbit_values,
+    span,
 )
 from orbitfinder.site.section import section_data, section_values
-from orbitfinder.site.text import ASSETS, mechanism, number, rendered, script_data, size, slug_maker
+from orbitfinder.site.text import (
+    ASSETS,
+    article,
+    mechanism,
+    number,
+    plain_words,
+    rendered,
+    script_data,
+    size,
+    slug_maker,
+    units,
+    with_unit,
+)
 from orbitfinder.site.writing import MARK, mark
 
 WEIGHT = "@@WEIGHT@@"
+NEAR = 0.003
+"""Distance of an orbit from a family's curve, in ranges of the family, of what is said to lie by it"""
 SPEAK_EVERY = 10
 NOT_ASKED = "it was not asked for"
 PLOTS = ("plotly-basic.min.js", "plots.js")
@@ -84,6 +102,15 @@ class Link:
     words: str
     note: str
     motion: str
+    system: str = ""
+    """what orbits of the same system have too, see `same`"""
+    curve: tuple[tuple[str, float, float, float], ...] = ()
+    """address, energy, period and action of the points that can be picked"""
+
+    @property
+    def search(self) -> str:
+        """All that a search looks at."""
+        return plain_words(f"{self.kind} {self.title} {self.words}")
 
 
 class Site:
@@ -130,13 +157,15 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
     site, simulator, slug = Site(settings), Simulator(), slug_maker()
     entries = []
     for file in found.orbits:
-        entries.append(Entry(file, simulator.orbit(file.document, file.dense), slug(file.document["name"])))
+        motion = simulator.orbit(file.document, file.dense)
+        entries.append(Entry(file, motion, slug(file.document["name"])))
     tell(f"{plural(len(entries), 'orbit')} drawn")
     links: list[Link] = []
     motions: dict[str, Any] = {}
     families = slug_maker()
-    for family in found.families:
-        links.append(_add_family(site, family, families(family.name), simulator, motions))
+    named = [(family, families(family.name)) for family in found.families]
+    for family, own in named:
+        links.append(_add_family(site, family, own, simulator, motions, named))
         tell(f"family {family.name}: {plural(len(family.points), 'point')}")
     atlases = slug_maker()
     for atlas in found.atlases:
@@ -146,9 +175,9 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
         tell(f"atlas {atlas.name}: {plural(atlas.total, 'orbit')}")
     sections = slug_maker()
     links += [_add_section(site, one, sections(one.name), found, motions) for one in found.sections]
-    entries = _judged(entries, settings.verify, tell)
-    for entry in entries:
-        _add_orbit(site, entry)
+    entries = _judged([_complete(entry, simulator, links) for entry in entries], settings.verify, tell)
+    for k, entry in enumerate(entries):
+        _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
     _add_gallery(site, entries, links, motions)
     return site, Summary(len(entries), len(found.families), len(found.atlases), site.finish())
 
@@ -165,19 +194,85 @@ def _judged(entries: Sequence[Entry], verify: bool, tell: Progress) -> list[Entr
     return found
 
 
-def _add_orbit(site: Site, entry: Entry) -> None:
-    about = f"A periodic orbit of the {entry.mechanism}: period {number(entry.document['period'], 10)} s."
-    values = orbit_values(entry) | {"title": entry.title}
+def same(system: Mapping[str, Any]) -> str:
+    """Equal for equal systems."""
+    return json.dumps(system, sort_keys=True, default=str)
+
+
+def _complete(entry: Entry, simulator: Simulator, links: Sequence[Link]) -> Entry:
+    """The entry with its energies, its neighbour, and the families and atlases that it belongs to."""
+    document, motion, near = entry.document, entry.motion, list[tuple[str, str]]()
+    here = (float(document["energy"] or 0.0), float(document["period"]), float(document["action"]))
+    for link in (one for one in links if one.system == same(document["system"])):
+        found = _closest(here, link) if link.kind == "Family" else ""
+        close = " (the curve comes within 0.3 % of this orbit in energy, period and action)" if found else ""
+        near.append((f"../{link.href}{found}", f"{link.kind} {link.title}{close}"))
+    if entry.series:
+        near = [one for one in near if one[1] != f"Atlas {entry.series}"]
+        own = next((link for link in links if link.kind == "Atlas" and link.title == entry.series), None)
+        near += [(f"../{own.href}#{entry.key}", f"Atlas {entry.series}")] if own else []
+    return replace(
+        entry, near=tuple(near), conserved=simulator.conserves(document["system"]),
+        energies=simulator.energies(document, motion) if motion else None,
+        neighbour=simulator.neighbour(document, motion) if motion else None,
+    )  # fmt: skip
+
+
+def _closest(here: tuple[float, float, float], link: Link) -> str:
+    """The address of the point of a family whose curve passes an orbit, "" where it stays away."""
+    curve = np.array([one[1:] for one in link.curve])
+    if len(curve) < 2:
+        return ""
+    unit = np.maximum(np.ptp(curve, axis=0), 1e-300)
+    begin, steps, aim = curve[:-1] / unit, np.diff(curve, axis=0) / unit, np.array(here) / unit
+    share = np.clip(((aim - begin) * steps).sum(axis=1) / np.maximum((steps**2).sum(axis=1), 1e-300), 0.0, 1.0)
+    apart = np.abs(begin + share[:, None] * steps - aim).max(axis=1)
+    k = int(apart.argmin())
+    return f"#{link.curve[k + int(share[k] > 0.5)][0]}" if apart[k] < NEAR else ""
+
+
+def _add_orbit(site: Site, entry: Entry, beside: Sequence[Entry], before: bool) -> None:
+    period = with_unit(number(entry.document["period"], 10), entry.units["time"])
+    about = f"A periodic orbit of {article(entry.mechanism)}: period {period}."
+    around = {"previous": beside[0] if before else None, "next": beside[-1] if len(beside) > before else None}
+    values = orbit_values(entry) | around | {"title": entry.title}
     site.add("orbit", f"orbits/{entry.slug}.html", values, ("orbit", orbit_data(entry)), about)
 
 
-def _add_family(site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any]) -> Link:
+def _relatives(family: Family, named: Sequence[tuple[Family, str]]) -> dict[str, Any]:
+    """The family that this one branched from, and those that branched from it, with addresses and words."""
+    source = family.source
+
+    def words(event: Any) -> str:
+        return f"{str(event.get('kind_of_event', 'event')).replace('_', ' ')} {event.get('event')}"
+
+    parents = [(f"{slug}.html#event={source.get('event')}", f"{one.name}, {words(source)}") for one, slug in named
+               if source.get("kind") == "branch" and one.name == source.get("family")]  # fmt: skip
+    children = [(f"{slug}.html", f"{one.name}, from {words(one.source)}", one.source.get("event"))
+                for one, slug in named
+                if one.source.get("kind") == "branch" and one.source.get("family") == family.name]  # fmt: skip
+    origin = (
+        f"Started from {source.get('kind', 'a problem')} {source.get('name') or source.get('family') or ''}".strip()
+    )
+    return {"parents": parents, "children": children, "origin": origin.strip()}
+
+
+def _add_family(
+    site: Site, family: Family, slug: str, simulator: Simulator, motions: dict[str, Any],
+    named: Sequence[tuple[Family, str]],
+) -> Link:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
     values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
-    site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of the {words}.")
-    energies = data["columns"]["energy"]
-    note = f"{plural(len(energies), 'orbit')}, {number(min(energies), 4)} to {number(max(energies), 4)} J"
-    return Link("Family", path, family.name, words, note, _cover(f"family/{slug}", data, motions))
+    values |= _relatives(family, named) | {"conserved": data["conserved"]}
+    site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of {article(words)}.")
+    useful = "value" if values["useful"][0] == "value" or data["moved"] else "energy"
+    shown, unit = span(data["columns"][useful], 4), units(family.system)["energy"] if useful == "energy" else ""
+    name = "" if useful == "energy" else f"{family.parameter} "
+    note = f"{plural(len(family.points), 'orbit')}, {name}{with_unit(shown, unit)}"
+    curve = tuple((item["key"], item["energy"], item["period"], item["action"]) for item in data["items"]
+                  if item["action"] is not None)  # fmt: skip
+    cover = _cover(f"family/{slug}", data, motions)
+    return Link("Family", path, family.name, words, note, cover, same(family.system), curve)
 
 
 def _add_section(site: Site, section: Section, slug: str, found: Gathered, motions: dict[str, Any]) -> Link:
@@ -206,14 +301,22 @@ def _add_atlas(
     for place, one in atlas.orbits:
         label = "" if named else f"{atlas.name}, orbit {place}"
         slug = slugs[1](str(one.document["name"]) if named else f"{atlas.name}-{place}")
-        entries.append(Entry(one, simulator.orbit(one.document), slug, atlas.name, label))
+        command = f"orbitfinder verify {atlas.file}#{place}"
+        if not atlas.file.endswith(".json"):
+            command = f"orbitfinder atlas show {atlas.file} {place}"
+        known = simulator.conserves(one.document["system"])
+        motion = simulator.orbit(one.document)
+        entries.append(
+            Entry(one, motion, slug, atlas.name, label, conserved=known, command=command, key=f"orbit={place}")
+        )
     own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
     data, path = atlas_data(atlas.name, entries, {one.slug for one in own}), f"atlases/{slugs[0]}.html"
     about = f"An atlas of {plural(atlas.total, 'periodic orbit')}, energy against period."
     values = atlas_values(entries, atlas.total) | {"title": f"Atlas {atlas.name}"}
     site.add("atlas", path, values, ("explorer", data), about)
     words, note = ", ".join(sorted({one.mechanism for one in entries})), plural(atlas.total, "distinct orbit")
-    return Link("Atlas", path, atlas.name, words, note, _cover(f"atlas/{slugs[0]}", data, motions)), own
+    cover, systems = _cover(f"atlas/{slugs[0]}", data, motions), {same(one.document["system"]) for one in entries}
+    return Link("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), own
 
 
 def _add_gallery(site: Site, entries: Sequence[Entry], links: Sequence[Link], motions: dict[str, Any]) -> None:

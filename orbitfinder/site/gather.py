@@ -55,11 +55,13 @@ class OrbitFile:
 
 @dataclass(frozen=True)
 class AtlasFile:
-    """An atlas: how many orbits it holds, and those to be shown with their numbers in order of energy."""
+    """An atlas: how many orbits it holds, and those to be shown in order of energy, each with its K of FILE#K."""
 
     name: str
     total: int
     orbits: tuple[tuple[int, OrbitFile], ...]
+    file: str = ""
+    """its file's name, for commands"""
 
 
 @dataclass
@@ -175,9 +177,10 @@ def _orbit(document: Any, where: str) -> OrbitFile:
 def _from_export(entries: Sequence[Any], file: Path) -> AtlasFile:
     """The atlas of a JSON list of orbit documents."""
     orbits = [_orbit(entry, f"{file}[{k}]") for k, entry in enumerate(entries)]
-    orbits.sort(key=lambda one: _order(one.document["energy"] or 0.0, float(one.document["period"])))
-    chosen = tuple((k + 1, orbits[k]) for k in evenly(len(orbits), MOST_ITEMS))
-    return AtlasFile(file.stem, len(orbits), chosen)
+    ordered = sorted(
+        enumerate(orbits), key=lambda one: _order(one[1].document["energy"] or 0.0, float(one[1].document["period"]))
+    )
+    return AtlasFile(file.stem, len(orbits), tuple(ordered[k] for k in evenly(len(orbits), MOST_ITEMS)), file.name)
 
 
 def _order(energy: float, period: float) -> tuple[float, float]:
@@ -191,9 +194,9 @@ def _from_database(file: Path) -> AtlasFile:
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:
         rows = sorted(atlas.rows(), key=lambda row: _order(row.energy, row.period))
-        chosen = [(k + 1, rows[k].id) for k in evenly(len(rows), MOST_ITEMS)]
-        orbits = tuple((k, _orbit(atlas.document(number), f"{file}: orbit {number}")) for k, number in chosen)
-    return AtlasFile(file.stem, len(rows), orbits)
+        chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
+        orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
+    return AtlasFile(file.stem, len(rows), orbits, file.name)
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,15 @@
 """The motion of an orbit for the eye: states at equal times over one period, and positions of its points.
 
-Positions are quantised to 16 bits and interpolated by the page; their number follows from the error of
-that interpolation (half a per cent of the picture, about one pixel of a gallery card).
+What is rigid is handed over as angles, so that the page rebuilds it without stretching it; the rest as positions.
+Both are quantised to 16 bits and interpolated by the page; their number follows from the error of that interpolation.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,16 @@ from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model
-from orbitfinder.mechanics.model import Model, positions, vector_field
+from orbitfinder.mechanics.model import Model, energies, positions, vector_field
 from orbitfinder.orbits.closure import alone, between
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 
-COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480)
+COUNTS = (24, 32, 40, 48, 60, 72, 84, 96, 120, 144, 180, 216, 264, 324, 400, 480, 640, 960)
 """Samples a period that are tried in turn."""
 FIRST = 48
 """Samples from whose error the number needed is estimated."""
-INTERPOLATION = 0.005
+INTERPOLATION = 0.003
 """Largest error of the page's interpolation, relative to the extent of the picture."""
 STEPS = (12, 24, 48, 96, 192, 384, 768, 1536, 3072)
 ENDS = 1e-7
@@ -37,6 +38,12 @@ JUMPING = 240
 """Samples of a hybrid period, between whose events the page interpolates."""
 SMOOTH = 0.004
 LEVELS = 32767
+OFF, TURNS, TINY = 0.03, 3, 1e-5
+"""How far from an orbit its neighbour starts, how many periods it is followed, and what is small, all relative."""
+ENERGIES = 121
+RIGID = 1e-6
+"""Change of a distance, relative to the extent of the picture, of what is called rigid."""
+Strokes = tuple[tuple[str, tuple[int, ...]], ...]
 
 
 @dataclass(frozen=True)
@@ -56,8 +63,17 @@ class Motion:
     drawn: str
     course: Course | None = None
     """of a hybrid orbit, whose motion jumps"""
-    strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    strokes: Strokes = ()
     """what is drawn through which points; () is one line through all"""
+    skeleton: Skeleton | None = None
+    """what of the points turns rigidly"""
+    drifts: bool = False
+    """whether the picture does not come back to where it was: it starts again after a period"""
+
+    @property
+    def bones(self) -> Skeleton:
+        """What of the points turns rigidly; nothing where the motion jumps."""
+        return self.skeleton or Skeleton(self.points.shape[2])
 
     @property
     def partners(self) -> list[int]:
@@ -114,6 +130,41 @@ class Simulator:
         if path is None or not _closes(path[1], model):
             return None
         return _motion(model, *path, period)
+
+    def neighbour(self, document: Mapping[str, Any], motion: Motion) -> Motion | None:
+        """What starts OFF (of the extent of the motion) from an orbit and is left alone for TURNS periods.
+
+        It starts where small differences grow most: a difference is sent round twice and made small again.
+        """
+        found, period = self.model(document["system"]), motion.period
+        if found is None or motion.course is not None or motion.drifts or found[0].forced:
+            return None
+        model, field = found
+        state, extent = motion.states[0], np.ptp(motion.states, axis=0)
+        scales = np.maximum(extent, 1e-3 * extent.max())
+        away = scales * np.cos(1.0 + np.arange(state.size))
+        for _ in range(2):
+            away *= TINY / max(np.abs(away / scales).max(), 1e-300)
+            path = _path(field, state + away, period)
+            if path is None:
+                return None
+            away = path[-1] - path[0] + away
+        path = _path(field, state + away * (OFF / max(np.abs(away / scales).max(), 1e-300)), TURNS * period)
+        if path is None or np.abs(path[:, state.size // 2 :]).max() > 1e3 * np.abs(motion.states).max():
+            return None
+        return replace(_motion(model, np.linspace(0.0, TURNS * period, len(path)), path, TURNS * period), drifts=True)
+
+    def energies(self, document: Mapping[str, Any], motion: Motion) -> np.ndarray | None:
+        """Kinetic and potential energy (2 x k) at equal times over a period, where a mechanical one is conserved."""
+        found = self.model(document["system"])
+        if found is None or motion.course is not None or found[0].rates is not None or not found[0].conservative:
+            return None
+        return np.asarray(energies(found[0], motion.at(ENERGIES, endpoint=True)))
+
+    def conserves(self, system: Mapping[str, Any]) -> bool:
+        """Whether an energy is conserved, True where nothing is known of the system."""
+        found = self.model(system)
+        return found is None or found[0].conservative
 
     def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Motion | None:
         """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry."""
@@ -175,6 +226,8 @@ def _pieces(field: Any, nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarra
 def _closes(states: np.ndarray, model: Model) -> bool:
     """True when the velocities return; the coordinates may have turned by whole turns."""
     n = model.degrees_of_freedom
+    if model.rates is None and np.abs(states[-1] - states[0])[n:].max() <= GAP * ENDS * np.abs(states[:, n:]).max():
+        return True  # also of a motion at constant rates, which has no extent
     return named(NONE.name, model).closes(states, np.ones(n, bool) if model.rates is None else model.angular) <= GAP
 
 
@@ -204,15 +257,19 @@ def _motion(model: Model, times: np.ndarray, states: np.ndarray, period: float) 
         return positions(model, chosen) if model.points is not None else in_plane(chosen, n)
 
     drawn = "mechanism" if model.points is not None else "plane"
-    return Motion(period, times, states, model.state_names, angles, _fewest(seen), drawn, strokes=model.strokes)
+    last = positions(model, states[-1:]) if model.points is not None else in_plane(states[-1:], n)
+    extent = max(float(np.ptp(seen(FIRST), axis=(0, 2)).max()), 1e-12)
+    drifts = bool(np.abs(last - seen(1)).max() > GAP * extent)
+    points, bones = _fewest(seen, model.strokes, drifts)
+    return Motion(period, times, states, model.state_names, angles, points, drawn, None, model.strokes, bones, drifts)
 
 
 def _without_model(document: Mapping[str, Any], times: np.ndarray, states: np.ndarray) -> Motion:
     n = states.shape[1] // 2
     names = tuple(f"q{i + 1}" for i in range(n)) + tuple(f"q{i + 1}dot" for i in range(n))
     period = float(document["period"])
-    points = _fewest(lambda count: in_plane(resampled(times, states, period, count, n), n))
-    return Motion(period, times, states, names, (False,) * n, points, "plane")
+    points, bones = _fewest(lambda count: in_plane(resampled(times, states, period, count, n), n))
+    return Motion(period, times, states, names, (False,) * n, points, "plane", skeleton=bones)
 
 
 def in_plane(states: np.ndarray, n: int) -> np.ndarray:
@@ -221,60 +278,158 @@ def in_plane(states: np.ndarray, n: int) -> np.ndarray:
     return np.stack([-second, states[:, 0]], axis=1)[:, :, None]
 
 
-def _fewest(seen: Any) -> np.ndarray:
-    """Positions at the fewest equal times whose interpolation is good enough, at most the largest of COUNTS."""
-    wanted = 0.9 * FIRST * (_between(seen(2 * FIRST))[1] / INTERPOLATION) ** 0.25  # the error is of fourth order
-    for count in (*(one for one in COUNTS[:-1] if one >= wanted), COUNTS[-1]):
-        coarse, error = _between(seen(2 * count))
+@dataclass(frozen=True)
+class Skeleton:
+    """What of m points turns rigidly: `rods` are (point, parent, length in m), each parent before its point.
+
+    Its channels are x of all points, then y, then the angle of every point about its parent, those of rods alone
+    instead of x and y. Angles run on over whole turns.
+    """
+
+    many: int
+    rods: tuple[tuple[int, int, float], ...] = ()
+
+    def channels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (k x 3 m) of all channels of positions (k x 2 x m) over a period, and what they grow by in one."""
+        angles, turns = np.zeros((len(points), self.many)), np.zeros(3 * self.many)
+        for point, parent, length in self.rods:
+            down, right = (points[:, :, point] - points[:, :, parent]).T
+            found = np.unwrap(np.arctan2(right, down)) if length else np.zeros(len(points))
+            angles[:, point] = found
+            turns[2 * self.many + point] = 2 * np.pi * np.rint((found[-1] - found[0] + _turn(found)) / (2 * np.pi))
+        return np.hstack([points.reshape(len(points), -1), angles]), turns
+
+    def places(self, values: np.ndarray) -> np.ndarray:
+        """Positions (k x 2 x m) of channels (k x 3 m)."""
+        points = values[:, : 2 * self.many].reshape(len(values), 2, self.many).copy()
+        for point, parent, length in self.rods:
+            angle = values[:, 2 * self.many + point]
+            points[:, :, point] = points[:, :, parent] + length * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return points
+
+
+def _turn(angles: np.ndarray) -> float:
+    """From the last angle on to the first, the short way."""
+    return float((angles[0] - angles[-1] + np.pi) % (2 * np.pi) - np.pi)
+
+
+def skeleton(points: np.ndarray, strokes: Strokes) -> Skeleton:
+    """What is rigid among positions (k x 2 x m): a point and the one before it in a line, or one that it lies on."""
+    many, extent = points.shape[2], max(float(np.ptp(points, axis=(0, 2)).max()), 1e-12)
+    near: dict[int, list[int]] = {k: [k - 1] if k and not strokes else [] for k in range(many)}
+    for kind, line in strokes:
+        for first, second in pairwise(line if kind in ("rod", "disc") else ()):
+            near[max(first, second)].append(min(first, second))
+    rods = []
+    for k in range(1, many):
+        if np.ptp(points[:, :, k], axis=0).max() <= RIGID * extent:
+            continue
+        apart = np.linalg.norm(points[:, :, :k] - points[:, :, k : k + 1], axis=1)
+        same = np.flatnonzero(apart.max(axis=0) <= RIGID * extent).tolist()
+        found = [*same, *(j for j in near[k] if np.ptp(apart[:, j]) <= RIGID * extent)]
+        if found:
+            rods.append((k, int(found[0]), 0.0 if same else float(apart[:, found[0]].mean())))
+    return Skeleton(many, tuple(rods))
+
+
+def _fewest(seen: Any, strokes: Strokes = (), drifts: bool = False) -> tuple[np.ndarray, Skeleton]:
+    """Positions at the fewest equal times whose interpolation is good enough, at most the largest of COUNTS.
+
+    What drifts does not come back to where it was, so that nothing is interpolated from its end to its start.
+    """
+    first = seen(2 * FIRST)
+    bones = skeleton(first, strokes)
+    wanted = 0.9 * FIRST * (_between(first, bones, drifts)[1] / INTERPOLATION) ** 0.25  # the error is of fourth order
+    least = COUNTS[0] if not drifts else FIRST
+    for count in (*(one for one in COUNTS[:-1] if one >= max(wanted, least)), COUNTS[-1]):
+        coarse, error = _between(seen(2 * count), bones, drifts)
         if error <= INTERPOLATION:
             break
-    return coarse
+    return coarse, bones
 
 
-def _between(fine: np.ndarray) -> tuple[np.ndarray, float]:
+def _between(fine: np.ndarray, bones: Skeleton, drifts: bool) -> tuple[np.ndarray, float]:
     """Every other of some positions, and how far interpolation between these misses the rest, over the extent."""
     coarse, between = fine[::2], fine[1::2]
+    values, turns = bones.channels(coarse)
+    round_ = np.vstack([values[-1:] - turns, values, values[:2] + turns])
     # Catmull-Rom half way between samples, as in assets/core.js
-    guessed = (9 * (coarse + np.roll(coarse, -1, 0)) - np.roll(coarse, 1, 0) - np.roll(coarse, -2, 0)) / 16
+    guessed = bones.places((9 * (round_[1:-2] + round_[2:-1]) - round_[:-3] - round_[3:]) / 16)
     extent = max(float(np.ptp(coarse, axis=(0, 2)).max()), 1e-12)
-    return np.asarray(coarse), float(np.abs(guessed - between).max()) / extent
+    missed = np.abs(guessed - between)[1 if drifts else 0 : -2 if drifts else None]
+    return np.asarray(coarse), float(missed.max()) / extent
+
+
+def _short(number: float) -> float:
+    """A number as exact as the page's, which are of 32 bits."""
+    return float(f"{number:.8g}")
+
+
+def framed(shown: Sequence[Mapping[str, Any]]) -> dict[str, list[float]] | None:
+    """Centre and spans (down, right, m) of what several packed motions cover together."""
+    if not shown:
+        return None
+    centres, spans = (np.array([one[name] for one in shown]) for name in ("centre", "spans"))
+    low, high = (centres - spans / 2).min(axis=0), (centres + spans / 2).max(axis=0)
+    return {"centre": ((low + high) / 2).tolist(), "spans": (high - low).tolist()}
+
+
+def _box(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest x and y of what is drawn: points, and discs about some of them."""
+    seen = [motion.points]
+    for kind, line in motion.strokes:
+        if kind == "disc":
+            centre, rim = motion.points[:, :, [line[0]]], motion.points[:, :, [line[1]]]
+            radius = np.linalg.norm(rim - centre, axis=1, keepdims=True)
+            seen += [centre - radius, centre + radius]
+    whole = np.concatenate(seen, axis=2)
+    return whole.min(axis=(0, 2)), whole.max(axis=(0, 2))
 
 
 def packed(motion: Motion) -> dict[str, Any]:
-    """Positions for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
+    """Channels for the page: int16 little-endian in base64, channel by channel; still channels as numbers.
 
-    Channel c is x of point c for c < j, and y of point c - j after that; a value is centre + half * int / 32767.
+    Of m points channel c is x of point c for c < m, y of point c - m below 2 m, and the angle of point c - 2 m about
+    its parent from there; a position is centre + half * int / 32767, an angle middle + swing * int / 32767.
     """
-    count, _, many = motion.points.shape
-    channels = motion.points.reshape(count, 2 * many).T
-    low, high = motion.points.min(axis=(0, 2)), motion.points.max(axis=(0, 2))
+    many, bones = motion.points.shape[2], motion.bones
+    values, turns = bones.channels(motion.points)
+    turns *= not motion.drifts
+    low, high = _box(motion)
     centre, half = (low + high) / 2, max(float((high - low).max()) / 2, 1e-12)
-    moving = [c for c in range(2 * many) if np.ptp(channels[c]) > 1e-9 * half]
-    middle = np.repeat(centre, many)
-    numbers = np.rint((channels - middle[:, None]) / half * LEVELS)
-    still = {str(c): float(round(channels[c, 0], 9)) for c in range(2 * many) if c not in moving}
-    strokes = {"strokes": [[kind, list(chosen)] for kind, chosen in motion.strokes]} if motion.strokes else {}
-    return (
-        _landscape(motion)
-        | strokes
-        | {
-            "count": count,
-            "points": many,
-            "period": motion.period,
-            "centre": [float(x) for x in centre],
-            "half": half,
-            "moving": moving,
-            "still": still,
-            "data": base64.b64encode(numbers[moving].astype("<i2").tobytes()).decode(),
-            "drawn": motion.drawn,
-        }
-    )
+    about = {point: (parent, length) for point, parent, length in bones.rods}
+    placed = [c for c in range(2 * many) if c % many not in about]
+    turning = [2 * many + point for point, (_, length) in about.items() if length]
+    middles = (values.min(axis=0) + values.max(axis=0)) / 2
+    middles[: 2 * many] = np.repeat(centre, many)
+    swing = max(1e-12, *(float(np.ptp(values[:, c])) / 2 for c in turning)) if turning else 1.0
+    moving = [c for c in placed if np.ptp(values[:, c]) > half / LEVELS] + turning
+    sizes = np.where(np.arange(3 * many) < 2 * many, half, swing)
+    numbers = np.rint((values - middles) / sizes * LEVELS).T[moving]
+    rods = [
+        [point, parent, *(_short(x) for x in (length, middles[2 * many + point], turns[2 * many + point]))]
+        for point, (parent, length) in about.items()
+    ]
+    return _landscape(motion) | {
+        "count": len(motion.points),
+        "points": many,
+        "period": motion.period,
+        "centre": [_short(x) for x in centre],
+        "half": half,
+        "spans": [_short(x) for x in high - low],
+        "moving": moving,
+        "still": {str(c): float(round(values[0, c], 9)) for c in placed if c not in moving},
+        "data": base64.b64encode(numbers.astype("<i2").tobytes()).decode(),
+        "drawn": motion.drawn,
+    } | ({"rods": rods, "swing": swing} if rods else {}) | (
+        {"strokes": [[kind, list(chosen)] for kind, chosen in motion.strokes]} if motion.strokes else {}
+    )  # fmt: skip
 
 
 def _landscape(motion: Motion) -> dict[str, Any]:
     """Of a hybrid orbit: the samples after which the motion jumps, and the ground, one polyline or one a sample."""
     if motion.course is None:
-        return {}
+        return {"jumps": [len(motion.points) - 1]} if motion.drifts else {}
     count = len(motion.points)
     jumps, lines = _jumps(motion, count), motion.course.grounds(np.arange(count) * (motion.period / count))
     if lines is None:

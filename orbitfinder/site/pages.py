@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,13 +10,24 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.errors import plural
+from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.members import amplitudes
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.orbit import system_at
+from orbitfinder.records.orbit import asked, system_at
 from orbitfinder.site.gather import OrbitFile, Verdict, evenly
-from orbitfinder.site.motion import Motion, Simulator, histories, packed
-from orbitfinder.site.text import coordinate, mechanism, number, symmetry_words
+from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
+from orbitfinder.site.text import (
+    SI,
+    article,
+    coordinate,
+    mechanism,
+    number,
+    plain_words,
+    symmetry_words,
+    units,
+    with_unit,
+)
 
 MOST_PORTRAITS = 6
 """Phase portraits on an orbit page; of more coordinates these many are chosen evenly."""
@@ -34,6 +46,30 @@ class Entry:
     label: str = ""
     """what it is called where its document has no telling name of its own"""
     verdict: Verdict = UNJUDGED
+    conserved: bool = True
+    """whether its energy is the same all along"""
+    near: tuple[tuple[str, str], ...] = ()
+    """address and words of what belongs to it: families, atlases"""
+    command: str = ""
+    """what shows it on a terminal, of an atlas' orbit"""
+    key: str = ""
+    """its address on the page of its atlas"""
+    energies: np.ndarray | None = None
+    """kinetic and potential energy at equal times"""
+    neighbour: Motion | None = None
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Of energy, time, action and length."""
+        return units(self.document["system"])
+
+    @property
+    def words(self) -> str:
+        """All that a search looks at."""
+        told = (self.title, self.slug, self.series, self.mechanism, symmetry_words(self.document["symmetry"]),
+                self.document["stability"], str(self.document.get("source") or ""),
+                str(self.document["system"].get("kind", "")))  # fmt: skip
+        return plain_words(" ".join(told))
 
     @property
     def document(self) -> Mapping[str, Any]:
@@ -74,7 +110,11 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
         "proof": _recorded_proof(entry),
         "name": name,
         "problem": problem,
-        "commands": (f"orbitfinder run {name}.toml\n" if problem else "") + f"orbitfinder verify {name}.json\n",
+        "commands": (f"orbitfinder run {name}.toml\n" if problem else "")
+        + f"orbitfinder verify {name}.json\n"
+        + (f"orbitfinder continue {name}.json\n" if problem and entry.conserved else "")
+        + (f"{entry.command}\n" if entry.command else ""),
+        "checks": [_check(one) for one in entry.verdict.checks],
     }
 
 
@@ -90,17 +130,21 @@ def _aspect(motion: Motion | None) -> float:
 def _facts(entry: Entry) -> list[tuple[str, str]]:
     """Names and values of an orbit's numbers."""
     document = entry.document
+    unit, energy = entry.units, "none is conserved"
+    if document["energy"] is not None:
+        energy = with_unit(number(document["energy"], 12), unit["energy"]) + ("" if entry.conserved else " at t = 0")
     rows = [
-        ("Period", f"{float(document['period'])!r} s"),
-        ("Frequency", f"{number(1.0 / document['period'], 8)} 1/s"),
-        ("Energy", "none is conserved" if document["energy"] is None else f"{number(document['energy'], 12)} J"),
-        ("Action", number(document["action"], 10) + (" J s" if document["energy"] is not None else "")),
+        ("Period", with_unit(repr(float(document["period"])), unit["time"])),
+        ("Frequency", with_unit(number(1.0 / document["period"], 8), unit["time"] and "1/s")),
+        ("Energy" if entry.conserved else "Energy, not conserved", energy),
+        ("Action", with_unit(number(document["action"], 10), unit["action"] if document["energy"] is not None else "")),
         ("Closure", number(document["closure"], 2)),
         ("Largest multiplier", number(entry.largest, 6)),
     ]
     turns = list(document.get("winding") or ())
     if any(turns):
-        names = entry.motion.names if entry.motion else [f"q{k + 1}" for k in range(len(turns))]
+        names = entry.motion.names if entry.motion else tuple(f"q{k + 1}" for k in range(len(turns)))
+        names = tuple(name.replace("theta", "\N{GREEK SMALL LETTER THETA}") for name in names)
         rows.append(("Turns", ", ".join(f"{name} {k}" for name, k in zip(names, turns, strict=False) if k)))
     return rows
 
@@ -120,6 +164,23 @@ def _multipliers(document: Mapping[str, Any]) -> list[tuple[float, float, float,
     return [(re, im, abs(complex(re, im)), float(np.degrees(np.angle(complex(re, im))))) for re, im in pairs]
 
 
+def _check(check: Mapping[str, Any]) -> dict[str, Any]:
+    """A check for reading: its name, what was found and asked, whether it passed, and its note."""
+    name, passed = str(check.get("name", "")), check.get("passed") is True
+    sense = asked(name, check.get("tolerance"))
+    yes = "yes" if passed else "no"
+    return {
+        "name": name.replace("_", " "),
+        "found": number(check.get("value"), 3) if sense else yes,
+        "asked": f"{sense} {number(check.get('tolerance'), 3)}" if sense else "yes",
+        "passed": passed,
+        "note": str(check.get("note", "")).replace("Phi^T J Phi = J", SYMPLECTIC),
+    }
+
+
+SYMPLECTIC = "\N{GREEK CAPITAL LETTER PHI}\N{MODIFIER LETTER CAPITAL T}J\N{GREEK CAPITAL LETTER PHI} = J"
+
+
 def _recorded_proof(entry: Entry) -> Mapping[str, Any] | None:
     """What `orbitfinder prove` recorded, where it proved something; of a rejected orbit nothing is proved."""
     proof = entry.document.get("proof")
@@ -137,21 +198,29 @@ def orbit_data(entry: Entry) -> dict[str, Any]:
         "period": float(document["period"]),
         "multipliers": document["floquet_multipliers"],
         "json": entry.file.text,
+        "units": entry.units,
         "motion": None,
     }
     if motion is not None:
         n = len(motion.angles)
         data |= {
             "motion": packed(motion),
+            "neighbour": packed(entry.neighbour) if entry.neighbour else None,
+            "energies": None if entry.energies is None else _floats(entry.energies),
             "histories": histories(motion),
             "names": list(motion.names),
             "coordinates": n,
             "partners": motion.partners,
             "labels": [coordinate(name) for name in motion.names[:n]],
-            "units": ["rad" if angle else "m" if n < len(motion.names) else "" for angle in motion.angles],
+            "axes": ["rad" if angle else entry.units["length"] * (n < len(motion.names)) for angle in motion.angles],
             "shown": shown(motion),
         }
     return data
+
+
+def _floats(table: np.ndarray) -> dict[str, Any]:
+    """Rows of numbers as little-endian float32 in base64."""
+    return {"count": table.shape[1], "data": base64.b64encode(table.astype("<f4").tobytes()).decode()}
 
 
 # --------------------------------------------------------------------------------------------------
@@ -165,16 +234,22 @@ MOST_EVENTS = 60
 
 def family_items(family: Family, simulator: Simulator, reach: Mapping[int, float]) -> list[dict[str, Any]]:
     """The points and events that can be picked, in order along the family; `reach` are their amplitudes by id."""
-    points = family.points
-    chosen = [points[k] for k in spread(points, MOST_POINTS)]
-    found = [(one.arclength, _item(one, one.system, one, simulator, reach)) for one in chosen]
-    rare = [event for event in family.events if event.kind != "resonance"]
-    common = [event for event in family.events if event.kind == "resonance"]
+    points, events = family.points, family.events
+    found = [
+        (points[k].arclength, _item(points[k], points[k].system, points[k], simulator, reach) | {"key": f"point={k}"})
+        for k in spread(points, MOST_POINTS)
+    ]
+    rare = [k for k, event in enumerate(events) if event.kind != "resonance"]
+    common = [k for k, event in enumerate(events) if event.kind == "resonance"]
     kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
     kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
-    for event in kept:
+    for k in kept:
+        event = events[k]
         before = points[min(max(event.index, 0), len(points) - 1)]
-        found.append((event.arclength, _item(event, system_at(family.system, event.free), before, simulator, reach)))
+        item = _item(event, system_at(family.system, event.free), before, simulator, reach)
+        command = f"orbitfinder continue families/{family.name}/family.json --switch {k}"
+        more = {"key": f"event={k}", "number": k, "command": command if event.kind in SWITCHABLE else ""}
+        found.append((event.arclength, item | more))
     return [item for _, item in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -198,16 +273,20 @@ def _item(
 ) -> dict[str, Any]:
     """A point or an event; `at` is the point itself, or the one before an event, which does not carry all of it."""
     motion, point, event = simulator.member(system, one), one is at, one if isinstance(one, Event) else None
+    words = "" if event is None else f"{event.kind.replace('_', ' ')} {event.detail}".strip()
     return {
         "energy": float(np.nan_to_num(one.energy)),
         "period": one.period,
         "value": at.value if event is None else event.parameter,
+        "arclength": one.arclength,
         "action": at.action if point else None,
         "closure": at.closure if point else None,
+        "defect": at.defect if point else None,
+        "krein": list(at.krein),
         "stability": at.stability,
         "symmetry": symmetry_words(one.symmetry),
-        "multipliers": [[mu.real, mu.imag] for mu in at.floquet_multipliers.tolist()],
-        "event": "" if event is None else f"{event.kind.replace('_', ' ')} {event.detail}".strip(),
+        "multipliers": [[float(f"{x:.8g}") for x in (mu.real, mu.imag)] for mu in at.floquet_multipliers.tolist()],
+        "event": event.detail if event is not None and event.kind == "stability_change" and event.detail else words,
         "kind": "" if event is None else event.kind,
         "motion": packed(motion) if motion else None,
     } | ({"amplitude": reach[id(one)]} if reach else {})
@@ -215,9 +294,10 @@ def _item(
 
 def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
     """What the family page's script works with."""
-    names = ("energy", "period", "action", "closure", "value")
+    names = ("energy", "period", "action", "closure", "value", "arclength")
     columns = {name: np.nan_to_num(family.values(name)).tolist() for name in names}
     moved, reach = _response(family, simulator)
+    items = family_items(family, simulator, reach)
     if moved:
         columns["amplitude"] = [reach[id(point)] for point in family.points]
     return {
@@ -226,13 +306,16 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "parameter": family.parameter,
         "unit": family.unit,
         "moved": moved,
+        "units": units(family.system),
+        "conserved": simulator.conserves(family.system),
+        "frame": framed([item["motion"] for item in items if item["motion"]]),
         "curve": len(family.parameters) > 1,
         "columns": columns
         | {
             "stable": [point.stability != "unstable" for point in family.points],
             "largest": [max(map(abs, point.floquet_multipliers.tolist()), default=1.0) for point in family.points],
         },
-        "items": family_items(family, simulator, reach),
+        "items": items,
     }
 
 
@@ -252,22 +335,25 @@ def _response(family: Family, simulator: Simulator) -> tuple[str, dict[int, floa
     return known[0].state_names[most], dict(zip(members, sizes[:, most].tolist(), strict=True))
 
 
-def span(values: Sequence[float]) -> str:
+def span(values: Sequence[float], digits: int = 6) -> str:
     """The least and the largest of some numbers, or the one where they read alike."""
-    low, high = number(min(values)), number(max(values))
+    low, high = number(min(values), digits), number(max(values), digits)
     return low if low == high else f"{low} to {high}"
 
 
 def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What the template of a family page is filled with."""
-    points, events = family.points, family.events
+    points, events, unit = family.points, family.events, units(family.system)
     energies, periods = family.values("energy").tolist(), family.values("period").tolist()
     unstable = sum(point.stability == "unstable" for point in points)
     listed = sum(bool(item["event"]) for item in items)
     left_out = f"{listed} of {plural(len(events), 'event')} are listed; resonances are left out first."
+    thinned = f"{len(items) - listed} of the orbits and {listed} of the events can be picked here. "
+    other = "" if family.unit else f"{family.parameter} {span(family.values('value').tolist())}, "
     summary = (
-        f"{plural(len(points), 'orbit')} of the {mechanism(family.system)}, {unstable} of them unstable, "
-        f"and {plural(len(events), 'event')}. Energy {span(energies)} J, period {span(periods)} s. "
+        f"{plural(len(points), 'orbit')} of {article(mechanism(family.system))}, {unstable} of them unstable, "
+        f"and {plural(len(events), 'event')}: {other}energy {with_unit(span(energies), unit['energy'])}, "
+        f"period {with_unit(span(periods), unit['time'])}. {thinned if len(items) < len(points) + len(events) else ''}"
         f"{'Parameters' if family.parameters[1:] else 'Parameter'}: {', '.join(family.parameters)}. "
         "All as orbitfinder continue recorded it; not checked here."
     )
@@ -275,10 +361,27 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
         "family": family,
         "items": items,
         "columns": ["energy", "period"] if family.unit else ["value", "energy", "period"],
-        "heads": {"value": family.parameter, "energy": "energy, J", "period": "period, s"},
+        "heads": {"value": family.parameter}
+        | {
+            name: f"{name}, {unit[kind]}" if unit[kind] else name
+            for name, kind in (("energy", "energy"), ("period", "time"))
+        },
+        "useful": _useful(family),
         "listed": "" if listed == len(events) else left_out,
         "summary": summary,
     }
+
+
+def _useful(family: Family) -> list[str]:
+    """What may be plotted across, the most telling first: the parameter where the energy hardly changes."""
+    energies = family.values("energy")
+    still = np.ptp(energies) <= ALIKE * max(float(np.abs(energies).max()), 1e-300) or not np.isfinite(energies).all()
+    order = ["value", "energy"] if still and not family.unit else ["energy", *([] if family.unit else ["value"])]
+    return [*order, "below", "arclength", "action"]
+
+
+ALIKE = 1e-6
+"""Change of the energies of a family, relative to them, below which they are no axis"""
 
 
 def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[str, Any]:
@@ -288,6 +391,8 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[st
         document = entry.document
         items.append({
             "title": entry.title,
+            "key": entry.key,
+            "command": entry.command,
             "mechanism": entry.mechanism,
             "energy": document["energy"] or 0.0,
             "period": document["period"],
@@ -295,12 +400,18 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[st
             "closure": document["closure"],
             "stability": document["stability"],
             "symmetry": symmetry_words(document["symmetry"]),
+            "code": document["symmetry"],
             "multipliers": document["floquet_multipliers"],
             "largest": entry.largest,
             "motion": packed(entry.motion) if entry.motion else None,
             "page": f"../orbits/{entry.slug}.html" if entry.slug in linked else None,
         })  # fmt: skip
-    return {"page": "atlas", "name": name, "items": items}
+    alike = len({entry.mechanism for entry in entries}) == 1
+    shown = [item["motion"] for item in items if item["motion"]]
+    return {
+        "page": "atlas", "name": name, "items": items, "conserved": all(entry.conserved for entry in entries),
+        "units": entries[0].units if alike else SI, "frame": framed(shown) if alike else None,
+    }  # fmt: skip
 
 
 def atlas_values(entries: Sequence[Entry], total: int) -> dict[str, Any]:
@@ -311,7 +422,10 @@ def atlas_values(entries: Sequence[Entry], total: int) -> dict[str, Any]:
     part = "" if total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
     summary = f"{plural(total, 'distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
-        summary += f" Energy {span(energies)} J, period {span(periods)} s."
+        unit = entries[0].units if len(kinds) == 1 else SI
+        summary += (
+            f" Energy {with_unit(span(energies), unit['energy'])}, period {with_unit(span(periods), unit['time'])}."
+        )
     summary += " All as the atlas records it; an orbit with a page of its own says there what was checked."
     return {"summary": summary} | choices(entries)
 

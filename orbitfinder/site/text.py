@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -84,6 +85,35 @@ def mechanism(system: Mapping[str, Any]) -> str:
         name = str(system.get("function", "python"))
         return NAMES.get(name, name.replace("_", " "))
     return str(kind)
+
+
+DIMENSIONLESS = ("henon_heiles", "restricted_three_body", "planar_oscillator", "van_der_pol", "lorenz", "rossler",
+                 "brusselator", "fitzhugh_nagumo")  # fmt: skip
+"""Systems of orbitfinder.systems and .flows whose equations carry no units"""
+
+
+def units(system: Mapping[str, Any]) -> dict[str, str]:
+    """The units of energies, times, actions and lengths: SI, or none where the equations carry none."""
+    bare = system.get("kind") == "python" and system.get("function") in DIMENSIONLESS
+    return {"energy": "", "time": "", "action": "", "length": ""} if bare else SI
+
+
+SI = {"energy": "J", "time": "s", "action": "J s", "length": "m"}
+
+
+def with_unit(text: str, unit: str) -> str:
+    """A number with its unit, where it has one."""
+    return f"{text} {unit}" if unit else text
+
+
+def plain_words(text: str) -> str:
+    """A text for searching: lower case, without accents."""
+    return "".join(one for one in unicodedata.normalize("NFKD", text.lower()) if not unicodedata.combining(one))
+
+
+def article(words: str) -> str:
+    """What a sentence calls a system: "the triple pendulum", and the system of somebody."""
+    return f"the {words} system" if words in NAMES.values() else f"the {words}"
 
 
 def coordinate(name: str) -> str:

@@ -1,0 +1,304 @@
+"""Numbers that vary with the energy over a piece of a family: polynomials with ball coefficients, and the flow on them.
+
+A function of e on [-1, 1] is enclosed by balls c_0..c_D when for each e some numbers of these balls have
+f(e) = sum_k c_k e^k. Sums and products of such polynomials are enclosed by those of the balls; what is beyond degree D
+goes into c_0's radius. What is nearly a polynomial in e therefore stays as narrow as it is, where a ball that holds it
+for every e at once loses all correlation. Source: K. Makino, M. Berz, Int. J. Pure Appl. Math. 4 (2003) 379-456.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from orbitfinder._runtime import limit
+from orbitfinder.proof.balls import (
+    Vector,
+    arb,
+    arb_mat,
+    arb_poly,
+    arb_series,
+    block,
+    column,
+    exact,
+    identity,
+    radii,
+    truncated,
+)
+from orbitfinder.proof.enclosure import Settings, Step, find_step, orthogonal, transition_remainder, valued
+from orbitfinder.proof.field import Field, Solution, slope_series
+from orbitfinder.proof.series import coefficients
+
+DEGREE = 8
+"""D, the highest power of e that is carried"""
+UNIT = arb(0, 1)
+
+
+class Along:
+    """A function of e on [-1, 1], enclosed by a polynomial with ball coefficients."""
+
+    __slots__ = ("_inverse", "_short", "whole")
+
+    def __init__(self, whole: Any) -> None:
+        self.whole = whole
+        self._short: Any = None
+        self._inverse: Any = None
+
+    @property
+    def short(self) -> Any:
+        """The polynomial of degree D, the rest in its constant's radius."""
+        if self._short is None:
+            self._short = self.whole
+            if self.whole.length() > DEGREE + 1:
+                rest = self.whole.right_shift(DEGREE + 1)(UNIT)
+                self._short = self.whole.truncate(DEGREE + 1) + arb(0, abs(rest).upper())
+        return self._short
+
+    @property
+    def range(self) -> Any:
+        """A ball that holds every value."""
+        return self.short(UNIT)
+
+    @property
+    def thin(self) -> Along:
+        """The polynomial of the balls' centres."""
+        return Along(arb_poly([x.mid() for x in self.short.coeffs()]))
+
+    def __add__(self, other: Any) -> Along:
+        return Along(self.whole + (other.whole if isinstance(other, Along) else other))
+
+    def __sub__(self, other: Any) -> Along:
+        return Along(self.whole - (other.whole if isinstance(other, Along) else other))
+
+    def __rsub__(self, other: Any) -> Along:
+        return Along(other - self.whole)
+
+    def __neg__(self) -> Along:
+        return Along(-self.whole)
+
+    def __mul__(self, other: Any) -> Along:
+        return Along(self.short * (other.short if isinstance(other, Along) else other))
+
+    def __truediv__(self, other: Any) -> Along:
+        found: Along = self * (other.inverse if isinstance(other, Along) else 1 / arb(other))
+        return found
+
+    def __rtruediv__(self, other: Any) -> Along:
+        found: Along = self.inverse * other
+        return found
+
+    def __pow__(self, power: Any) -> Along:
+        return self.applied(lambda x: x**power)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    @property
+    def inverse(self) -> Along:
+        """1 / this."""
+        if self._inverse is None:
+            self._inverse = self.applied(lambda x: 1 / x)
+        found: Along = self._inverse
+        return found
+
+    def sin_cos(self) -> tuple[Along, Along]:
+        """Sine and cosine."""
+        return self.sin(), self.cos()
+
+    def sin(self) -> Along:
+        """The sine."""
+        return self.applied(lambda x: x.sin())
+
+    def cos(self) -> Along:
+        """The cosine."""
+        return self.applied(lambda x: x.cos())
+
+    def exp(self) -> Along:
+        """The exponential function."""
+        return self.applied(lambda x: x.exp())
+
+    def log(self) -> Along:
+        """The logarithm."""
+        return self.applied(lambda x: x.log())
+
+    def sqrt(self) -> Along:
+        """The square root."""
+        return self.applied(lambda x: x.sqrt())
+
+    def applied(self, function: Callable[[Any], Any]) -> Along:
+        """f(c + h) = sum_{k<=m} f_k(c) h^k + f_{m+1}(xi) h^{m+1}, f_k = f^(k) / k!, m = D + 1, xi in c + h."""
+        centre, order = self.short[0].mid(), DEGREE + 2
+        change = self - centre
+        most = abs(change.range).upper()
+        try:
+            with truncated(order + 1):
+                near, far = (function(arb_series([x, 1])).coeffs() for x in (centre, centre + arb(0, most)))
+        except ValueError as error:  # Arb's of a quotient
+            raise ZeroDivisionError(str(error)) from error
+        near += [arb(0)] * (order - len(near))
+        total = change * 0 + (far[order] if len(far) > order else arb(0)) * arb(0, (most**order).upper())
+        power: Any = arb(1)
+        for one in near[:order]:
+            total, power = total + power * one, change * power
+        return Along(total.whole)
+
+
+def ranges(values: Sequence[Any]) -> Vector:
+    """Balls that hold every value of each."""
+    return [x.range if isinstance(x, Along) else arb(x) for x in values]
+
+
+def ranged(matrix: np.ndarray) -> Any:
+    """The matrix of balls of a matrix of functions."""
+    rows, columns = matrix.shape
+    return arb_mat(rows, columns, ranges(matrix.ravel().tolist()))
+
+
+def along(values: Sequence[Any]) -> list[Along]:
+    """Balls and functions, all as functions."""
+    return [x if isinstance(x, Along) else Along(arb_poly([x])) for x in values]
+
+
+def table(matrix: Any) -> np.ndarray:
+    """A matrix of balls as one of objects."""
+    found = np.empty((matrix.nrows(), matrix.ncols()), dtype=object)
+    found.ravel()[:] = matrix.entries()
+    return found
+
+
+def thinned(matrix: np.ndarray) -> np.ndarray:
+    """The thin functions of a matrix of functions."""
+    found = np.empty(matrix.shape, dtype=object)
+    found.ravel()[:] = [x.thin for x in along(matrix.ravel().tolist())]
+    return found
+
+
+# --------------------------------------------------------------------------------------------------
+# The flow. As in `enclosure`, with a centre and derivatives that are functions of e; errors are boxes for every e.
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """For each e every solution from a box about a point z(e), at one time.
+
+    `centre` (d + 2, thin) with `spread` (d) in `frame` encloses the solution from z(e); `middle` (d x d+2, thin) +
+    `turned` `rest` its derivatives by the initial z over the box; `start` (d + 2) is the box about z(e).
+    """
+
+    centre: list[Any]
+    frame: Any
+    spread: Any
+    middle: np.ndarray
+    turned: Any
+    rest: Any
+    start: Any
+
+    @property
+    def point(self) -> list[Any]:
+        """Enclosure (d) of the solution from z(e)."""
+        moved = (self.frame * self.spread).entries()
+        return [x + error for x, error in zip(self.centre, moved, strict=False)]
+
+    @cached_property
+    def derivatives(self) -> np.ndarray:
+        """Enclosure (d x d+2) of d(q, v)/dz0 over the box."""
+        return np.asarray(self.middle + table(self.turned * self.rest))
+
+    @property
+    def hull(self) -> list[Any]:
+        """Enclosure (d + 2) of all solutions, by the mean value theorem from z(e)."""
+        moved = (ranged(self.derivatives) * self.start).entries()
+        size = len(moved)
+        constants = [x + y for x, y in zip(self.centre[size:], self.start.entries()[size:], strict=True)]
+        return along([x + y for x, y in zip(self.point, moved, strict=True)] + constants)
+
+
+def bundle(centre: Sequence[Any], start: Vector) -> Bundle:
+    """The Bundle of a box about z(e) (d + 2) at the start."""
+    size = len(centre) - 2
+    whole = along(centre)
+    thin = [x.thin for x in whole]
+    spread = column(ranges([x - y for x, y in zip(whole[:size], thin[:size], strict=True)]))
+    middle = np.empty((size, size + 2), dtype=object)
+    middle.ravel()[:] = along(exact(np.eye(size, size + 2)).entries())
+    about, turned, rest = thin[:size] + whole[size:], identity(size), arb_mat(size, size + 2)
+    return Bundle(about, identity(size), spread, middle, turned, rest, column(start))
+
+
+def transported(field: Field, start: Bundle, settings: Settings) -> tuple[Bundle, list[Step]]:
+    """The Bundle one segment later, and the steps on the way, each over every e."""
+    here, begin, trial, steps = start, 0.0, 1.0, []
+    while begin < 1.0:
+        limit.check()
+        found = field.solution(here.hull, settings.order)
+        step, trial = find_step(field, everywhere(found), begin, trial, settings)
+        flow = transition(field, found, step, settings)
+        here = moved(field, here, step, flow, settings)
+        steps.append(step)
+        begin += step.h
+    return here, steps
+
+
+def everywhere(found: Solution) -> Solution:
+    """A solution with balls that hold its coefficients for every e."""
+    other = copy(found)
+    other.z, other.tau, other.unfolding = ranges(found.z), *ranges([found.tau, found.unfolding])
+    other.states = [ranges(one) for one in found.states]
+    other.values = [ranges(one) for one in found.values]
+    return other
+
+
+def transition(field: Field, found: Solution, step: Step, settings: Settings) -> np.ndarray:
+    """d(q, v)(h)/dz over the box for each e (d x d+2)."""
+    order, n, d = settings.order, field.size, field.dimension
+    other = copy(found)
+    other.code = field.varied
+    known = [found.states[entry + n * argument] if argument != 2 else [found.unfolding, *[arb(0)] * order]
+             for _, argument, entry in field.varied.variables]  # fmt: skip
+    other.values = coefficients(field.varied, order - 1, lambda k, _: [one[k] for one in known])
+    zero = [arb(0)] * order
+    slopes = other.results()[1]
+    lines = np.empty((order, n, d + 1), dtype=object)
+    for i, j in np.ndindex(n, d + 1):
+        lines[:, i, j] = slopes.get(i + n * j, zero)
+    blocks = [table(block(identity(d + 2), d + 1, 0, d + 2))]
+    last = np.full((1, d + 2), arb(0), dtype=object)
+    for k in range(order):
+        lower = sum(lines[j] @ blocks[k - j] for j in range(k + 1))
+        factor = found.tau / (k + 1)
+        rows = np.vstack([blocks[k][n:d], lower]) * factor
+        rows[:, -1] += np.array([one[k + 1] / found.tau for one in found.states], dtype=object)
+        blocks.append(np.vstack([rows, last]))
+    flat = everywhere(other)
+    over = [ranged(one) for one in blocks]
+    rest = transition_remainder(field, flat, step, over, slope_series(n, d, flat.results()[1], order), settings)
+    total = table(block(rest, d, 0, d + 2))
+    for one in reversed(blocks):
+        total = total * arb(step.h) + one[:d]
+    return np.asarray(total)
+
+
+def moved(field: Field, old: Bundle, step: Step, flow: np.ndarray, settings: Settings) -> Bundle:
+    """The Bundle after a step, its errors in frames that turn with the flow over every e."""
+    size = field.dimension
+    ahead = valued(field.states(old.centre, settings.order), step.remainder, arb(step.h))
+    centre = [x.thin for x in along(ahead)]
+    error = column(ranges([x - c for x, c in zip(ahead, centre, strict=True)]))
+    matrix = ranged(flow[:, :size])
+    stretched = matrix * old.frame
+    frame = orthogonal(stretched, radii(old.spread).ravel())
+    back = frame.inv()
+    image = flow[:, :size] @ old.middle
+    image[:, size:] += flow[:, size:]
+    middle = thinned(image)
+    swept = matrix * old.turned
+    turned = orthogonal(swept, radii(old.rest).max(axis=1))
+    home = turned.inv()
+    return replace(
+        old, centre=centre + old.centre[size:], frame=frame, spread=(back * stretched) * old.spread + back * error,
+        middle=middle, turned=turned, rest=(home * swept) * old.rest + home * ranged(image - middle),
+    )  # fmt: skip
