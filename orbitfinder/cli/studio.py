@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from orbitfinder.cli.jobs import check_writable
-from orbitfinder.cli.options import FILES, compile_option, finish, out_option, text
+from orbitfinder.cli.options import FILES, compile_option, out_option
 
 
 @click.command()
@@ -31,5 +31,4 @@ def studio(file: Path | None, out: Path, port: int | None, browser: bool) -> Non
     from orbitfinder.studio.serve import serve
 
     check_writable(out)
-    serve(file, out, port, browser, lambda address: text(f"orbitfinder studio: {address}"))
-    finish("studio", {})
+    serve(file, out, port, browser, lambda address: click.echo(f"orbitfinder studio: {address}"))

@@ -6,6 +6,7 @@ import secrets
 import socket
 import tempfile
 import threading
+import time
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,8 @@ HOST = "127.0.0.1"
 PORT = 8642
 TRIED = 20
 """Ports after the usual one that are tried where none is asked for"""
+PATIENCE = 120.0
+"""s in which the server begins to listen, however busy the computer is"""
 RECONNECT = 60.0
 """s that a tab may be away"""
 
@@ -36,6 +39,19 @@ def free_port(wanted: int | None = None) -> int:
             f"port: {wanted} is in use, perhaps by a studio that runs already; leave it out and a free one is taken"
         )
     raise InputError(f"port: {PORT} to {PORT + TRIED - 1} are all in use; give another one")
+
+
+def _listens(port: int) -> bool:
+    """Whether the server answers, after waiting for it."""
+    until = time.monotonic() + PATIENCE
+    while time.monotonic() < until:
+        try:
+            socket.create_connection((HOST, port), 1.0).close()
+        except OSError:
+            time.sleep(0.02)
+        else:
+            return True
+    return False
 
 
 def serve(file: Path | None, out: Path, port: int | None, browser: bool, announce: Callable[[str], None]) -> None:
@@ -62,11 +78,12 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
         address = f"http://{HOST}:{chosen}/{token}"
 
         def ready() -> None:
-            announce(address)
-            if browser:
-                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+            if _listens(chosen):
+                announce(address)
+                if browser:
+                    webbrowser.open(address)
 
-        app.on_startup(ready)
+        app.on_startup(lambda: threading.Thread(target=ready, daemon=True).start())
         ui.run(
             host=HOST, port=chosen, show=False, reload=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
             title="orbitfinder studio", favicon=SITE / "icon.svg", language="en-US",
