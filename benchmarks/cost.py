@@ -24,6 +24,8 @@ from machine import load, processor, versions
 
 import orbitfinder as of
 from orbitfinder.integrate.compiled import compiled, compiling
+from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import COLOURS
 
 ROOT = Path(__file__).parents[1]
 SIZES = (3, 10, 20, 50, 100, 200, 500, 1000)
@@ -123,24 +125,18 @@ def verdict(rows: list[dict[str, float]]) -> str:
 
 
 def draw(rows: list[dict[str, float]], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     links = np.array([row["links"] for row in rows])
-    figure, (times, memory) = plt.subplots(1, 2, figsize=(8.4, 3.4), layout="constrained")
+    figure = new_figure(8.8, 3.8, "Cost of the equations of a chain")
+    times, memory = figure.subplots(1, 2)
     for axes, names, label in (
         (times, ("interpreted", "compiled"), "evaluation (µs)"), (memory, ("resident", "working"), "memory (MB)")
     ):  # fmt: skip
-        for name, mark in zip(names, ("o-", "s--"), strict=True):
-            axes.loglog(links, [row[name] for row in rows], mark, label=f"{name}, slope {slope(rows, name):.2f}")
-        axes.set_xlabel("links")
-        axes.set_ylabel(label)
+        for k, (name, mark) in enumerate(zip(names, ("o-", "s--"), strict=True)):
+            shown = {"color": COLOURS[k], "markersize": 4, "label": f"{name}, slope {slope(rows, name):.2f}"}
+            axes.loglog(links, [row[name] for row in rows], mark, **shown)
+        dress(axes, "links", label)
         axes.legend(frameon=False)
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save_png(figure, path)
 
 
 def main() -> int:

@@ -27,6 +27,8 @@ from refine import refine_by_hand
 
 import orbitfinder as of
 from orbitfinder.integrate.compiled import available, compiling
+from orbitfinder.show.style import dress, new_figure, save_png
+from orbitfinder.show.svg import COLOURS
 
 REPEATS = 7
 OURS, INTERPRETED = "orbitfinder", "orbitfinder, interpreted"
@@ -234,27 +236,20 @@ def notes() -> list[str]:
 
 
 def draw(results: dict[str, dict[str, Row]], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     known = {method for rows in results.values() for method, row in rows.items() if row.times}
     methods = [one for one in (OURS, INTERPRETED, HEYOKA, AUTO, SCRIPT, OCTAVE) if one in known]
-    figure, axes = plt.subplots(figsize=(8, 3.6), layout="constrained")
-    width = 0.8 / len(methods)
+    figure = new_figure(8.0, 4.2, "One refinement from the report's digits")
+    axes = figure.subplots()
+    width = 0.7 / len(methods)
     for k, method in enumerate(methods):
         seconds = [row[method].seconds if method in row else np.nan for row in results.values()]
         places = np.arange(len(results)) + (k - (len(methods) - 1) / 2) * width
-        colour = plt.get_cmap("viridis")(k / len(methods))
-        axes.bar(places, 1e3 * np.asarray(seconds), width, label=method, color=colour)
+        axes.plot(places, 1e3 * np.asarray(seconds), "osD^vP"[k], label=method, color=COLOURS[k], markersize=7)
     axes.set_yscale("log")
+    dress(axes, "", "time of one refinement (ms)")
     axes.set_xticks(range(len(results)), list(results))
-    axes.set_ylabel("time of one refinement (ms)")
-    axes.legend(ncols=3, fontsize="small", loc="upper center", bbox_to_anchor=(0.5, 1.22), frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    figure.legend(*axes.get_legend_handles_labels(), ncols=3, fontsize=9, loc="outside lower center", frameon=False)
+    save_png(figure, path)
 
 
 def main() -> int:

@@ -1,10 +1,22 @@
 """Animations: real time, whole periods, no jump at the loop, small files."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from orbitfinder.errors import InputError
-from orbitfinder.show.animate import AnimationSettings, Clip, loop_frames, save_animation, simulation_clip
+from orbitfinder.show.animate import (
+    VIDEO,
+    AnimationSettings,
+    Clip,
+    draw_frames,
+    loop_frames,
+    save_animation,
+    settings_for,
+    simulation_clip,
+    smooth,
+)
 
 
 def swinging(count: int = 20) -> Clip:
@@ -80,3 +92,42 @@ def test_mp4_needs_its_extra_or_writes(tmp_path) -> None:
             save_animation(swinging(), tmp_path / "clip.mp4")
     else:
         assert save_animation(swinging(), tmp_path / "clip.mp4").stat().st_size > 1000
+
+
+def test_simulations_pass_into_their_beginning() -> None:
+    """The last frame is as near to the first as neighbours are, and the first is whole."""
+    times = np.linspace(0.0, 2.0, 51)
+    points = np.stack([[[0.0, np.cos(t)], [0.0, np.sin(t)]] for t in times])
+    settings = AnimationSettings(pixels=96, supersampling=1)
+    frames = [
+        np.asarray(one.convert("L"), float) for one in draw_frames(simulation_clip(times, points, "run"), settings)
+    ]
+    steps = [np.abs(other - one).mean() for one, other in itertools.pairwise(frames)]
+    assert np.abs(frames[-1] - frames[0]).mean() <= max(steps)
+    cut = draw_frames(simulation_clip(times, points, "run"), AnimationSettings(pixels=96, supersampling=1, fade=0.0))
+    assert np.abs(np.asarray(cut[-1].convert("L"), float) - frames[0]).mean() > max(steps)
+
+
+def test_what_suits_a_file_and_what_was_chosen(tmp_path) -> None:
+    """Video is large and fluent, a GIF small; a GIF's rate is told where it cannot be."""
+    assert settings_for(tmp_path / "a.mp4") == VIDEO and (VIDEO.pixels, VIDEO.rate) == (1080, 60)
+    assert settings_for(tmp_path / "a.gif", pixels=None, slow=4.0) == AnimationSettings(slow=4.0)
+    with pytest.raises(InputError, match=r"rate: a GIF .*not 60.*10, 20, 25, 50"):
+        settings_for(tmp_path / "a.gif", rate=60)
+
+
+def test_slow_motion_has_more_frames_and_dark_paper_is_dark() -> None:
+    """Four times slower is four times as many frames; no paper is white in the dark."""
+    times, points = np.linspace(0.0, 1.0, 11), np.zeros((11, 2, 2))
+    fast, slow = (simulation_clip(times, points, "run", AnimationSettings(slow=k)) for k in (1.0, 4.0))
+    assert len(slow.points) == 4 * len(fast.points)
+    assert max(draw_frames(fast, AnimationSettings(pixels=64, dark=True))[0].convert("RGB").getpixel((1, 60))) < 40
+
+
+def test_paths_are_smooth_and_go_through_the_frames() -> None:
+    """Between the points of a circle the path stays on it, where straight lines cut its corners."""
+    turn = np.linspace(0.0, 2 * np.pi, 13)
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    path = smooth(circle)
+    np.testing.assert_allclose(path[::5], circle, atol=1e-14)
+    assert np.abs(np.hypot(*path.T) - 1.0).max() < 0.01 < 1.0 - np.cos(np.pi / 12)

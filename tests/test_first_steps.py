@@ -39,4 +39,4 @@ def test_the_answer_names_what_was_meant(folder, words, answer):
 def test_the_template_runs_as_written(folder):
     """`init` then `run`: a certified orbit, with nothing edited."""
     result = CliRunner().invoke(cli, ["run", "mine.toml", "--no-figures"])
-    assert result.exit_code == 0 and result.stdout.startswith("mine: certified, period 1.17859146284")
+    assert result.exit_code == 0 and result.stdout.startswith("mine: certified, period 1.1785914628")

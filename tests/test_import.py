@@ -104,6 +104,7 @@ def values():
         Variables(model, problem.boundary, (), (), ca.MX.sym("T"), {}, ca.MX.sym("p"), list),
         load_problem_file(ROOT / "problems" / "report" / "triple-1.toml"), ring, pace,
         of.Tori("around", model.system, "rotation", {"energy": -1.0}, (ring,)), of.TorusSettings(),
+        of.Optima("kept", "damping", (orbit,), np.zeros(1), (0,)),
     ]  # fmt: skip
     return {type(one).__name__: one for one in found}
 

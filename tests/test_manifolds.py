@@ -99,7 +99,7 @@ def chain_near(origin, goal, places, counts):
     return Chain(origin, goal, np.vstack([forth, back[-2::-1]]), places, counts[0])
 
 
-def test_published_homoclinic_point(first):
+def test_published_homoclinic_point(first, tmp_path):
     """x = -0.616041515588730 on the section, its mirror image, from a start with three digits."""
     found = surface_of(first, None, direction=-1, **PLANE)
     base = [local_manifold(first, found, which) for which in ("unstable", "stable")]
@@ -109,6 +109,13 @@ def test_published_homoclinic_point(first):
     assert known.certificate.passed and known.kind == "homoclinic"
     assert known.state[0] == pytest.approx(OTERMA["homoclinic_L1_interior_x"], abs=1e-12)
     assert abs(known.state[2]) < 1e-12 and known.error < 1e-10 and known.angle > 0.05
+    file = of.sections.save_connection(known, tmp_path / "connection.json")
+    done = CliRunner().invoke(cli, ["verify", str(file)])
+    assert done.exit_code == 0 and "(Oterma): certified" in done.output, done.output
+    moved = known.states + 1e-6 * (np.arange(len(known.states)) == 2)[:, None]
+    of.sections.save_connection(replace(known, states=moved), file)
+    done = CliRunner().invoke(cli, ["verify", str(file)])
+    assert done.exit_code == 1 and "REJECTED by" in done.output, done.output
 
 
 @pytest.mark.slow

@@ -451,5 +451,5 @@ def test_any_two_components_and_a_neighbour(browser, pages):
     assert "rate" in browser.execute_script("return document.getElementById('any')._fullLayout.yaxis.title.text")
     before = browser.execute_script("return orbitfinder.player.scenes[0].beside")
     find(browser, "#beside").click()
-    assert before is None and browser.execute_script("return orbitfinder.player.scenes[0].beside.period > 6")
+    assert before is None and browser.execute_script("return orbitfinder.player.scenes[0].beside.period > 4.9")
     assert find(browser, "#beside-note").is_displayed()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import InputError
 from orbitfinder.guesses.modes import normal_mode
 from orbitfinder.loops.conditions import pin
@@ -15,7 +16,7 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
-from orbitfinder.show.style import line_style
+from orbitfinder.show.style import arrows, line_style, new_figure, place_labels
 from orbitfinder.show.svg import COLOURS
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -136,3 +137,63 @@ def test_curves_can_be_told_apart():
     styles = [line_style(k, 28) for k in range(28)]
     assert len({(style["color"], style["linestyle"]) for style in styles}) == 28
     assert "#F0E442" not in COLOURS
+
+
+def test_indices_break_where_they_pass_through_infinity() -> None:
+    """A jump from one side of a pole to the other is no crossing; a steep crossing is kept."""
+    values = np.arange(5.0)
+    across, line = plot.unpoled(values, np.array([3.0, 40.0, -900.0, -5.0, 1.0]))
+    assert np.isnan(line).tolist() == [False, False, True, False, False, False] and across.size == line.size
+    assert np.array_equal(plot.unpoled(values, np.array([3.0, 1.0, -5.0, 2.0, 0.0]))[1], [3.0, 1.0, -5.0, 2.0, 0.0])
+
+
+def test_names_do_not_lie_on_each_other() -> None:
+    """Ten names at one place have boxes that are apart, inside the frame."""
+    figure = new_figure(6.0, 4.0, "names")
+    axes = figure.subplots()
+    axes.plot([0.0, 1.0], [0.0, 1.0])
+    place_labels(figure, axes, [(f"event {k}", 0.5, 0.5 + 0.01 * k) for k in range(10)])
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
+    frame = axes.get_window_extent()
+    assert all(frame.contains(*box.min) and frame.contains(*box.max) for box in boxes)
+
+
+def test_one_family_is_coloured_by_stability_and_events_have_their_own_colours() -> None:
+    family = load_family(RESULTS / "families" / "triple-mode-2" / "family.json")
+    (axes,) = plot.frequency_energy([family]).axes
+    curves = {line.get_linestyle(): line.get_color() for line in axes.lines if line.get_linestyle() != "None"}
+    assert curves == {"-": plot.STABLE, "--": plot.UNSTABLE}
+    marks = {line.get_color() for line in axes.lines if line.get_linestyle() == "None"}
+    assert len(marks) > 3 and not marks & {plot.STABLE, plot.UNSTABLE}
+
+
+def test_distance_from_a_level_is_logarithmic(tmp_path) -> None:
+    """What gathers at the saddle of Henon and Heiles is spread; orbits are no families."""
+    family = load_family(RESULTS / "families" / "henon-heiles-straight" / "family.json")
+    (axes,) = plot.frequency_energy([family], level=1 / 6).axes
+    assert axes.get_xscale() == "log" and "distance" in axes.get_xlabel()
+    with pytest.raises(InputError, match="take families"):
+        plot.save_frequency_energy([family.points[0]], tmp_path / "x.png")
+
+
+def test_multipliers_stand_against_periods_one_panel_an_energy() -> None:
+    """No axis mixes joules and logarithms."""
+    with Atlas(RESULTS / "atlas" / "triple.sqlite") as atlas:
+        rows = atlas.rows()
+    figure = plot.energy_period(rows)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == [f"\N{MINUS SIGN}{size} J" for size in (40, 35, 30)]
+    drawn_marks = sum(len(line.get_xdata()) for axes in figure.axes for line in axes.lines)
+    assert drawn_marks == len(rows) and all(axes.get_yscale() == "log" for axes in figure.axes)
+
+
+def test_arrows_follow_time() -> None:
+    """Of a circle run clockwise and one run the other way they point differently."""
+    turn = np.linspace(0.0, 2 * np.pi, 200)
+    for way in (1.0, -1.0):
+        axes = new_figure(4.0, 4.0, "x").subplots()
+        arrows(axes, np.cos(way * turn), np.sin(way * turn), "black", 1)
+        (arrow,) = axes.texts
+        (x, y), (dx, dy) = arrow.xyann, np.subtract(arrow.xy, arrow.xyann)
+        assert np.sign(x * dy - y * dx) == way

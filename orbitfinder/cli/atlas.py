@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder.cli.jobs import check_writable
-from orbitfinder.cli.options import FILES, finish, json_option, out_option, print_json, text, trust_option, wants_json
+from orbitfinder.cli.options import (
+    FILES,
+    finish,
+    json_option,
+    on_terminal,
+    out_option,
+    print_json,
+    text,
+    trust_option,
+    wants_json,
+)
 from orbitfinder.cli.search import print_summary
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.reading import write_atomically
@@ -18,6 +29,8 @@ from orbitfinder.records.reading import write_atomically
 if TYPE_CHECKING:
     from orbitfinder.atlas.store import Filter
 
+WIDE = 103
+"""Columns of a terminal from which on the whole table of an atlas fits"""
 BOOK = click.argument("book", type=FILES, metavar="FILE.sqlite")
 TRUST = "Import the Python function of the system, from beside the atlas or installed, for the names of its state."
 
@@ -84,14 +97,15 @@ def list_orbits(book: Path, order: str, **options: Any) -> None:
 
     with Atlas(book) as opened:
         rows = opened.rows(chosen(options), order)
-    text(
-        f"{'id':>6} {'energy (J)':>12} {'period (s)':>14} {'action (J s)':>13}  {'symmetry':<18}{'stability':<11}"
-        f"{'largest |mu|':>12} {'closure':>9}"
-    )
+    wide = not on_terminal() or shutil.get_terminal_size().columns > WIDE
+    action, closure = (f" {'action (J s)':>13}", f" {'closure':>9}") if wide else ("", "")
+    head = f"{'id':>6} {'energy (J)':>12} {'period (s)':>14}{action}  {'symmetry':<18}{'stability':<11}"
+    text(f"{head}{'largest |mu|':>12}{closure}")
     for row in rows:
+        action, closure = (f" {row.action:>13.6f}", f" {row.closure:>9.1e}") if wide else ("", "")
         text(
-            f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f} {row.action:>13.6f}  {row.symmetry:<18}"
-            f"{row.stability:<11}{row.instability:>12.4g} {row.closure:>9.1e}"
+            f"{row.id:>6} {row.energy:>12.6g} {row.period:>14.9f}{action}  {row.symmetry:<18}"
+            f"{row.stability:<11}{row.instability:>12.4g}{closure}"
         )
     text(plural(len(rows), "orbit"))
     finish("atlas-list", {"orbits": [vars(row) for row in rows]})
@@ -117,18 +131,19 @@ def show(book: Path, number: int, trust: bool) -> None:
     if names is None:
         print_json(document)
         return
-    click.echo(f"orbit {number} of {book}")
+    text(f"orbit {number} of {book}")
     for key, unit in (("period", "s"), ("energy", "J"), ("action", "J s"), ("closure", ""), ("symmetry", ""),
                       ("stability", "")):  # fmt: skip
-        click.echo(f"  {key:<22}{document[key]!r} {unit}".rstrip().replace("'", ""))
+        value = document[key]
+        text(f"  {key:<22}{f'{value:.12g}' if isinstance(value, float) else value} {unit}".rstrip())
     for name, value in named_state(document, names).items():
-        click.echo(f"  {name:<22}{value!r}")
+        text(f"  {name:<22}{value:.12g}")
     multipliers = ", ".join(f"{complex(*mu):.6g}" for mu in document["floquet_multipliers"])
-    click.echo(f"  {'floquet multipliers':<22}{multipliers}")
+    text(f"  {'floquet multipliers':<22}{multipliers}")
     if "cycle" in document["system"]:
-        click.echo(f"  {'events':<22}{', '.join(document['system']['cycle'])}")
+        text(f"  {'events':<22}{', '.join(document['system']['cycle'])}")
     source = dict(document.get("provenance") or {})
-    click.echo(f"  {'found by':<22}{source.get('strategy')}, seed {source.get('seed')}, start {source.get('index')}")
+    text(f"  {'found by':<22}{source.get('strategy')}, seed {source.get('seed')}, start {source.get('index')}")
 
 
 @atlas.command()

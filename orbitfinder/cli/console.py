@@ -18,7 +18,7 @@ import click
 from orbitfinder._runtime import interrupt, streams
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import RenderableType
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,8 @@ class Progress:
 
     line: str
     rows: Sequence[Sequence[str]] = ()
+    last: Sequence[str] = ()
+    """lines below the table: what happened last"""
 
 
 @dataclass
@@ -35,6 +37,7 @@ class Display:
 
     show: Callable[[Progress], None]
     say: Callable[[str], None]
+    live: bool = False
 
 
 def note(line: str) -> None:
@@ -44,13 +47,14 @@ def note(line: str) -> None:
 
 
 @contextlib.contextmanager
-def display(every: float = 0.0, refresh: float = 0.0) -> Iterator[Display]:
-    """A Display on the terminal behind descriptor 2, live when it is one.
+def display(begins: str, every: float = 0.0, refresh: float = 0.0) -> Iterator[Display]:
+    """A Display on the terminal behind descriptor 2, live when it is one; it says at once what begins.
 
     Of what is shown there is no more than one line every so many seconds, or one frame of the live table.
     """
     with streams.aside() as stream:
         if not stream.isatty() or os.environ.get("TERM") == "dumb":
+            stream.write(begins + "\n")
             yield Display(paced(lambda progress: stream.write(progress.line + "\n"), every),
                           lambda line: _said(stream.write, line + "\n"))  # fmt: skip
             return
@@ -59,16 +63,17 @@ def display(every: float = 0.0, refresh: float = 0.0) -> Iterator[Display]:
 
         console = Console(file=stream, markup=False, highlight=False)
         quiet: Any = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
-        with Live(_table(()), console=console, transient=True, **quiet) as live:
+        with Live(_panel(Progress(begins)), console=console, transient=True, **quiet) as live:
+            live.refresh()
 
             def show(progress: Progress) -> None:
-                live.update(_table(progress.rows), refresh=True)
+                live.update(_panel(progress), refresh=True)
 
             def say(line: str) -> None:
-                live.update(_table(()))
-                _said(lambda text: live.console.print(text, soft_wrap=True), line)
+                live.update("", refresh=True)
+                _said(lambda text: live.console.print(text), line)
 
-            yield Display(paced(show, refresh), say)
+            yield Display(paced(show, refresh), say, live=True)
 
 
 def _said(write: Callable[[str], object], line: str) -> None:
@@ -88,12 +93,21 @@ def paced(show: Callable[[Progress], object], every: float) -> Callable[[Progres
     return call
 
 
-def _table(rows: Sequence[Sequence[str]]) -> Table:
+def _panel(progress: Progress) -> RenderableType:
+    """The rows of a progress as a table, or its line where it has none, and below it what happened last."""
+    from rich.console import Group
+    from rich.panel import Panel
     from rich.table import Table
+    from rich.text import Text
 
+    if not progress.rows:
+        return Text(progress.line, style="dim")
     table = Table(box=None, pad_edge=False, show_header=False)
-    for k in range(max(map(len, rows), default=0)):
-        table.add_column(justify="right" if k else "left")
-    for row in rows:
+    for k in range(max(map(len, progress.rows))):
+        table.add_column(justify="right" if k and not progress.last else "left", no_wrap=True)
+    for row in progress.rows:
         table.add_row(*row)
-    return table
+    if not progress.last:
+        return table
+    last = (Text(line, style="cyan", no_wrap=True, overflow="ellipsis") for line in progress.last)
+    return Panel(Group(table, "", *last), title=progress.line, title_align="left", expand=False)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder._runtime import interrupt
-from orbitfinder.cli.console import display
+from orbitfinder.cli.console import Display, Progress, display
 from orbitfinder.cli.jobs import check_writable, named_orbits, whole_family
 from orbitfinder.cli.options import (
     FILES,
@@ -19,12 +19,13 @@ from orbitfinder.cli.options import (
     compile_option,
     finish,
     json_option,
+    next_step,
     out_option,
     text,
     trust_option,
 )
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.family import Batch, Family, load_family, number_of
+from orbitfinder.records.family import UNITS, Batch, Event, Family, load_family, number_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.store import member
 
@@ -83,39 +84,76 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
       orbitfinder continue families/triple-mode-2/family.json --switch 10 --until -36
       orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
-    from orbitfinder.families.curves import Locus
-    from orbitfinder.families.folder import follow_family, parameter_of
-    from orbitfinder.families.point import FamilySettings
-    from orbitfinder.problemfile.read import checked_name
-    from orbitfinder.show.plot import save_figures
-
     values = numbers(at)
     directions = chosen["direction"] or ("both" if chosen["event"] is None else "away")
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
-    settings = FamilySettings(directions=directions, points=points, **narrowest)
-    if chosen["curve"] is None and chosen["parameters"] is None:
-        origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
-    else:
-        origin, model = curve_of(file, parameter, chosen), None
-    if getattr(origin, "guess", None) is not None and getattr(origin, "control", None) is not None:
+    with display(f"{file}: reading") as shown:
+        from orbitfinder.families.branches import SWITCHABLE
+        from orbitfinder.families.curves import Locus
+        from orbitfinder.families.folder import follow_family, parameter_of
+        from orbitfinder.families.point import FamilySettings
+        from orbitfinder.problemfile.read import checked_name
+
+        settings = FamilySettings(directions=directions, points=points, **narrowest)
+        if chosen["curve"] is None and chosen["parameters"] is None:
+            origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
+        else:
+            origin, model = curve_of(file, parameter, chosen), None
+        family, places = None, list[int]()
+        if getattr(origin, "guess", None) is None or getattr(origin, "control", None) is None:
+            parameter = parameter or (origin.parameters[0] if isinstance(origin, Locus) else parameter_of(origin))
+            name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
+            check_writable(out / name)
+            family = follow_family(
+                origin, parameter, until=chosen["until"], at=values, settings=settings, out=out, name=name,
+                model=model, progress=_reporter(shown, name, parameter, points, chosen["until"]),
+            )  # fmt: skip
+            places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+            _listed(family, places, shown)
+    if family is None:
         _optima(origin, parameter, values, points, out, chosen)
         return
-    parameter = parameter or (origin.parameters[0] if isinstance(origin, Locus) else parameter_of(origin))
-    name = checked_name(chosen["name"] or origin.name, "name", "give another --name")
-    check_writable(out / name)
-    with display() as shown:
-        family = follow_family(
-            origin, parameter, until=chosen["until"], at=values, settings=settings, out=out, name=name, model=model,
-            progress=_reporter(shown.say, parameter),
-        )  # fmt: skip
-    folder, figures = out / family.name, chosen["figures"]
-    written = save_figures(family, folder, model_in(origin, model, family)) if figures else []
+    folder = out / family.name
+    written = _drawn(family, folder, model_in(origin, model, family)) if chosen["figures"] else []
     text(f"{folder / 'family.json'}: {family.counts}")
     for end in family.ends:
         text(f"  ended: {end.kind} ({end.reason})")
     if written:
         text(f"  and {plural(len(written), 'figure')}")
+    if places and family.curve.get("test") is None:
+        next_step("continue", folder / "family.json", "--switch", places[0])
+    else:
+        next_step("page", folder, "-o site")
     finish("continue", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
+
+
+def _listed(family: Family, places: list[int], shown: Display) -> None:
+    """The events that branches leave at, with the numbers that --switch takes."""
+    for k in places[:MOST_LISTED]:
+        shown.say(f"--switch {k}: {event_words(family.events[k], family.parameter)}")
+    if len(places) > MOST_LISTED:
+        shown.say(f"and {len(places) - MOST_LISTED} more, up to --switch {places[-1]}")
+
+
+def _drawn(family: Family, folder: Path, model: Model) -> list[Path]:
+    from orbitfinder.show.plot import save_figures
+
+    return save_figures(family, folder, model)
+
+
+MOST_LISTED, LAST_EVENTS = 20, 6
+"""Events that are listed at the end with their indices, and that the live panel shows"""
+
+
+def event_words(event: Event, parameter: str) -> str:
+    """An event in words: kind, where, period."""
+    kind = f"{event.kind} {event.detail}".replace("_", " ").strip()
+    return f"{kind} at {parameter} {with_unit(event.parameter, parameter)}, period {event.period:.6g} s"
+
+
+def with_unit(value: float, parameter: str) -> str:
+    """A value of a family's parameter; of physical ones no unit is known."""
+    return f"{value:.9g} {UNITS.get(parameter, '')}".rstrip()
 
 
 def _optima(
@@ -134,7 +172,7 @@ def _optima(
             raise InputError(f"--{name}: not for controlled problems; --until and --at say where to go")
     folder = out / checked_name(chosen["name"] or problem.name, "name", "give another --name")
     check_writable(folder)
-    with display() as shown:
+    with display(f"{problem.name}: along {parameter}") as shown:
 
         def report(value: float, orbit: Orbit) -> None:
             interrupt.check()
@@ -240,22 +278,34 @@ def model_in(origin: Origin, model: Model | None, family: Family) -> Model:
     return known if known is not None and known.constraint is None else build_model(family.system)
 
 
-def _reporter(say: Callable[[str], None], parameter: str) -> Callable[[Batch], None]:
-    """One line an event, one every ten points, one at an end."""
-    began, seen = time.monotonic(), [0]
+def _reporter(shown: Display, name: str, parameter: str, most: int, until: float | None) -> Callable[[Batch], None]:
+    """A live panel with the last events, or, without a terminal, one line an event and one every ten points."""
+    began, seen, events = time.monotonic(), [0], list[Event]()
 
     def report(batch: Batch) -> None:
         interrupt.check()
         seen[0] += len(batch.points)
-        for event in batch.events:
-            say(f"{event.kind} {event.detail}".rstrip() + f" at {parameter} {event.parameter:.9g}")
-        if batch.points and seen[0] % 10 < len(batch.points):
-            point = batch.points[-1]
-            say(
+        events.extend(batch.events)
+        for event in () if shown.live else batch.events:
+            shown.say(event_words(event, parameter))
+        if not batch.points:
+            return
+        point, elapsed = batch.points[-1], time.monotonic() - began
+        value = with_unit(point.value, parameter)
+        if shown.live:
+            ordered = sorted(events, key=lambda one: one.arclength)  # as they are numbered in family.json
+            rows = [
+                ("points", f"{seen[0]}, at most {most} each way"),
+                (parameter, value + (f" on the way to {with_unit(until, parameter)}" if until is not None else "")),
+                ("period", f"{point.period:.9g} s"), ("stability", point.stability),
+                ("step", f"{point.step:.2g}"), ("elapsed", f"{elapsed:.1f} s"), ("events", str(len(events))),
+            ]  # fmt: skip
+            last = [f"{ordered.index(one):>3}  {event_words(one, parameter)}" for one in events[-LAST_EVENTS:]]
+            shown.show(Progress(name, rows, last))
+        elif seen[0] % 10 < len(batch.points):
+            shown.say(
                 f"{plural(seen[0], 'point')}, {parameter} {point.value:.6g}, period {point.period:.6g} s, "
-                f"step {point.step:.2g}, {point.stability}, {time.monotonic() - began:.1f} s elapsed"
+                f"step {point.step:.2g}, {point.stability}, {elapsed:.1f} s elapsed"
             )
-        if batch.end:
-            say(f"end: {batch.end.reason}")
 
     return report

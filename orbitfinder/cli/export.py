@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from orbitfinder.cli.console import note
 from orbitfinder.cli.jobs import check_writable, named_orbits
-from orbitfinder.cli.options import FILES, SYSTEM_TRUST, orbit_files, out_option, trust_option
+from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, trust_option
 from orbitfinder.errors import InputError, plural
 
 
@@ -47,8 +48,10 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=FILES, metavar="ORBIT.json|FAMILY.json|FILE#K...")
 @out_option("Folder for the figures; default: beside each file.")
+@click.option("--together", is_flag=True, help="Draw families in one picture, families.png.")
+@click.option("--level", type=FINITE, metavar="J", help="Draw the logarithm of the energy's distance from this one.")
 @trust_option(SYSTEM_TRUST)
-def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
+def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float | None, trust: bool) -> None:
     """Draw the figures of each ORBIT.json: histories, phase portraits, configurations, energy.
 
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas. Of a whole FAMILY.json the figures
@@ -58,10 +61,17 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     Examples:
       orbitfinder plot orbits/triple-1/orbit.json -o figures
       orbitfinder plot families/triple-mode-2/family.json
+      orbitfinder plot families/*/family.json --together -o figures
     """
-    from orbitfinder.show.plot import save_figures
+    from orbitfinder.show.plot import save_figures, save_frequency_energy
 
     drawn = named_orbits(files, trust, families=True)
+    if together or level is not None:
+        families = [one for _, one, _ in drawn]
+        folder = files[0].parent if out is None else out
+        check_writable(folder)
+        click.echo(str(save_frequency_energy(families, folder / "families.png", level)))
+        return
     for file, one, model in drawn:
         beside = file.parent if file.exists() else file.parent / one.name
         folder = beside if out is None else (out if len(drawn) == 1 else out / one.name)
@@ -73,18 +83,22 @@ def plot(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
 @click.command()
 @orbit_files
 @out_option("A .gif or .mp4 file (one orbit), or a folder; default: beside each file.")
+@click.option("--size", "pixels", type=click.IntRange(64, 4320), help="Pixels on a side.  [default: 360, .mp4 1080]")
+@click.option("--fps", "rate", type=click.IntRange(1, 240), help="Frames a second.  [default: 25, .mp4 60]")
+@click.option("--slow", type=click.FloatRange(0.01, 1000.0), help="How many times slower than real time.  [default: 1]")
+@click.option("--dark", is_flag=True, help="Light on dark.")
 @trust_option(SYSTEM_TRUST)
-def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
-    """Animate each ORBIT.json in real time over whole periods, as a GIF (or MP4 with the extra `mp4`).
+def animate(files: tuple[Path, ...], out: Path | None, trust: bool, **chosen: Any) -> None:
+    """Animate each ORBIT.json over whole periods, as a GIF (or MP4 with the extra `mp4`).
 
     FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas.
 
     \b
     Examples:
       orbitfinder animate orbits/triple-1/orbit.json
-      orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4
+      orbitfinder animate orbits/triple-1/orbit.json -o triple-1.mp4 --slow 4 --dark
     """
-    from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation
+    from orbitfinder.show.animate import check_suffix, orbit_clip, save_animation, settings_for
 
     single = out if out is not None and out.suffix and not out.is_dir() else None
     if single is not None:
@@ -94,7 +108,8 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool) -> None:
     for file, orbit, model in named_orbits(files, trust):
         target = single or (out or file.parent) / f"{orbit.name}.gif"
         check_writable(target.parent)
-        click.echo(str(save_animation(orbit_clip(orbit, model), target)))
+        settings = settings_for(target, **chosen)
+        click.echo(str(save_animation(orbit_clip(orbit, model, settings), target, settings)))
 
 
 @click.command()
@@ -121,6 +136,7 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
       orbitfinder page orbits -o site
       orbitfinder page orbits families atlas.sqlite -o site --title "Triple pendulum"
     """
+    note(f"reading {', '.join(map(str, paths))}")
     from orbitfinder.site.build import Settings, build_site
     from orbitfinder.site.gather import gather
     from orbitfinder.site.text import size

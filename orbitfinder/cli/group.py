@@ -45,6 +45,17 @@ LIMITS = {"run": 600.0, "simulate": 600.0, "guess": 600.0, "verify": 3600.0, "sw
 the longest proof an hour. `search` has its budget; the others go on for as long as they are let."""
 
 
+PURPOSES = {
+    "Find": ("init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
+    "Follow": ("continue", "torus", "manifold", "connect"),
+    "Prove": ("verify", "prove", "refine"),
+    "Use": ("stabilise", "export"),
+    "Look": ("plot", "animate", "page", "reproduce"),
+    "This program": ("doctor", "completion"),
+}
+"""The commands by what they are for, in the order in which they are used"""
+
+
 class Commands(click.Group):
     """A group whose commands take --limit and end with a sentence and an exit code, never with a traceback."""
 
@@ -56,6 +67,12 @@ class Commands(click.Group):
             parts = {"run": "each search", "sweep": "the sweep"}
             cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), parts.get(cmd.name or "", "")))
         super().add_command(cmd, name)
+
+    def format_commands(self, _: click.Context, formatter: click.HelpFormatter) -> None:
+        """The commands by what they are for, each with its whole first sentence."""
+        for heading, names in PURPOSES.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(1000)) for name in names])
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """The command that is meant; a file in its place is answered with the command that takes it."""

@@ -6,6 +6,10 @@ import functools
 import json
 import math
 import os
+import re
+import shutil
+import sys
+import textwrap
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -78,10 +82,53 @@ def wants_json() -> bool:
     return bool(click.get_current_context().meta.get(JSON_KEY))
 
 
+BAD = r"\b(not (?:proved|certified|enclosed)|NOT PROVED|REJECTED|FAILED|rejected|(?<=: )failed)\b"
+GOOD = r"\b(certified|proved)\b"
+LEAST_WIDTH, LEAST_NOTE = 40, 20
+GLUE = "\0"
+"""Stands for a space at which no line is broken"""
+
+
 def text(line: str) -> None:
-    """A line of the answer for people; nothing where --json was given."""
-    if not wants_json():
+    """A line of the answer for people, on a terminal in its width and in colour; nothing where --json was given."""
+    if wants_json():
+        return
+    if not on_terminal():
         click.echo(line)
+        return
+    for part in folded(line, max(LEAST_WIDTH, shutil.get_terminal_size().columns)):
+        click.echo(part if "NO_COLOR" in os.environ else coloured(part))
+
+
+def next_step(*words: object) -> None:
+    """What to type next, for who sits at a terminal."""
+    if on_terminal() and not wants_json():
+        text(f"next: orbitfinder {' '.join(map(str, words))}")
+
+
+def on_terminal() -> bool:
+    """Whether the answer is read on a terminal."""
+    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def folded(line: str, width: int) -> list[str]:
+    """A line in parts that fit, broken after commas where that suffices and never in a word.
+
+    The parts hang below the last column of a row, where it has some.
+    """
+    columns = [found.end() for found in re.finditer(r"\S {2,}(?=\S)", line)]
+    margin = len(line) - len(line.lstrip()) + 2
+    hang = columns[-1] if columns and columns[-1] <= width - LEAST_NOTE else margin
+    more: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": " " * hang}
+    if max(map(len, line[hang:].split(", "))) <= width - hang:
+        line = line[:hang] + re.sub(r"(?<=[^\s,]) (?=\S)", GLUE, line[hang:])
+    return [part.replace(GLUE, " ") for part in textwrap.wrap(line, width, **more)] or [""]
+
+
+def coloured(line: str) -> str:
+    """The verdict in a line in green or red."""
+    bad = re.sub(BAD, lambda found: click.style(found[0], fg="red", bold=True), line)
+    return bad if bad != line else re.sub(GOOD, lambda found: click.style(found[0], fg="green"), line)
 
 
 def finish(kind: str, document: Mapping[str, Any], passed: bool = True) -> None:

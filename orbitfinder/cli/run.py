@@ -10,7 +10,16 @@ import click
 
 from orbitfinder.cli.console import display
 from orbitfinder.cli.jobs import Outcome, check_writable, prepare, run_jobs
-from orbitfinder.cli.options import FILES, compile_option, finish, json_option, out_option, text, trust_option
+from orbitfinder.cli.options import (
+    FILES,
+    compile_option,
+    finish,
+    json_option,
+    next_step,
+    out_option,
+    text,
+    trust_option,
+)
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.reading import write_atomically
 
@@ -37,27 +46,35 @@ def run(files: tuple[Path, ...], out: Path, jobs: int, figures: bool, limit: flo
       orbitfinder run problems/report/triple-1.toml
       orbitfinder run problems/examples/*.toml --jobs 2 --out orbits --no-figures
     """
-    todo = prepare(files, out, figures, trust, limit)
     outcomes = []
-    with display() as shown:
+    with display(f"{files[0].stem}: reading {plural(len(files), 'file')}") as shown:
+        todo = prepare(files, out, figures, trust, limit)
         for outcome in run_jobs(todo, jobs, shown):
             outcomes.append(outcome)
-            shown.say(f"{outcome.name}: {outcome.message}, {outcome.wall_time:.1f} s")
+            count = f"[{len(outcomes)}/{len(todo)}] " if len(todo) > 1 else ""
+            shown.say(f"{count}{outcome.name}: {outcome.status}, {outcome.wall_time:.1f} s")
+    width = max(len(outcome.name) for outcome in outcomes) + 1
     for outcome in outcomes:
-        _print_outcome(outcome)
+        _print_outcome(outcome, width)
     passed = all(outcome.passed for outcome in outcomes)
+    if len(outcomes) > 1:
+        text(f"{sum(outcome.passed for outcome in outcomes)} of {plural(len(outcomes), 'orbit')} certified")
+    if passed:
+        next_step("continue", outcomes[0].written[0])
     finish("run", {"passed": passed, "results": [outcome.document() for outcome in outcomes]}, passed)
 
 
-def _print_outcome(outcome: Outcome) -> None:
+def _print_outcome(outcome: Outcome, width: int) -> None:
+    """A line that is aligned with the others', 12 digits; --json has all of them."""
+    name = f"{outcome.name}:".ljust(width)
     if outcome.period is None:
-        text(f"{outcome.name}: {outcome.status}: {outcome.message}")
+        text(f"{name} {outcome.status}: {outcome.message}")
         return
     text(
-        f"{outcome.name}: {outcome.status}, period {outcome.period!r} s, "
-        + (f"energy {outcome.energy!r} J, " if outcome.energy is not None else "")
+        f"{name} {outcome.status}, period {outcome.period:.12g} s, "
+        + (f"energy {outcome.energy:.12g} J, " if outcome.energy is not None else "")
         + f"closure {outcome.closure:.1e}, {outcome.stability}, symmetry {outcome.symmetry}"
-        + "".join(f", {name} = {value!r}" for name, value in outcome.chosen.items())
+        + "".join(f", {key} = {value:.12g}" for key, value in outcome.chosen.items())
     )
     if outcome.reduction:
         text(f"  {outcome.reduction}")
@@ -135,7 +152,7 @@ def reproduce(out: Path, fresh: bool) -> None:
 
     check_writable(out)
     began = time.monotonic()
-    with display() as shown:
+    with display("the report: 7 parts, finished ones are kept") as shown:
         numbers = run_report(
             out, fresh, lambda what, done, of: shown.say(f"[{done}/{of}] {what} ({time.monotonic() - began:.0f} s)")
         )

@@ -11,7 +11,7 @@ import click
 
 from orbitfinder._runtime import interrupt
 from orbitfinder.cli.console import Progress, display
-from orbitfinder.cli.options import FILES, compile_option, finish, json_option, text, trust_option
+from orbitfinder.cli.options import FILES, compile_option, finish, json_option, next_step, text, trust_option
 from orbitfinder.errors import InputError, plural
 
 if TYPE_CHECKING:
@@ -70,19 +70,19 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
       orbitfinder search problems/search/triple.toml --starts 2000 --workers 4 --atlas triple.sqlite
       orbitfinder search problems/search/triple.toml --starts 2000 --shard 3/8 --atlas triple-3.sqlite
     """
-    from orbitfinder.atlas.search import DEFAULT_BUDGET, Limits
-    from orbitfinder.atlas.search import search as run
-    from orbitfinder.atlas.shard import shard_from
-    from orbitfinder.problemfile.read import load_problem_file, read_toml
+    lasts, folder = "" if budget is None else f" {budget:g} s,", file.parent.resolve() if trust else None
+    with display(f"{file}: searching,{lasts} seed {how['seed']}, into {book}", SPEAK_EVERY, REFRESH_EVERY) as shown:
+        from orbitfinder.atlas.search import DEFAULT_BUDGET, Limits
+        from orbitfinder.atlas.search import search as run
+        from orbitfinder.atlas.shard import shard_from
+        from orbitfinder.problemfile.read import load_problem_file, read_toml
 
-    if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
-        raise InputError(f"{file}: {MISSING}")
-    loaded = load_problem_file(file, trust)
-    energies, periods = wanted(loaded)
-    budget = DEFAULT_BUDGET if starts is None and budget is None else budget
-    limits = Limits(starts, None if budget is None else budget / len(energies or [0.0]), shard_from(how["shard"]))
-    folder = file.parent.resolve() if trust else None
-    with display(SPEAK_EVERY, REFRESH_EVERY) as shown:
+        budget = DEFAULT_BUDGET if starts is None and budget is None else budget
+        if file.suffix != ".py" and "search" not in read_toml(file):  # before the modes of a long chain are computed
+            raise InputError(f"{file}: {MISSING}")
+        loaded = load_problem_file(file, trust)
+        energies, periods = wanted(loaded)
+        limits = Limits(starts, None if budget is None else budget / len(energies or [0.0]), shard_from(how["shard"]))
 
         def report(energy: float, tally: Statistics) -> None:
             interrupt.check()
@@ -96,8 +96,9 @@ def search(file: Path, book: Path, budget: float | None, starts: int | None, tru
             f"{plural(tally.new, 'new orbit')}, "
             f"{plural(tally.duplicates, 'time')} a known one, {sum(tally.failures.values())} failed"
         )
-    text(f"{found.atlas}: {plural(found.summary.orbits, 'distinct certified orbit')}")
     print_summary(found.summary)
+    text(f"{found.atlas}: {plural(found.summary.orbits, 'distinct certified orbit')}")
+    next_step("atlas list", found.atlas)
     runs = [
         {
             "energy": energy, "starts": tally.done, "first_start": tally.begun_at, "hits": tally.hits,

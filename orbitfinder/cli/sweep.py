@@ -56,7 +56,7 @@ def sweep(
     loaded = load_problem_file(file, trust)
     folder = out / loaded.wanted.name
     check_writable(folder)
-    with display() as shown:
+    with display(f"{loaded.wanted.name}: {', '.join(values)} by turns") as shown:
 
         def report(row: Row, done: int, total: int) -> None:
             interrupt.check()

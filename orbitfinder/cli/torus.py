@@ -60,7 +60,7 @@ def torus(
     checked_name(label)
     folder = out / label
     check_writable(folder)
-    with display() as shown:
+    with display(f"{label}: tori from {file}") as shown:
 
         def report(one: Torus) -> None:
             interrupt.check()

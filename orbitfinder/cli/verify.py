@@ -23,7 +23,7 @@ from orbitfinder.cli.options import (
 )  # fmt: skip
 from orbitfinder.cli.torus import tori_of
 from orbitfinder.errors import InputError, plural
-from orbitfinder.records.orbit import Certificate, certificate_to_document
+from orbitfinder.records.orbit import Certificate, asked, certificate_to_document
 from orbitfinder.records.store import kind_of, member
 
 if TYPE_CHECKING:
@@ -109,13 +109,15 @@ def verified_tori(file: Path, found: Tori, trust: bool) -> list[dict[str, Any]]:
 
 
 def _print_certificate(heading: str, certificate: Certificate) -> None:
-
+    """Every check with what was found and what was asked, yes or no in words, and the verdict last."""
+    text(f"  {'check':<22}{'found':>10}  {'asked':<11}  result  note")
+    for check in certificate.checks:
+        sense, answer = asked(check.name, check.tolerance), "yes" if check.passed else "no"
+        found, wanted = (f"{check.value:.2e}", f"{sense} {check.tolerance:.2e}") if sense else (answer, "yes")
+        result, note = "passed" if check.passed else "FAILED", one_line(check.note)
+        text(f"  {check.name:<22}{found:>10}  {wanted:<11}  {result}  {note}".rstrip())
     verdict = "certified" if certificate.passed else f"REJECTED by {', '.join(certificate.failures)}"
     text(f"{one_line(heading)}: {verdict}")
-    text(f"  {'check':<22}{'value':>11}{'allowed':>11}  result  note")
-    for check in certificate.checks:
-        result, note = "passed" if check.passed else "FAILED", one_line(check.note)
-        text(f"  {check.name:<22}{check.value:>11.2e}{check.tolerance:>11.2e}  {result}  {note}".rstrip())
 
 
 def _symmetry(context: click.Context, parameter: click.Parameter, name: str | None) -> str | None:

@@ -263,7 +263,8 @@ def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Sol
     """The orbit at a given value of the parameter near a distance into an interval, on a mesh that satisfies it."""
     curve, first, reach = run.curve, interval.first.found, interval.length
     aim = pinned(curve.equations, run.settings.parameter, value)
-    found = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=first.jacobian)
+    slope = first.jacobian if curve.test is None else interval.slope(near)
+    found = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
     if distance(curve, found.place.head, first.place.head) > 2 * reach:
         raise ConvergenceError("the exact value was found on another part of the family")
     return found

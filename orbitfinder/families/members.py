@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
@@ -96,11 +97,11 @@ def batch_certified(curve: Curve, batch: Batch) -> Batch:
 
 
 def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
-    """`count` orbits at equal arclengths along a family, without family.npz of its less unstable orbits."""
+    """`count` orbits along a family, spread by frequency, without family.npz of its less unstable orbits."""
     points = [point for point in family.points if point.mesh.size or point.scale < STEADY]
     if not points:
         raise InputError(f"{family.name}: no nodes beside the family, and no orbit steady without; continue it again")
-    places = np.array([point.arclength for point in points])
+    places = _spread([1.0 / point.period for point in points]) + 0.2 * _spread([point.arclength for point in points])
     wanted = np.linspace(places[0], places[-1], count)
     chosen = sorted({int(np.argmin(np.abs(places - place))) for place in wanted})
     found = []
@@ -111,6 +112,12 @@ def motions(family: Family, model: Model, count: int = 8) -> list[Motion]:
         joints = None if model.points is None else path.positions(moments)
         found.append(Motion(points[k], path.samples, joints, model.strokes))
     return found
+
+
+def _spread(values: Sequence[float]) -> np.ndarray:
+    """How much of the way that a number goes along a family is behind each point, 0 to 1."""
+    way = np.append(0.0, np.cumsum(np.abs(np.diff(values))))
+    return np.asarray(way / (way[-1] or 1.0))
 
 
 def amplitudes(family: Family, model: Model) -> np.ndarray:

@@ -161,7 +161,9 @@ class Stationary:
 
     def ends(self, z: np.ndarray) -> np.ndarray:
         """Lowest and highest (2 x m) of the constraints at theta."""
-        return np.array([self.low, self.high]) + self.drift * (z[self.place] * self.span - self.varying.value)
+        return np.asarray(
+            np.array([self.low, self.high]) + self.drift * (z[self.place] * self.span - self.varying.value)
+        )
 
     def cost(self, point: Point) -> float:
         """The cost there."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -154,7 +155,7 @@ def _varying(problem: Problem, parameter: str, program: Program) -> Varying:
     return Varying(value, unknown=parameter)
 
 
-def _slopes(now: Sequence[np.ndarray | float], then: Sequence[np.ndarray | float]) -> np.ndarray:
+def _slopes(now: Any, then: Any) -> np.ndarray:
     """How fast ends of ranges go: -1, 0 or 1; they are known where the number is one greater."""
     here, there = np.array(now, float), np.array(then, float)
     both = np.isfinite(here)
@@ -177,6 +178,7 @@ class _Walk:
         self.descents: list[int] = []
         self.changes: list[Change] = []
         self.length, self.largest, self.end, self.taken = FIRST, 0.0, "", 0
+        self.renewed = np.inf
         program, solution = optimum(problem, problem.control, IPOPT_TOLERANCE)
         self._state(problem, replace(solution, points=np.zeros(0)), program.parts.steps)
 
@@ -212,7 +214,7 @@ class _Walk:
             every = self.every and k == len(targets) - 1
             if not self._to(target, every):
                 break
-        if not self.orbits:
+        if self.every or not self.orbits:
             self._keep()
         last = len(self.orbits) - 1
         self.changes = [replace(one, index=min(one.index, last)) for one in self.changes]
@@ -279,8 +281,11 @@ class _Walk:
                 try:
                     arrived, tangent, change = self._step(target, tangent, change)
                 except ConvergenceError as error:
-                    self.end = f"no step leads on from {self.parameter} {self.value:.9g}: {error}"
-                    return False
+                    if abs(self.value - self.renewed) <= TOGETHER * self.system.span:
+                        self.end = f"no step leads on from {self.parameter} {self.value:.9g}: {error}"
+                        return False
+                    tangent, change = self._renewed(tangent, change)
+                    continue
                 if arrived:
                     break
                 if every:
@@ -289,6 +294,17 @@ class _Walk:
             self._extreme()
         self._keep()
         return True
+
+    def _renewed(self, tangent: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The tangent, where equations can be stated anew at the point: with its phase, in its sizes."""
+        before, point = self.system, self.point
+        try:
+            self._state(*self._plain(point), self.steps)
+            tangent, change = self.system.tangent(self.point, tangent * before.sizes / self.system.sizes)
+        except ConvergenceError:
+            self.system, self.point = before, point
+        self.renewed, self.length = self.value, FIRST
+        return tangent, change
 
     def _kept(self, tangent: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The point kept; the tangent, again where the equations were stated anew for it."""

@@ -105,7 +105,7 @@ class Event:
 
     `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change, of hybrid systems
     grazing | cycle_change | holds; along a curve of bifurcations in two parameters cusp | isola_centre | transcritical
-    | strong_resonance | fold_doubling | fold_torus | doubling_torus.
+    | strong_resonance | fold_doubling | fold_torus | doubling_torus | degenerate_doubling.
     `detail` says what exactly (of what the fold is, q of the resonance, what changed);
     `multiplier` is the critical multiplier of the root map, `order` the number of periods after which the branch
     closes.
@@ -137,6 +137,10 @@ class End:
 
     kind: str
     reason: str
+
+
+UNITS = {"energy": "J", "period": "s"}
+"""Units of those parameters of a family that are no physical parameters"""
 
 
 @dataclass(frozen=True)
@@ -177,7 +181,7 @@ class Family:
     @property
     def unit(self) -> str:
         """The unit of its parameter, where that is no physical parameter of the system."""
-        return {"energy": "J", "period": "s"}.get(self.parameter, "")
+        return UNITS.get(self.parameter, "")
 
     @property
     def parameters(self) -> tuple[str, ...]:

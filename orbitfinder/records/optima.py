@@ -111,4 +111,5 @@ def _change(entry: Mapping[str, Any], count: int) -> Change:
     numbers = [float(entry[name]) for name in ("value", "cost", "period")]
     if not 0 <= int(entry["index"]) < count:
         raise ValueError(f"a change at point {entry['index']} of {count}")
-    return Change(str(entry["kind"]), int(entry["index"]), *numbers, str(entry["detail"]))
+    value, cost, period = numbers
+    return Change(str(entry["kind"]), int(entry["index"]), value, cost, period, str(entry["detail"]))

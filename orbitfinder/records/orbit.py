@@ -33,7 +33,10 @@ SHIFT = "shift_"
 """In front of a coordinate's name: how far a relative orbit shifts in it, among expected numbers."""
 
 
-AT_LEAST = ("not_equilibrium", "minimal_period", "minimal_cycle", "transversal", "decided")
+AT_LEAST = (
+    "not_equilibrium", "minimal_period", "minimal_cycle", "transversal", "decided", "angle", "apart", "dimension",
+    "amplitude",
+)  # fmt: skip
 """Checks whose number must not be smaller than what is allowed, like those whose name begins with HOLDS"""
 HOLDS = "holds: "
 

@@ -7,13 +7,15 @@ is followed by the first without a jump.
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw, ImageFont
+from scipy.interpolate import CubicSpline
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError
@@ -42,6 +44,15 @@ class AnimationSettings:
     trace: float = 1.0
     """length of the tip's trace in units of the period or, for a simulation, in s"""
     supersampling: int = 3
+    slow: float = 1.0
+    """how many times slower than real time"""
+    dark: bool = False
+    fade: float = 0.6
+    """s in which what does not repeat passes into its beginning"""
+
+
+VIDEO = AnimationSettings(pixels=1080, rate=60, supersampling=2)
+"""What suits an .mp4, which is small at any size"""
 
 
 @dataclass(frozen=True)
@@ -64,6 +75,8 @@ class Clip:
     """frames before which the path of the last point is broken"""
     strokes: Strokes = ()
     """what is drawn through which points; () is one line through all"""
+    slow: float = 1.0
+    """how many times slower than real time"""
 
 
 def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
@@ -90,19 +103,20 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
         raise InputError(f"{orbit.name}: this system declares no points to draw; pass points= when you build it")
     orbit = whole(orbit, model)
     course = course_of(orbit, model)
-    periods, frames = loop_frames(orbit.period, settings)
+    lasts = settings.slow * orbit.period
+    periods, frames = loop_frames(lasts, settings)
     if course.walks:
         landed = sum(np.any(one.origin != other.origin) for one, other in pairwise([*course.pieces, course.pieces[0]]))
         periods = max(periods, -(-settings.steps // max(int(landed), 1)))
-        frames = round(periods * orbit.period * settings.rate)
+        frames = round(periods * lasts * settings.rate)
     moments = np.arange(frames) * (periods * orbit.period / frames)
-    trace = min(frames, round(settings.trace * orbit.period * settings.rate))
+    trace = min(frames, round(settings.trace * lasts * settings.rate))
     shown = portrait(model, course.states(moments)) if model.points is None else course.positions(moments)
     title, ground = orbit.title or orbit.name, course.grounds(moments) if model.points is not None else None
     ends = [moment + k * orbit.period for k in range(periods) for moment, _ in course.events]
     cuts = tuple(int(k) for k in np.searchsorted(moments, ends))
     return Clip(shown, settings.rate, title, trace, loops=not course.walks, ground=ground, cuts=cuts,
-                strokes=model.strokes)  # fmt: skip
+                strokes=model.strokes, slow=settings.slow)  # fmt: skip
 
 
 def portrait(model: Model, states: np.ndarray) -> np.ndarray:
@@ -117,24 +131,42 @@ def simulation_clip(
 ) -> Clip:
     """A clip of a simulation: `points` (k x 2 x m) at `times`, linearly resampled to the frame rate."""
     settings = settings or AnimationSettings()
-    moments = np.arange(0.0, times[-1], 1.0 / settings.rate)
+    moments = np.arange(0.0, times[-1], 1.0 / (settings.slow * settings.rate))
     flat = points.reshape(len(points), -1)
     frames = np.stack([np.interp(moments, times, column) for column in flat.T], axis=1)
     shaped = frames.reshape(-1, *points.shape[1:])
-    return Clip(shaped, settings.rate, title, round(settings.trace * settings.rate), loops=False, closed=closed)
+    trace = round(settings.trace * settings.slow * settings.rate)
+    return Clip(shaped, settings.rate, title, trace, loops=False, closed=closed, slow=settings.slow)
 
 
 def draw_frames(clip: Clip, settings: AnimationSettings | None = None) -> list[Any]:
     """The frames as Pillow images with one common palette."""
     settings = settings or AnimationSettings()
+    palette = _palette(settings.dark)
+    return [picture.quantize(palette=palette, dither=0) for picture in _pictures(clip, settings)]
+
+
+def _pictures(clip: Clip, settings: AnimationSettings) -> Iterator[Any]:
+    """The frames in full colours, one after the other; what does not repeat passes into its beginning."""
     view = _View.around(clip.points, settings, clip.ground is not None and not clip.loops)
     count = len(clip.points)
-    pictures = []
+    fading = 0 if clip.loops else min(count // 2, round(settings.fade * clip.rate))
+    first = None
     for k in range(count):
         back = [(k - j) % count if clip.loops else max(0, k - j) for j in range(clip.trace, -1, -1)]
-        pictures.append(_draw(clip, k, [clip.points[one, :, -1] for one in _unbroken(back, clip.cuts)], view))
-    palette = _palette()
-    return [picture.quantize(palette=palette, dither=0) for picture in pictures]
+        trails = [smooth(clip.points[one, :, -1]) for one in _unbroken(back, clip.cuts)]
+        picture = _draw(clip, k, trails, view, settings.dark)
+        first = first or picture
+        left = count - k
+        yield picture if left > fading else Image.blend(first, picture, left / (fading + 1))
+
+
+def smooth(path: np.ndarray, finer: int = 5) -> np.ndarray:
+    """A path (k x 2) through the same points without corners, by cubic splines."""
+    if len(path) < 4:
+        return path
+    places = np.arange(len(path))
+    return np.asarray(CubicSpline(places, path)(np.linspace(0.0, len(path) - 1.0, finer * (len(path) - 1) + 1)))
 
 
 def _unbroken(frames: list[int], cuts: tuple[int, ...]) -> list[list[int]]:
@@ -147,22 +179,35 @@ def _unbroken(frames: list[int], cuts: tuple[int, ...]) -> list[list[int]]:
     return parts
 
 
-TRACE = "#F0B48A"
+LIGHT = {"paper": "#FFFFFF", "ink": "#000000", "faint": "#555555", "trace": "#F0B48A", "body": COLOURS[0],
+         "pin": COLOURS[1]}  # fmt: skip
+DARK = {"paper": "#14161A", "ink": "#F2F2F2", "faint": "#AAAAAA", "trace": "#8A4B21", "body": "#56B4E9",
+        "pin": "#F28E4B"}  # fmt: skip
 WIDER = 1.6
 """How much wider the picture of what walks is"""
 SHADES = 10
-"""steps from white to each colour: what smooth edges need"""
+"""steps from the paper to each colour: what smooth edges need"""
+FULL, SMALLEST = 12, 8
+"""Size of the title, and of one that would not fit otherwise"""
 
 
-def _palette() -> Any:
-    """A Pillow palette of the colours drawn, shaded towards white, so that white stays white."""
-    entries = [255, 255, 255]
-    for colour in (COLOURS[0], COLOURS[1], TRACE, "#000000"):
+def _palette(dark: bool = False) -> Any:
+    """A Pillow palette of the colours drawn, shaded towards the paper, so that it keeps its own."""
+    colours = {name: ImageColor.getrgb(colour) for name, colour in (DARK if dark else LIGHT).items()}
+    paper = colours["paper"]
+    entries = list(paper)
+    for name in ("body", "pin", "trace", "ink"):
         for k in range(1, SHADES + 1):
-            entries += [round(255 + (part - 255) * k / SHADES) for part in ImageColor.getrgb(colour)]
+            entries += [
+                round(base + (part - base) * k / SHADES) for base, part in zip(paper, colours[name], strict=True)
+            ]
     holder = Image.new("P", (1, 1))
     holder.putpalette(entries)
     return holder
+
+
+USUAL = 360
+"""Pixels of a picture whose lines are as thick as they say"""
 
 
 @dataclass(frozen=True)
@@ -174,18 +219,22 @@ class _View:
     pixels: int
     factor: int
     height: int
-    header: int = 26
+    header: int
+    unit: float
+    """pixels of what is one pixel in the usual size"""
 
     @staticmethod
     def around(points: np.ndarray, settings: AnimationSettings, wide: bool = False) -> _View:
         low, high = points.min(axis=(0, 2)), points.max(axis=(0, 2))
         down, right = np.maximum(high - low, 1e-9)
         pixels, span = settings.pixels, max(float(down), float(right))
+        unit = pixels / USUAL
+        more = (settings.supersampling, pixels, round(26 * unit), unit)
         if not wide:
-            return _View((low + high) / 2, 0.88 * pixels / span, pixels, settings.supersampling, pixels)
+            return _View((low + high) / 2, 0.88 * pixels / span, pixels, *more)
         pixels = round(WIDER * pixels)
         scale = 0.9 * min(pixels / right, settings.pixels / down)
-        return _View((low + high) / 2, scale, pixels, settings.supersampling, round(scale * down + 0.12 * pixels))
+        return _View((low + high) / 2, scale, pixels, more[0], round(scale * down + 0.12 * pixels), *more[2:])
 
     def place(self, points: np.ndarray) -> list[tuple[float, float]]:
         """Pixels of (2 x k) positions, supersampled."""
@@ -194,43 +243,51 @@ class _View:
         return [(float(x) * self.factor, float(y) * self.factor) for x, y in zip(across, down, strict=True)]
 
 
-def _draw(clip: Clip, frame: int, trails: list[np.ndarray], view: _View) -> Any:
-    size = (view.pixels, view.height + view.header)
-    image = Image.new("RGB", (size[0] * view.factor, size[1] * view.factor), "white")
-    pen = ImageDraw.Draw(image)
+def _draw(clip: Clip, frame: int, trails: list[np.ndarray], view: _View, dark: bool) -> Any:
+    size, colours = (view.pixels, view.height + view.header), DARK if dark else LIGHT
+    image = Image.new("RGB", (size[0] * view.factor, size[1] * view.factor), colours["paper"])
+    pen, unit = ImageDraw.Draw(image), view.unit * view.factor
     where = view.place(clip.points[frame])
     many = len(where) > 20
     if clip.ground is not None:
-        pen.line(view.place(clip.ground[frame]), fill="#000000", width=2 * view.factor, joint="curve")
+        pen.line(view.place(clip.ground[frame]), fill=colours["ink"], width=round(2 * unit), joint="curve")
     for trail in [] if clip.closed else trails:
-        pen.line(view.place(trail.T), fill=TRACE, width=2 * view.factor, joint="curve")
+        pen.line(view.place(trail.T), fill=colours["trace"], width=round(2 * unit), joint="curve")
     if clip.strokes:
-        _strokes(pen, clip, frame, view)
+        _strokes(pen, clip, frame, view, colours)
     else:
-        pen.line(where, fill=COLOURS[0], width=(2 if many else 4) * view.factor, joint="curve")
-        if not many:
-            for x, y in where[1:]:
-                _dot(pen, x, y, 4 * view.factor, COLOURS[1])
-        for x, y in [where[0], *([where[-1]] if clip.closed else [])]:
-            _dot(pen, x, y, 5 * view.factor, "black")
+        pen.line(where, fill=colours["body"], width=round((2 if many else 4) * unit), joint="curve")
+        for x, y in [] if many else where[1:]:
+            _dot(pen, x, y, 4 * unit, colours["pin"])
+        for x, y in [where[0], *([where[-1]] if clip.closed else [])]:  # a lone particle is no pivot
+            _dot(pen, x, y, 5 * unit, colours["ink" if len(where) > 1 else "pin"])
     image = image.resize(size, Image.Resampling.LANCZOS)
-    pen = ImageDraw.Draw(image)
-    font = ImageFont.load_default(12)
-    pen.text((8, 6), _fitted(clip.title, pen, font, view.pixels - 70), fill="black", font=font)
-    pen.text((view.pixels - 8, 6), f"{frame / clip.rate:.2f} s", fill="#555555", font=font, anchor="ra")
+    _headed(ImageDraw.Draw(image), clip, frame, view, colours)
     return image
 
 
-def _strokes(pen: Any, clip: Clip, frame: int, view: _View) -> None:
+def _headed(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str, str]) -> None:
+    """Title and time; a long title is written smaller, and cut where that does not suffice."""
+    edge, room = round(8 * view.unit), view.pixels - round(70 * view.unit)
+    title = clip.title if clip.slow == 1.0 else f"{clip.title}, {clip.slow:g} times slower"
+    fonts = [ImageFont.load_default(size * view.unit) for size in range(FULL, SMALLEST - 1, -1)]
+    font = next((one for one in fonts if pen.textlength(title, font=one) <= room), fonts[-1])
+    pen.text((edge, round(6 * view.unit)), _fitted(title, pen, font, room), fill=colours["ink"], font=font)
+    time = f"{frame / clip.rate / clip.slow:.2f} s"
+    pen.text((view.pixels - edge, round(6 * view.unit)), time, fill=colours["faint"], font=fonts[0], anchor="ra")
+
+
+def _strokes(pen: Any, clip: Clip, frame: int, view: _View, colours: Mapping[str, str]) -> None:
     """Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled."""
+    unit = view.unit * view.factor
     for kind, line in outlines(clip.points[frame], clip.strokes, 0.88 * view.pixels / view.scale):
         where = view.place(line)
         if kind in ("ground", "slider"):
-            pen.polygon(where, fill="#000000" if kind == "ground" else COLOURS[1])
+            pen.polygon(where, fill=colours["ink" if kind == "ground" else "pin"])
             continue
-        pen.line(where, fill=COLOURS[0], width=(4 if kind == "rod" else 2) * view.factor, joint="curve")
+        pen.line(where, fill=colours["body"], width=round((4 if kind == "rod" else 2) * unit), joint="curve")
         for x, y in where if kind == "rod" else []:
-            _dot(pen, x, y, 3 * view.factor, COLOURS[1])
+            _dot(pen, x, y, 3 * unit, colours["pin"])
 
 
 def _fitted(title: str, pen: Any, font: Any, room: int) -> str:
@@ -258,37 +315,46 @@ def check_suffix(path: Path) -> None:
         )
 
 
+def settings_for(path: Path, **chosen: Any) -> AnimationSettings:
+    """What suits the kind of file, with what was chosen (what is None was not). Raises `InputError`."""
+    usual = VIDEO if path.suffix == ".mp4" else AnimationSettings()
+    settings = replace(usual, **{name: value for name, value in chosen.items() if value is not None})
+    if path.suffix == ".gif" and 100 % settings.rate:
+        whole = ", ".join(str(rate) for rate in range(10, 51) if 100 % rate == 0)
+        raise InputError(f"rate: a GIF counts hundredths of a second, not {settings.rate} a second; use one of {whole}")
+    return settings
+
+
 def save_animation(clip: Clip, path: str | Path, settings: AnimationSettings | None = None) -> Path:
     """Write a clip as .gif, or as .mp4 where the extra `mp4` is installed. Raises `InputError`."""
     target = Path(path)
     check_suffix(target)
+    if target.suffix == ".mp4":
+        return _save_mp4(_pictures(clip, settings or replace(VIDEO, rate=clip.rate)), target, clip.rate)
     frames = draw_frames(clip, settings)
-    if target.suffix == ".gif":
-        buffer = io.BytesIO()
-        options = {"loop": 0, "disposal": 1, "optimize": False}
-        frames[0].save(
-            buffer, "GIF", save_all=True, append_images=frames[1:], duration=round(1000 / clip.rate), **options
-        )
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(target, buffer.getvalue())
-        return target
-    return _save_mp4(frames, target, clip.rate)
+    buffer = io.BytesIO()
+    options = {"loop": 0, "disposal": 1, "optimize": False}
+    frames[0].save(buffer, "GIF", save_all=True, append_images=frames[1:], duration=round(1000 / clip.rate), **options)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(target, buffer.getvalue())
+    return target
 
 
-def _save_mp4(frames: list[Any], target: Path, rate: int) -> Path:
+def _save_mp4(frames: Iterator[Any], target: Path, rate: int) -> Path:
     """H.264 through imageio-ffmpeg, which brings its own encoder."""
     try:
         import imageio_ffmpeg  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise InputError(f"{target}: MP4 needs the extra: pip install 'orbitfinder[mp4]', or write a .gif") from error
     target.parent.mkdir(parents=True, exist_ok=True)
-    size = tuple(2 * (side // 2) for side in frames[0].size)
+    first = next(frames)
+    size = tuple(2 * (side // 2) for side in first.size)
     temporary = target.with_name(f".{target.name}.part.mp4")
     writer = imageio_ffmpeg.write_frames(str(temporary), size, fps=rate, macro_block_size=2)
     try:
         writer.send(None)
-        for frame in frames:
-            writer.send(frame.convert("RGB").crop((0, 0, *size)).tobytes())
+        for frame in chain((first,), frames):
+            writer.send(frame.crop((0, 0, *size)).tobytes())
         writer.close()
         temporary.replace(target)
     finally:

@@ -13,6 +13,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from orbitfinder.atlas.report import discovery
 from orbitfinder.atlas.store import Atlas, Filter, Row
@@ -25,15 +26,27 @@ from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.paths import family_paths, has_path, path_views
-from orbitfinder.show.style import configuration, dress, line_style, new_figure, plane, save_png, sweep, trail
+from orbitfinder.show.style import (
+    arrows,
+    configuration,
+    dress,
+    line_style,
+    new_figure,
+    place_labels,
+    plane,
+    save_png,
+    sweep,
+    trail,
+)
 from orbitfinder.show.svg import COLOURS, runs
 
 SNAPSHOTS = 48
 """Configurations drawn over one period."""
 STILL = 1e-9
 """Change relative to its size below which a component stands still."""
-WALKED, GROUNDS, LEAST_SIDE = 3, 8, 0.4
-"""Periods drawn of what walks, places of a ground that moves, and the shorter side of a picture with ground."""
+WALKED, GROUNDS, LEAST_SIDE, SLIVER = 3, 8, 0.4, 0.08
+"""Periods drawn of what walks, places of a ground that moves, the shorter side of a picture with ground (and of what
+is drawn wider than it is), and how narrow that is."""
 MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
@@ -208,6 +221,7 @@ def phase_portraits(orbit: Orbit, model: Model) -> Figure:
                 label=name,
             )
         axes.plot(states[0, i], states[0, j], "o", color=COLOURS[1], markersize=5, label="t = 0")
+        arrows(axes, states[:, i], states[:, j], COLOURS[0])
         dress(axes, axis(model, i), axis(model, j))
         axes.locator_params(axis="x", nbins=4)
         axes.margins(0.08)
@@ -243,6 +257,11 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
             axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
     plane(axes)
     axes.margins(0.06)
+    seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, -1]])
+    wide, tall = np.nanmax(seen) - np.nanmin(seen), float(np.ptp(joints[:, 0]))
+    if 0 < wide < SLIVER * tall and course.grounds(np.zeros(1)) is None:
+        axes.set_aspect(wide / tall / LEAST_SIDE, adjustable="datalim")
+        axes.set_xlabel(f"to the right (m), drawn {LEAST_SIDE * tall / wide:.3g} times as wide")
     draw_ground(axes, course)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
@@ -295,14 +314,21 @@ def energy_error(orbit: Orbit, model: Model) -> Figure:
     return figure
 
 
+STABLE, UNSTABLE = COLOURS[0], COLOURS[1]
+"""Colours of the stretches of one family"""
+EVENT_COLOURS = {
+    "fold": "#7B3294", "branch_point": "#000000", "period_doubling": "#B2182B", "torus": "#01665E",
+    "resonance": "#8C8C8C", "collision": "#8C510A", "stability_change": "#4D4D4D",
+}  # fmt: skip
+"""Colour of each kind of event, none of them a family's; of the others black"""
 MARKERS = {
     "fold": "v", "branch_point": "o", "period_doubling": "s", "torus": "P", "resonance": ".", "collision": "x",
     "stability_change": "D", "grazing": "*", "cycle_change": "X", "holds": "X", "cusp": "^", "isola_centre": "h",
     "transcritical": "d", "strong_resonance": "p", "fold_doubling": "D", "fold_torus": "<",
-    "doubling_torus": ">",
+    "doubling_torus": ">", "degenerate_doubling": "H",
 }  # fmt: skip
 """Marker of each kind of event."""
-SIZES = {"resonance": 3.0, "stability_change": 9.0}
+SIZES = {"resonance": 3.5, "stability_change": 9.0}
 """Sizes of markers that are not as the others': the verdict changes where something else happens as well."""
 
 
@@ -326,6 +352,14 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
     return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
 
 
+def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level: float | None = None) -> Path:
+    """Write one picture of families (see `frequency_energy`). Raises `InputError` for what is no family."""
+    for one in families:
+        if not isinstance(one, Family) or len(one.parameters) > 1 or not np.isfinite(one.values("energy")).all():
+            raise InputError(f"{one.name}: --together and --level take families of orbits with an energy; leave it out")
+    return save_png(frequency_energy([one for one in families if isinstance(one, Family)], level=level), path)
+
+
 def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
     """Orbits along the family, each over one period: swept links and the path of the tip, or the path in (q1, q2)."""
     columns = min(4, len(shown))
@@ -336,6 +370,7 @@ def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
         _draw(axes, motion)
         one = motion.point
         where = f"{family.parameter} {one.value:.5g}" if family.parameter in one.free else f"{one.energy:.5g} J"
+        where = where.replace("-", "\N{MINUS SIGN}")
         axes.set_title(f"{where}, {one.period:.4g} s\n{one.stability}", fontsize=8)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.06)
@@ -343,6 +378,9 @@ def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
         dress(axes, "", "")
     for axes in grid[len(shown) :]:
         axes.set_visible(False)
+    if shown[0].joints is not None:
+        figure.supxlabel("to the right (m)", fontsize=8)
+        figure.supylabel("up (m)", fontsize=8)
     return figure
 
 
@@ -361,15 +399,21 @@ def _draw(axes: Any, motion: Motion) -> None:
     trail(axes, motion.joints[:, :, -2 if fixed else -1], 1.1)
     axes.plot(right, -down, color="black", linewidth=1.6)
     axes.plot(right[0], -down[0], "s", color="black", markersize=4)
+    if fixed:
+        axes.plot(right[-1], -down[-1], "s", color="black", markersize=4)
 
 
 def frequency_energy(
-    families: Sequence[Family], marks: dict[str, tuple[float, float]] | None = None, title: str = ""
+    families: Sequence[Family],
+    marks: dict[str, tuple[float, float]] | None = None,
+    title: str = "",
+    level: float | None = None,
 ) -> Figure:
-    """Frequency against energy, one colour a family: solid where stable, dashed where unstable, events marked.
+    """Frequency against energy: one family by stability, several by a colour each, events marked.
 
     Families in a physical parameter, along which the energy may not change, are drawn against that. `marks` are
-    further orbits to show, name -> (energy, period).
+    further orbits to show, name -> (energy, period). With a `level` (J) the axis is the logarithm of the distance
+    from it, which opens what gathers at a saddle or at rest. The numbers of one family are those of `--switch`.
     """
     names = ", ".join(family.name for family in families)
     freed = families[0].parameter if all(families[0].parameter in family.points[0].free for family in families) else ""
@@ -378,15 +422,28 @@ def frequency_energy(
 
     def place(one: FamilyPoint | Event) -> tuple[float, float]:
         value = one.value if isinstance(one, FamilyPoint) else one.parameter
-        return (value if freed else one.energy), 1.0 / one.period
+        return (value if freed else away(one.energy)), 1.0 / one.period
+
+    def away(energy: float) -> float:
+        return energy if level is None else abs(energy - level) or np.nan
 
     _curves(figure, axes, families, [[*map(place, each.points), *map(place, each.events)] for each in families])
-    for name, (energy, period) in (marks or {}).items():
-        axes.plot(energy, 1.0 / period, "*", color="black", markersize=10)
-        offset = {"xytext": (6, 8), "textcoords": "offset points"}
-        axes.annotate(name, (energy, 1.0 / period), fontsize=9, parse_math=False, **offset)
-    dress(axes, axis_name(families[0]) if freed else "energy (J)", "frequency (1/s)")
+    labels = [(name, away(energy), 1.0 / period) for name, (energy, period) in (marks or {}).items()]
+    for _, energy, frequency in labels:
+        axes.plot(energy, frequency, "*", color="black", markersize=10)
+    if level is not None and not freed:
+        axes.set_xscale("log")
+    distance = "energy (J)" if level is None else f"distance of the energy from {level:g} J (J)"
+    dress(axes, axis_name(families[0]) if freed else distance, "frequency (1/s)")
+    if len(families) == 1:
+        numbered = [(k, one) for k, one in enumerate(families[0].events) if one.kind in NUMBERED]
+        labels += [(str(k), *place(one)) for k, one in (numbered if len(numbered) <= MOST_NUMBERED else [])]
+    place_labels(figure, axes, labels)
     return figure
+
+
+NUMBERED, MOST_NUMBERED = ("branch_point", "period_doubling"), 24
+"""Events that carry their number where there are not too many"""
 
 
 def two_parameters(families: Sequence[Family], title: str | None = None) -> Figure:
@@ -446,40 +503,49 @@ def response(families: Sequence[Family], model: Model, coordinate: str | None = 
 def _curves(
     figure: Figure, axes: Any, families: Sequence[Family], places: Sequence[Sequence[tuple[float, float]]]
 ) -> None:
-    """Each family as a curve through the places of its points, solid where stable, and a mark at those of its events.
+    """Each family as a curve through the places of its points, dashed where unstable, and its events marked.
 
-    One place each, the points' first.
+    One place each, the points' first. One family is coloured by stability; of several the later lie on wider ones.
     """
     shown: dict[str, Any] = {}
     for k, (family, found) in enumerate(zip(families, places, strict=True)):
-        colour, at = COLOURS[k % len(COLOURS)], dict(zip(map(id, (*family.points, *family.events)), found, strict=True))
-        changes = [event for event in family.events if event.kind == "stability_change"]
-        stretches = runs(family.points)
-        paths = [[at[id(point)] for point in run] for _, run in stretches]
-        for (one, other), (_, (last, first, *_)) in zip(pairwise(paths), stretches[1:], strict=True):
-            for event in (event for event in changes if last.arclength <= event.arclength <= first.arclength):
-                one.append(at[id(event)])
-                other[0] = at[id(event)]
-        for (stable, _), path in zip(stretches, paths, strict=True):
-            style = {"linestyle": "-" if stable else "--", "linewidth": 1.8 if stable else 1.1}
-            axes.plot(*zip(*path, strict=True), color=colour, **style)
+        at = dict(zip(map(id, (*family.points, *family.events)), found, strict=True))
+        wider = min(3.0, 0.7 * (len(families) - 1 - k))
+        for stable, path in _stretches(family, at):
+            colour = COLOURS[k % len(COLOURS)] if len(families) > 1 else (STABLE if stable else UNSTABLE)
+            style = {"linestyle": "-" if stable else "--", "linewidth": (1.8 if stable else 1.2) + wider}
+            axes.plot(*zip(*path, strict=True), color=colour, zorder=2 + 0.01 * k, **style)
+            key = {"color": colour if len(families) == 1 else "0.3", "linestyle": style["linestyle"]}
+            shown.setdefault("stable" if stable else "unstable", Line2D([], [], **key))
         for event in family.events:
+            colour, size = EVENT_COLOURS.get(event.kind, "black"), SIZES.get(event.kind, 5.5)
             face = "white" if event.kind in ("branch_point", "stability_change") else colour
-            size = SIZES.get(event.kind, 5.5)
             style = {"marker": MARKERS[event.kind], "markersize": size, "markerfacecolor": face, "linestyle": "none"}
             style["zorder"] = 4.0 - size / 10  # what has the same place as another event stays in sight
             (line,) = axes.plot(*at[id(event)], color=colour, **style)
             shown.setdefault(event.kind.replace("_", " "), line)
     if len(families) > 1:
-        names = [Line2D([], [], color=COLOURS[k % len(COLOURS)]) for k in range(len(families))]
-        axes.legend(names, [family.name for family in families], loc="best", frameon=False)
+        names = [Line2D([], [], color=COLOURS[k % len(COLOURS)], linewidth=2.4) for k in range(len(families))]
+        figure.legend(names, [family.name for family in families], loc="outside right upper", frameon=False)
     if shown:
-        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=3, frameon=False)
+        figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=4, frameon=False)
+
+
+def _stretches(family: Family, at: dict[int, tuple[float, float]]) -> list[tuple[bool, list[tuple[float, float]]]]:
+    """The places of stable and unstable stretches, which meet where the stability changes."""
+    changes = [event for event in family.events if event.kind == "stability_change"]
+    stretches = runs(family.points)
+    paths = [[at[id(point)] for point in run] for _, run in stretches]
+    for (one, other), (_, (last, first, *_)) in zip(pairwise(paths), stretches[1:], strict=True):
+        for event in (event for event in changes if last.arclength <= event.arclength <= first.arclength):
+            one.append(at[id(event)])
+            other[0] = at[id(event)]
+    return [(stable, path) for (stable, _), path in zip(stretches, paths, strict=True)]
 
 
 def multipliers_plane(family: Family) -> Figure:
     """Every point's multipliers in the complex plane, inside a square a little wider than the unit circle."""
-    figure = new_figure(6.4, 6.4, f"{family.name}: Floquet multipliers")
+    figure = new_figure(6.8, 5.8, f"{family.name}: Floquet multipliers")
     axes = figure.subplots()
     angle = np.linspace(0, 2 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color="0.6", linewidth=0.8)
@@ -490,7 +556,10 @@ def multipliers_plane(family: Family) -> Figure:
     axes.set_aspect("equal")
     axes.set(xlim=(-2.6, 2.6), ylim=(-2.6, 2.6))
     dress(axes, "real part", "imaginary part")
-    figure.colorbar(dots, ax=axes, label=axis_name(family), shrink=0.8)
+    if away := int((~near).sum()):
+        note = f"{away} of {values.size} are farther out, up to {np.abs(values).max():.3g}"
+        axes.set_title(note, fontsize=8.5, color="0.3")
+    figure.colorbar(dots, ax=axes, label=axis_name(family), ticks=MaxNLocator(6))
     return figure
 
 
@@ -508,17 +577,35 @@ def multipliers_along(family: Family) -> Figure:
         dress(upper, axis_name(family), "|multiplier|")
         return figure
     for k in range(indices.shape[1]):
-        lower.plot(values, indices[:, k].real, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
+        line = unpoled(values, indices[:, k].real)
+        lower.plot(*line, ".-", color=COLOURS[k % len(COLOURS)], markersize=3, linewidth=1.0)
     for level in (-2.0, 2.0):
         lower.axhline(level, color="0.5", linewidth=0.7)
     for event in family.events:
         if event.kind in ("branch_point", "period_doubling", "collision"):
             lower.axvline(event.parameter, color="0.75", linewidth=0.6)
-    lower.set_ylim(-4.0, 4.0)
+    lower.set_yscale("asinh", linear_width=2.0)
+    top = min(max(4.0, 1.2 * float(np.abs(indices).max())), INDEX_SHOWN)
+    lower.set_yticks([sign * size for size in (2.0, 10.0, 100.0, 1000.0) if size <= top for sign in (-1, 1)] + [0.0])
+    lower.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    lower.set_ylim(-top, top)
     root = family.points[0].root
     dress(upper, "", "|multiplier|")
     dress(lower, axis_name(family), "stability index" + (" of the half period" if root == 2 else ""))
     return figure
+
+
+INDEX_SHOWN = 2000.0
+"""The largest stability index drawn: beyond it the multipliers above tell more."""
+POLE = 4.0
+"""A stability index that is larger than this on both sides of a change of sign has jumped through infinity."""
+
+
+def unpoled(values: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A curve (values, line) broken by nan where it passes a pole."""
+    jumps = (np.sign(line[1:]) != np.sign(line[:-1])) & (np.minimum(np.abs(line[1:]), np.abs(line[:-1])) > POLE)
+    at = np.flatnonzero(jumps) + 1
+    return np.insert(values, at, np.nan), np.insert(line, at, np.nan)
 
 
 def axis_name(family: Family) -> str:
@@ -533,8 +620,8 @@ def axis_name(family: Family) -> str:
 KINDS = {"elliptic": (COLOURS[2], "o", "elliptic"), "marginal": (COLOURS[4], "s", "marginal"),
          "unstable": (COLOURS[1], "^", "unstable")}  # fmt: skip
 """Colour, marker and legend entry of each verdict."""
-SPREAD = 0.32
-"""Width of the cloud around an energy, as a share of the distance between energies."""
+MOST_PANELS = 6
+"""Energies that get a panel each; of more the orbits are drawn in the plane of energy and period"""
 
 
 def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None = None) -> list[Path]:
@@ -551,29 +638,33 @@ def save_atlas_figures(atlas: Atlas, folder: str | Path, chosen: Filter | None =
 
 
 def energy_period(rows: Sequence[Row]) -> Figure:
-    """Energy against period, one mark an orbit, by stability.
+    """Largest multiplier against period, one panel an energy; of many energies, energy against period.
 
-    Searches fill single energies, so marks are spread about theirs by how unstable the orbit is.
+    One mark an orbit, by stability.
     """
-    figure = new_figure(8.0, 5.2, f"{plural(len(rows), 'periodic orbit')}: energy, period and stability")
-    axes = figure.subplots()
     energies = np.array([row.energy for row in rows])
-    shells = np.unique(np.round(energies, 9))
-    height = SPREAD * (float(np.diff(shells).min()) if shells.size > 1 else 1.0)
-    sizes = np.log10(np.array([row.instability for row in rows]))
-    offsets = height * sizes / max(float(sizes.max()), 1e-9)
-    for kind, (colour, marker, label) in KINDS.items():
-        here = np.array([row.stability == kind for row in rows])
-        if here.any():
-            across = np.array([row.period for row in rows])[here]
-            axes.plot(across, (energies + offsets)[here], marker, color=colour, markersize=4.5, alpha=0.75,
-                      markeredgewidth=0, linestyle="none", label=f"{label} ({int(here.sum())})")  # fmt: skip
-    for shell in shells if shells.size < 12 else []:
-        axes.axhline(shell, color="0.75", linewidth=0.7, zorder=0)
-    dress(axes, "period (s)", "energy (J), raised by log10 |largest multiplier|")
-    if shells.size < 12:
-        axes.set_yticks(shells)
-    axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
+    shells = np.unique(np.round(energies, 9)) if np.isfinite(energies).all() else energies[:1]
+    panels = shells if shells.size <= MOST_PANELS else shells[:1]
+    title = f"{plural(len(rows), 'periodic orbit')}: {'period' if shells.size <= MOST_PANELS else 'energy, period'}"
+    figure = new_figure(8.0, 2.2 + 2.6 * panels.size, f"{title} and stability")
+    axes = np.atleast_1d(figure.subplots(panels.size, 1, sharex=True))
+    apart = shells.size > MOST_PANELS
+    places = np.zeros(len(rows), int) if apart else np.abs(energies[:, None] - panels).argmin(axis=1)
+    heights = energies if apart else np.array([row.instability for row in rows])
+    periods, shown = np.array([row.period for row in rows]), dict[str, Any]()
+    for kind, (colour, marker, _) in KINDS.items():
+        verdict = np.array([row.stability == kind for row in rows])
+        style = {"color": colour, "markersize": 4.5, "alpha": 0.75, "markeredgewidth": 0, "linestyle": "none"}
+        for k, one in enumerate(axes):
+            here = verdict & (places == k)
+            if here.any():
+                shown[f"{kind} ({int(verdict.sum())})"] = one.plot(periods[here], heights[here], marker, **style)[0]
+    for one, shell in zip(axes, panels, strict=True):
+        if not apart:
+            one.set_yscale("log")
+            one.set_title(f"{shell:g} J".replace("-", "\N{MINUS SIGN}"), loc="left", fontsize=10)
+        dress(one, "period (s)" if one is axes[-1] else "", "energy (J)" if apart else "largest |multiplier|")
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 

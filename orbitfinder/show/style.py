@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import textwrap
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,50 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def place_labels(figure: Figure, axes: Any, labels: Sequence[tuple[str, float, float]], size: float = 9.0) -> None:
+    """Names beside their places, clear of curves, marks, names before them and the frame; call it last."""
+    figure.draw_without_rendering()
+    lines = [axes.transData.transform(np.asarray(line.get_xydata(), float)) for line in axes.lines]
+    taken = np.concatenate([_dense(line[np.isfinite(line).all(axis=1)]) for line in lines] or [np.zeros((0, 2))])
+    frame, boxes = axes.get_window_extent(), list[Any]()
+    for name, x, y in labels:
+        text = axes.annotate(name, (x, y), fontsize=size, textcoords="offset points", parse_math=False, ha="center",
+                             va="center", xytext=(0, 0))  # fmt: skip
+        box = text.get_window_extent()
+        best = (np.inf, (0.0, 0.0))
+        for far, turn in product((0.9, 1.4, 2.2, 3.4), np.arange(16) * np.pi / 8):
+            move = np.array([np.cos(turn) * (box.width / 2 + 9 * far), np.sin(turn) * (box.height / 2 + 9 * far)])
+            there = box.translated(*move)
+            inside = ((taken > there.min - 2) & (taken < there.max + 2)).all(axis=1).sum()
+            out = not (frame.contains(*there.min) and frame.contains(*there.max))
+            cost = 3.0 * inside + 200.0 * sum(there.overlaps(other) for other in boxes) + 100.0 * out + far
+            best = min(best, (float(cost), (float(move[0]), float(move[1]))))
+        move = np.array(best[1])
+        text.set_position(tuple(move * 72.0 / figure.dpi))
+        boxes.append(box.translated(*move))
+
+
+def _dense(line: np.ndarray) -> np.ndarray:
+    """A polyline (k x 2, pixels) with a point at least every few pixels."""
+    if len(line) < 2:
+        return line
+    length = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+    every = np.linspace(0.0, length[-1], min(4000, int(length[-1] / 4) + 2))
+    return np.column_stack([np.interp(every, length, column) for column in line.T])
+
+
+def arrows(axes: Any, across: np.ndarray, up: np.ndarray, colour: str, count: int = 2) -> None:
+    """Arrowheads along a curve that say which way time goes."""
+    moves = np.hypot(np.diff(across) / (np.ptp(across) or 1.0), np.diff(up) / (np.ptp(up) or 1.0))
+    moves[~np.isfinite(moves) | (moves > 0.2)] = 0.0  # not across a jump
+    run = np.cumsum(moves)
+    for share in (np.arange(count) + 0.3) / count:
+        k = min(int(np.searchsorted(run, share * run[-1])), len(moves) - 1)
+        if moves[k] > 0:
+            style = {"arrowstyle": "-|>", "color": colour, "mutation_scale": 13, "shrinkA": 0, "shrinkB": 0}
+            axes.annotate("", (across[k + 1], up[k + 1]), (across[k], up[k]), arrowprops=style)
+
+
 def sweep(
     axes: Any, joints: np.ndarray, faint: float = 0.10, more: float = 0.45, width: float = 1.0, strokes: Strokes = ()
 ) -> None:
@@ -69,7 +115,7 @@ def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:
 def plane(axes: Any) -> None:
     """Axes for what hangs: x down, y to the right, equal scales."""
     axes.set_aspect("equal", adjustable="datalim")
-    dress(axes, "y, to the right (m)", "\N{MINUS SIGN}x, up (m)")
+    dress(axes, "to the right (m)", "up (m)")
 
 
 def line_style(index: int, count: int) -> dict[str, Any]:

@@ -12,47 +12,39 @@ var orbitfinder = (function () {
     return out.buffer;
   }
 
-  // Positions of one orbit. Channel c < points is x (down) of point c, then y (right); see page/motion.py.
+  // Positions of one orbit. Of m points channel c < m is x (down) of point c, then y (right), then the angle of
+  // what turns rigidly about its parent; see site/motion.py.
   function Motion(packed) {
     this.period = packed.period;
     this.count = packed.count;
     this.points = packed.points;
     this.centre = packed.centre;
+    this.spans = packed.spans.map(function (span) { return Math.max(span, 1e-9); });
     this.moving = packed.moving;
     this.drawn = packed.drawn;
     this.jumps = new Set(packed.jumps || []);
     this.ground = packed.ground || null;
+    this.strokes = packed.strokes || null;
+    this.rods = packed.rods || [];
     this.broken = false;
-    this.now = new Float32Array(2 * packed.points);
+    this.now = new Float32Array(3 * packed.points);
     this.fixed = [];
-    this.carts = [];
-    var still = packed.still, many = packed.points, values = new Int16Array(bytes(packed.data));
+    var still = packed.still, many = packed.points, values = new Int16Array(bytes(packed.data)), about = {}, p;
+    this.rods.forEach(function (rod) { about[2 * many + rod[0]] = rod; });
     for (var c in still) this.now[+c] = still[c];
-    for (var p = 0; p < many; p++) {
-      this.fixed.push(p in still && (p + many) in still);
-      this.carts.push(many > 1 && p in still && !((p + many) in still)); // what moves on a level track is drawn as a cart
-    }
+    for (p = 0; p < many; p++) this.fixed.push(p in still && (p + many) in still);
+    this.turns = this.moving.map(function (channel) { return about[channel] ? about[channel][4] : 0; });
     this.values = new Float32Array(values.length);
     for (var k = 0; k < values.length; k++) {
-      var channel = this.moving[Math.floor(k / this.count)];
-      this.values[k] = packed.centre[channel < many ? 0 : 1] + packed.half * values[k] / 32767;
+      var channel = this.moving[Math.floor(k / this.count)], rod = about[channel];
+      this.values[k] = rod ? rod[3] + packed.swing * values[k] / 32767
+        : packed.centre[channel < many ? 0 : 1] + packed.half * values[k] / 32767;
     }
-    this.tip = this.fixed.lastIndexOf(false);
-    this.spans = [this.span(0), this.span(many)];
+    // What is traced: the last point that moves; where both ends stand still the middle, a coupler's curve.
+    var last = this.fixed.lastIndexOf(false);
+    this.closed = !this.strokes && many > 3 && this.fixed[0] && this.fixed[many - 1];
+    this.tip = last < 0 ? null : this.closed ? [Math.floor((many - 1) / 2), Math.ceil((many - 1) / 2)] : [last, last];
   }
-
-  // Extent of one axis over all points and samples, in m; `from` is its first channel.
-  Motion.prototype.span = function (from) {
-    var low = Infinity, high = -Infinity, m = this;
-    function take(value) { low = Math.min(low, value); high = Math.max(high, value); }
-    this.now.subarray(from, from + this.points).forEach(function (value, p) {
-      if (m.moving.indexOf(from + p) < 0) take(value);
-    });
-    this.moving.forEach(function (channel, row) {
-      if (channel >= from && channel < from + m.points) m.values.subarray(row * m.count, (row + 1) * m.count).forEach(take);
-    });
-    return Math.max(high - low, 1e-9);
-  };
 
   // All positions at a time in s: Catmull-Rom between samples, periodic; a hybrid motion waits where it jumps.
   Motion.prototype.at = function (time) {
@@ -67,8 +59,14 @@ var orbitfinder = (function () {
     var wa = 0.5 * (-u + 2 * u2 - u3), wb = 0.5 * (2 - 5 * u2 + 3 * u3);
     var wc = 0.5 * (u + 4 * u2 - 3 * u3), wd = 0.5 * (u3 - u2);
     for (var m = 0; m < this.moving.length; m++) {
-      var o = m * n, v = this.values;
-      this.now[this.moving[m]] = wa * v[o + a] + wb * v[o + i] + wc * v[o + c] + wd * v[o + d];
+      var o = m * n, v = this.values, turn = this.turns[m];
+      this.now[this.moving[m]] = wa * v[o + a] + wb * v[o + i] + wc * v[o + c] + wd * v[o + d] +
+        turn * ((c < i ? wc : 0) + (d < i ? wd : 0) - (a > i ? wa : 0));
+    }
+    for (var k = 0; k < this.rods.length; k++) {
+      var rod = this.rods[k], p = rod[0], from = rod[1], angle = this.now[2 * this.points + p];
+      this.now[p] = this.now[from] + rod[2] * Math.cos(angle);
+      this.now[p + this.points] = this.now[from + this.points] + rod[2] * Math.sin(angle);
     }
     return this.now;
   };
@@ -78,6 +76,7 @@ var orbitfinder = (function () {
     this.canvas = canvas;
     this.pen = canvas.getContext("2d");
     this.motion = motion;
+    this.frame = null; // { centre, spans } that several motions share, drawn with a scale bar
     this.trace = true;
     this.width = 0;
   }
@@ -92,23 +91,45 @@ var orbitfinder = (function () {
     this.canvas.height = Math.round(this.height * ratio);
     this.pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (!m) return;
-    this.scale = 0.84 * Math.min(this.height / m.spans[0], this.width / m.spans[1]);
+    var frame = this.frame || m;
+    this.centre = frame.centre;
+    this.scale = 0.84 * Math.min(this.height / frame.spans[0], this.width / frame.spans[1]);
     this.path = null;
-    if (m.tip < 0) return;
+    if (!m.tip) return;
     this.path = new Path2D();
-    var steps = Math.max(240, 2 * m.count);
+    var steps = Math.max(240, 4 * m.count), cut = true;
     for (var k = 0; k <= steps; k++) {
-      var now = m.at(k * m.period / steps), x = this.across(now, m.tip), y = this.down(now, m.tip);
-      if (k && !m.broken) this.path.lineTo(x, y); else this.path.moveTo(x, y);
+      var at = this.traced(m.at(k * m.period / steps));
+      if (cut) this.path.moveTo(at[0], at[1]); else this.path.lineTo(at[0], at[1]);
+      cut = m.broken; // the next point is after the jump
     }
   };
 
   Scene.prototype.release = function () { this.width = 0; this.canvas.width = this.canvas.height = 0; };
   Scene.prototype.across = function (now, p) {
-    return this.width / 2 + (now[p + this.motion.points] - this.motion.centre[1]) * this.scale;
+    return this.width / 2 + (now[p + this.motion.points] - this.centre[1]) * this.scale;
   };
   Scene.prototype.down = function (now, p) {
-    return this.height / 2 + (now[p] - this.motion.centre[0]) * this.scale;
+    return this.height / 2 + (now[p] - this.centre[0]) * this.scale;
+  };
+  Scene.prototype.traced = function (now) {
+    var tip = this.motion.tip;
+    return [(this.across(now, tip[0]) + this.across(now, tip[1])) / 2, (this.down(now, tip[0]) + this.down(now, tip[1])) / 2];
+  };
+
+  // The length of 1, 2 or 5 times a power of ten that is about a sixth of the picture.
+  Scene.prototype.bar = function () {
+    var pen = this.pen, wanted = this.width / 6 / this.scale, ten = Math.pow(10, Math.floor(Math.log10(wanted)));
+    var long = [5, 2, 1].map(function (k) { return k * ten; }).find(function (x) { return x <= wanted; });
+    var y = this.height - 10, x = 10;
+    pen.strokeStyle = pen.fillStyle = colours().muted;
+    pen.lineWidth = 2;
+    pen.beginPath();
+    pen.moveTo(x, y);
+    pen.lineTo(x + long * this.scale, y);
+    pen.stroke();
+    pen.font = "13px system-ui, sans-serif";
+    pen.fillText(figure(long, 2) + (this.frame.unit ? " " + this.frame.unit : ""), x, y - 6);
   };
 
   Scene.prototype.draw = function (time) {
@@ -127,7 +148,20 @@ var orbitfinder = (function () {
       pen.globalAlpha = 1;
       this.tail(time, line);
     }
+    if (this.frame) this.bar();
+    if (this.beside) this.ghost(time, line);
     var now = m.at(time), p;
+    if (m.strokes) { this.mechanism(now, line); return; }
+    if (m.closed) { // the link that stands still
+      pen.strokeStyle = c.muted;
+      pen.lineWidth = line * 0.5;
+      pen.setLineDash([line, 1.6 * line]);
+      pen.beginPath();
+      pen.moveTo(this.across(now, 0), this.down(now, 0));
+      pen.lineTo(this.across(now, m.points - 1), this.down(now, m.points - 1));
+      pen.stroke();
+      pen.setLineDash([]);
+    }
     pen.strokeStyle = c.link;
     pen.lineWidth = line;
     pen.beginPath();
@@ -137,12 +171,63 @@ var orbitfinder = (function () {
       var x = this.across(now, p), y = this.down(now, p), r = line * (m.points === 1 ? 1.6 : 1.1);
       pen.fillStyle = m.fixed[p] ? c.ground : c.joint;
       if (m.fixed[p]) { pen.fillRect(x - r, y - r, 2 * r, 2 * r); continue; }
-      if (m.carts[p]) { pen.fillRect(x - 2 * r, y - 1.3 * r, 4 * r, 2.6 * r); continue; }
-      if (many && p !== m.tip) continue;
+      if (many && p !== m.points - 1) continue;
       pen.beginPath();
       pen.arc(x, y, r, 0, 2 * Math.PI);
       pen.fill();
     }
+  };
+
+  // Another motion behind this one, in grey: its lines alone.
+  Scene.prototype.ghost = function (time, line) {
+    var pen = this.pen, scene = this, m = this.beside, now = m.at(time), all = [];
+    for (var p = 0; p < m.points; p++) all.push(p);
+    var lines = m.strokes ? m.strokes.map(function (stroke) { return stroke[0] === "disc" ? [] : stroke[1]; }) : [all];
+    pen.strokeStyle = pen.fillStyle = colours().muted;
+    pen.lineWidth = line * 0.7;
+    pen.globalAlpha = 0.6;
+    lines.forEach(function (line) {
+      pen.beginPath();
+      line.forEach(function (p) { pen.lineTo(scene.across(now, p), scene.down(now, p)); });
+      pen.stroke();
+    });
+    if (m.tip) {
+      pen.beginPath();
+      pen.arc(this.across(now, m.tip[0]), this.down(now, m.tip[0]), line * 1.1, 0, 2 * Math.PI);
+      pen.fill();
+    }
+    pen.globalAlpha = 1;
+  };
+
+  // Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled.
+  Scene.prototype.mechanism = function (now, line) {
+    var pen = this.pen, scene = this, c = colours(), r = line * 0.9;
+    this.motion.strokes.forEach(function (stroke) {
+      var kind = stroke[0], at = stroke[1].map(function (p) { return [scene.across(now, p), scene.down(now, p)]; });
+      var x = at[0][0], y = at[0][1], far = at[at.length - 1], dx = far[0] - x, dy = far[1] - y;
+      pen.lineWidth = kind === "rod" ? line : line * 0.5;
+      pen.strokeStyle = kind === "spring" ? c.muted : kind === "ground" ? c.ground : c.link;
+      pen.fillStyle = kind === "ground" ? c.ground : c.joint;
+      pen.beginPath();
+      if (kind === "slider") { pen.fillRect(x - 2.4 * r, y - 1.5 * r, 4.8 * r, 3 * r); return; }
+      if (kind === "disc") pen.arc(x, y, Math.hypot(dx, dy), 0, 2 * Math.PI);
+      else if (kind === "ground") { pen.moveTo(x, y); pen.lineTo(x - 2 * r, y + 3 * r); pen.lineTo(x + 2 * r, y + 3 * r); pen.fill(); }
+      else if (kind === "spring") {
+        var long = Math.hypot(dx, dy) || 1, coils = 16;
+        pen.moveTo(x, y);
+        for (var k = 0; k <= coils; k++) {
+          var share = 0.15 + 0.7 * k / coils, side = k && k < coils ? (k % 2 ? 2 : -2) * r / long : 0;
+          pen.lineTo(x + share * dx - side * dy, y + share * dy + side * dx);
+        }
+        pen.lineTo(far[0], far[1]);
+      } else at.forEach(function (one) { pen.lineTo(one[0], one[1]); });
+      pen.stroke();
+      if (kind === "rod") at.forEach(function (one) {
+        pen.beginPath();
+        pen.arc(one[0], one[1], 0.7 * r, 0, 2 * Math.PI);
+        pen.fill();
+      });
+    });
   };
 
   // What the machine stands on or hits, [down, right] in m.
@@ -153,8 +238,8 @@ var orbitfinder = (function () {
     pen.lineWidth = line * 0.5;
     pen.beginPath();
     for (var k = 0; k < one[0].length; k++) {
-      pen.lineTo(this.width / 2 + (one[1][k] - m.centre[1]) * this.scale,
-        this.height / 2 + (one[0][k] - m.centre[0]) * this.scale);
+      pen.lineTo(this.width / 2 + (one[1][k] - this.centre[1]) * this.scale,
+        this.height / 2 + (one[0][k] - this.centre[0]) * this.scale);
     }
     pen.stroke();
   };
@@ -167,10 +252,11 @@ var orbitfinder = (function () {
     for (var part = 0; part < parts; part++) {
       pen.globalAlpha = (part + 1) / parts;
       pen.beginPath();
-      for (var k = 0; k <= steps; k++) {
-        var now = m.at(time - span * (1 - (part + k / steps) / parts));
-        if (m.broken) pen.moveTo(this.across(now, m.tip), this.down(now, m.tip));
-        else pen.lineTo(this.across(now, m.tip), this.down(now, m.tip));
+      for (var k = 0, cut = true; k <= steps; k++) {
+        var at = this.traced(m.at(time - span * (1 - (part + k / steps) / parts)));
+        if (cut) pen.moveTo(at[0], at[1]);
+        else pen.lineTo(at[0], at[1]);
+        cut = m.broken;
       }
       pen.stroke();
     }

@@ -10,19 +10,32 @@
   player.controls();
   player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; });
 
-  var NAMES = { energy: "energy, J", frequency: "frequency, 1/s", period: "period, s", action: "action, J s",
-    amplitude: "amplitude of " + safe(it.moved || ""), largest: "largest multiplier", value: safe(it.parameter) };
-  var SYMBOLS = { fold: "triangle-down", branch_point: "circle-open", period_doubling: "square", torus: "cross", resonance: "circle",
-    collision: "x", stability_change: "diamond" };
+  function unit(text, one) { return one ? text + ", " + one : text; }
+  var E = it.units.energy, S = it.units.time;
+  var NAMES = { energy: unit(it.conserved ? "energy" : "energy at t = 0", E), frequency: unit("frequency", S && "1/" + S),
+    period: unit("period", S), action: unit("action", it.units.action), amplitude: (it.curve ? "" : "amplitude of ") + safe(it.moved || ""),
+    largest: "largest multiplier", value: safe(it.parameter), below: unit("energy below the highest", E),
+    arclength: "place along the family (arclength)", moduli: "|multipliers|", angles: "angle of multipliers, °" };
+  // Symbol, colour and size of each kind of event.
+  var LOOKS = { fold: ["triangle-down", 1, 11], branch_point: ["circle-open", 2, 12], period_doubling: ["square", 3, 9],
+    torus: ["cross", 4, 10], collision: ["x", 1, 9], stability_change: ["diamond", 5, 10], resonance: ["circle", 4, 7],
+    cusp: ["triangle-up", 3, 11], strong_resonance: ["pentagon", 2, 10], isola_centre: ["hexagon", 4, 10] };
+  var locked = false, highest = Math.max.apply(null, items.map(function (one) { return one.energy; }));
 
   function axes() { return { x: part("across").value, y: part("up").value }; }
   function alike(name) {
     var all = items.map(function (one) { return number(one, name); }), most = Math.max.apply(null, all);
     return most - Math.min.apply(null, all) < 1e-6 * Math.max(Math.abs(most), 1e-12);
   }
-  if (!family && items.length > 1 && alike("energy")) part("across").value = "action"; // a search at one energy
+  // A search at a few energies is told apart by period and instability.
+  var levels = new Set(items.map(function (one) { return one.energy.toPrecision(6); })).size;
+  if (!family && items.length > 1 && (alike("energy") || levels <= items.length / 10)) {
+    part("across").value = "period";
+    part("up").value = "largest";
+  }
   function number(one, name) {
     if (name === "frequency") return 1 / one.period;
+    if (name === "below") return highest > one.energy ? highest - one.energy : null;
     if (name !== "largest") return one[name];
     if (one.largest !== undefined) return one.largest;
     if (!one.multipliers) return null;
@@ -30,10 +43,24 @@
   }
   function column(name) {
     var c = it.columns;
+    if (name === "below") return c.energy.map(function (one) { return highest > one ? highest - one : null; });
     return name === "frequency" ? c.period.map(function (T) { return 1 / T; }) : c[name];
   }
-  function scale(name) {
-    if (name === "largest") return { type: "log" };
+  // Whether an axis can be logarithmic; some always are.
+  function positive(name) {
+    if (name === "angles") return false;
+    if (name === "moduli") return true;
+    return items.every(function (one) { var x = number(one, name); return x === null || x === undefined || x > 0; });
+  }
+  function always(name) { return name === "largest" || name === "below" || name === "moduli"; }
+  function logarithms(chosen) {
+    [["log-x", chosen.x], ["log-y", chosen.y]].forEach(function (one) {
+      part(one[0]).disabled = always(one[1]) || !positive(one[1]);
+    });
+  }
+  function scale(name, box) {
+    if (name === "angles") return { range: [-6, 186], dtick: 30 };
+    if (always(name) || (part(box).checked && positive(name))) return { type: "log" };
     if (!items.length || !alike(name)) return {};
     var one = number(items[0], name), room = Math.max(0.05 * Math.abs(one), 1e-6);
     return { range: [one - room, one + room] };
@@ -62,7 +89,8 @@
   function label(k) {
     var one = items[k];
     return (one.event ? safe(one.event) + "<br>" : one.title ? safe(one.title) + "<br>" : "") +
-      "energy " + figure(one.energy, 7) + " J<br>period " + figure(one.period, 7) + " s<br>" + safe(one.stability);
+      unit("energy " + figure(one.energy, 7), E).replace(",", "") + "<br>" +
+      unit("period " + figure(one.period, 7), S).replace(",", "") + "<br>" + safe(one.stability);
   }
 
   function familyTraces(chosen, c) {
@@ -74,11 +102,35 @@
         color: stable ? c.series[0] : c.surface, line: { width: stable ? 0 : 1.3, color: c.series[0] } } }));
     });
     Object.keys(kinds).forEach(function (kind) {
-      traces.push(points(chosen, kinds[kind], { name: safe(kind).replace(/_/g, " "), marker: { symbol: SYMBOLS[kind] || "star",
-        size: kind === "resonance" ? 6 : 10, color: kind === "resonance" ? c.series[3] : c.series[1],
-        line: kind === "resonance" ? { width: 0 } : { width: 1.5, color: c.series[1] } } }));
+      var look = LOOKS[kind] || ["star", 1, 10], colour = c.series[look[1]];
+      traces.push(points(chosen, kinds[kind], { name: safe(kind).replace(/_/g, " "), marker: { symbol: look[0],
+        size: look[2], color: colour, line: { width: kind === "resonance" ? 0 : 1.5, color: colour } } }));
     });
     return traces;
+  }
+
+  // All multipliers of the orbits that can be picked: sizes by what they do, angles on the circle by Krein's sign.
+  function multiplierTraces(chosen, c) {
+    var angles = chosen.y === "angles", kinds = {};
+    items.forEach(function (one, k) {
+      (one.event ? [] : one.multipliers).forEach(function (pair, m) {
+        var size = Math.hypot(pair[0], pair[1]), round = Math.abs(size - 1) < 1e-3, krein = (one.krein || [])[m] || 0, kind;
+        if (angles && (!round || pair[1] < 0)) return;
+        if (angles) kind = krein > 0 ? "Krein sign +" : krein < 0 ? "Krein sign \u2212" : "no Krein sign";
+        else kind = round ? "on the circle" : Math.abs(pair[1]) > 1e-6 * size ? "complex, off the circle" : pair[0] > 0 ? "real, > 0" : "real, < 0";
+        var group = kinds[kind] = kinds[kind] || { x: [], y: [], customdata: [] };
+        group.x.push(number(one, chosen.x));
+        group.y.push(angles ? Math.abs(Math.atan2(pair[1], pair[0])) * 180 / Math.PI : size);
+        group.customdata.push(k);
+      });
+    });
+    var order = ["on the circle", "real, > 0", "real, < 0", "complex, off the circle", "Krein sign +", "Krein sign \u2212", "no Krein sign"];
+    return order.filter(function (kind) { return kinds[kind]; }).map(function (kind) {
+      var n = order.indexOf(kind) % 4;
+      return Object.assign(kinds[kind], { name: kind, mode: "markers", text: kinds[kind].customdata.map(label),
+        hovertemplate: "%{text}<extra></extra>",
+        marker: { size: 6, color: c.series[n], symbol: ["circle", "diamond", "square", "cross"][n] } });
+    });
   }
 
   function atlasTraces(chosen, c) {
@@ -91,39 +143,81 @@
   }
 
   plots.plot(plot, function () {
-    var chosen = axes(), c = orbitfinder.colours(), traces = family ? familyTraces(chosen, c) : atlasTraces(chosen, c);
-    if (picked >= 0) traces.push({ x: [number(items[picked], chosen.x)], y: [number(items[picked], chosen.y)], mode: "markers",
+    var chosen = axes(), c = orbitfinder.colours(), many = chosen.y === "moduli" || chosen.y === "angles";
+    var traces = many ? multiplierTraces(chosen, c) : family ? familyTraces(chosen, c) : atlasTraces(chosen, c);
+    logarithms(chosen);
+    if (picked >= 0 && many) {
+      var at = number(items[picked], chosen.x);
+      traces.push({ x: [at, at], y: chosen.y === "angles" ? [0, 180] : moduliRange().map(function (one) { return Math.pow(10, one); }), mode: "lines", hoverinfo: "skip", showlegend: false,
+        line: { color: c.ink, width: 1.2, dash: "dot" } });
+    }
+    if (picked >= 0 && !many) traces.push({ x: [number(items[picked], chosen.x)], y: [number(items[picked], chosen.y)], mode: "markers",
       hoverinfo: "skip", showlegend: false, marker: { size: 18, symbol: "circle-open", color: c.ink, line: { width: 2.2 } } });
-    return { traces: traces, layout: plots.layout(plots.axis(NAMES[chosen.x], scale(chosen.x)), plots.axis(NAMES[chosen.y], scale(chosen.y)),
-      { showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, margin: { l: 64, r: 16, t: 60, b: 48 } }) };
+    var up = scale(chosen.y, "log-y");
+    if (chosen.y === "moduli") up.range = moduliRange();
+    return { traces: traces, layout: plots.layout(plots.axis(NAMES[chosen.x], Object.assign(scale(chosen.x, "log-x"), { fixedrange: false })),
+      plots.axis(NAMES[chosen.y], Object.assign(up, { fixedrange: false })),
+      { uirevision: [chosen.x, chosen.y, part("log-x").checked, part("log-y").checked].join(), showlegend: true,
+        dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom", legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, margin: { l: 64, r: 16, t: 60, b: 48 } }) };
   });
   plots.plot(part("circle"), function () { return plots.circle(picked < 0 ? [] : items[picked].multipliers); });
 
+  function moduliRange() {
+    var most = Math.max.apply(null, items.map(function (one) { return one.multipliers.length ? number(one, "largest") : 1; }));
+    var wide = 1.05 * Math.log10(Math.max(2, most));
+    return [-wide, wide];
+  }
+
+  // The same share of the period goes on, so that along a family the shape changes and not the instant.
   function pick(k) {
     if (k === picked || k < 0 || k >= items.length) return;
-    var one = items[k];
+    var one = items[k], before = picked < 0 ? 0 : player.time / items[picked].period;
     picked = k;
     scene.show(one.motion ? new orbitfinder.Motion(one.motion) : null);
-    player.seek(0);
+    player.seek((before - Math.floor(before)) * one.period);
     part("still").hidden = !!one.motion;
     facts(one);
     slider.value = shown.indexOf(k);
     var text = (shown.indexOf(k) + 1) + " of " + shown.length + (one.event ? ", " + one.event : "");
     part("item-text").textContent = text;
-    slider.setAttribute("aria-valuetext", text + ", energy " + figure(one.energy, 5) + " joules, period " + figure(one.period, 5) + " seconds");
+    slider.setAttribute("aria-valuetext", text + ", energy " + figure(one.energy, 5) + " " + E + ", period " + figure(one.period, 5) + " " + S);
     part("circle").style.visibility = one.multipliers && one.multipliers.length ? "visible" : "hidden";
     plots.redraw(plot);
     plots.redraw(part("circle"));
   }
 
+  // The address of what was picked: a new entry of the browser's history by a click, the same while sliding.
+  function keyed() {
+    var wanted = decodeURIComponent(location.hash.slice(1));
+    return items.findIndex(function (one) { return one.key === wanted; });
+  }
+  var writing = null;
+  function address(anew) {
+    clearTimeout(writing);
+    function write() {
+      if (picked < 0 || location.hash === "#" + items[picked].key) return;
+      if (anew) location.hash = items[picked].key; else location.replace("#" + items[picked].key);
+    }
+    if (anew) write(); else writing = setTimeout(write, 250);
+  }
+  addEventListener("hashchange", function () { clearTimeout(writing); if (keyed() >= 0) { lock(true); pick(keyed()); } });
+
   function facts(one) {
-    var rows = [["Period", figure(one.period, 10) + " s"], ["Energy", figure(one.energy, 10) + " J"]], list = part("picked");
+    var rows = [["Period", figure(one.period, 10) + " " + S]], list = part("picked");
+    if (it.conserved || !one.event) rows.push([it.conserved ? "Energy" : "Energy at t = 0", figure(one.energy, 10) + " " + E]);
+    if (family && it.parameter !== "energy" && it.parameter !== "period") rows.push([it.parameter, figure(one.value, 10)]);
     if (one.event) rows.unshift(["Event", one.event]);
     if (one.title) rows.unshift(["Orbit", one.title]);
-    if (one.action !== null) rows.push(["Action", figure(one.action, 8) + " J s"]);
+    if (one.action !== null) rows.push(["Action", figure(one.action, 8) + " " + it.units.action]);
     rows.push(["Stability", one.stability], ["Symmetry", one.symmetry]);
     if (one.event) rows.push(["Multipliers, stability", "of the orbit before the event"]);
-    if (one.closure !== null) rows.push(["Closure", figure(one.closure, 5)]);
+    if (one.closure !== null) rows.push(["Closure", figure(one.closure, 3)]);
+    if (one.closure > 1e-8 && one.defect !== null && one.defect !== undefined) {
+      rows[rows.length - 1][0] = "Closure in one turn";
+      rows.push(["Closure piece by piece", figure(one.defect, 3)], ["Why two", "one turn multiplies errors too much to say anything; between its nodes it closes"]);
+    }
+    part("command").textContent = one.command || "";
+    part("command-box").hidden = !one.command;
     list.textContent = "";
     rows.forEach(function (row) {
       var group = document.createElement("div"), name = document.createElement("dt"), value = document.createElement("dd");
@@ -140,38 +234,88 @@
     });
   }
 
+  function nothing() {
+    picked = -1;
+    scene.show(null);
+    player.stale = true;
+    part("picked").textContent = "";
+    part("command-box").hidden = true;
+    part("circle").style.visibility = "hidden";
+  }
+
   function choose() {
     var stability = family ? "" : part("stability").value, symmetry = family ? "" : part("symmetry").value;
     shown = items.map(function (_, k) { return k; }).filter(function (k) {
-      return (!stability || items[k].stability === stability) && (!symmetry || items[k].symmetry === symmetry);
+      return (!stability || items[k].stability === stability) && (!symmetry || items[k].code === symmetry);
     });
     slider.max = Math.max(0, shown.length - 1);
-    if (shown.indexOf(picked) < 0 && shown.length) { pick(shown[Math.floor(shown.length / 2)]); return; }
+    if (shown.indexOf(picked) < 0 && shown.length) pick(shown[Math.floor(shown.length / 2)]);
+    if (!shown.length) nothing();
     slider.value = Math.max(0, shown.indexOf(picked));
     part("item-text").textContent = shown.length ? (shown.indexOf(picked) + 1) + " of " + shown.length : "none";
     plots.redraw(plot);
   }
 
-  function fromPlot(event) { var k = event.points[0].customdata; if (typeof k === "number") pick(k); }
-  plot.on("plotly_click", fromPlot);
-  plot.on("plotly_hover", fromPlot);
-  slider.addEventListener("input", function () { pick(shown[+slider.value]); });
-  function step(by) { var place = shown.indexOf(picked) + by; if (place >= 0 && place < shown.length) pick(shown[place]); }
+  // The pointer picks until a click holds the pick; Escape or the button lets go.
+  function lock(on) {
+    locked = on;
+    part("lock").setAttribute("aria-pressed", String(on));
+    part("lock").textContent = on ? "Held" : "Hold";
+  }
+  part("lock").addEventListener("click", function () { lock(!locked); });
+  addEventListener("keydown", function (event) { if (event.key === "Escape") lock(false); });
+  plot.on("plotly_click", function (event) {
+    var k = event.points[0].customdata;
+    if (typeof k === "number") { pick(k); lock(true); address(true); }
+  });
+  plot.on("plotly_hover", function (event) {
+    var k = event.points[0].customdata;
+    if (typeof k === "number" && !locked) { pick(k); address(false); }
+  });
+  part("near").addEventListener("click", function () {
+    if (picked < 0) return;
+    var full = plot._fullLayout, change = {}, chosen = axes();
+    [["xaxis", chosen.x], ["yaxis", chosen.y]].forEach(function (one) {
+      var axis = full[one[0]], at = axis.d2l(number(items[picked], one[1])), half = (axis.range[1] - axis.range[0]) / 6;
+      if (isFinite(at)) change[one[0] + ".range"] = [at - half, at + half];
+    });
+    Plotly.relayout(plot, change);
+  });
+  part("whole").addEventListener("click", function () { plots.redraw(plot, true); });
+  part("alike").hidden = part("alike-label").hidden = !it.frame;
+  function frame() {
+    scene.frame = part("alike").checked && it.frame ? Object.assign({ unit: it.units.length }, it.frame) : null;
+    scene.width = 0;
+    player.stale = true;
+  }
+  part("alike").addEventListener("change", frame);
+  frame();
+  slider.addEventListener("input", function () { pick(shown[+slider.value]); address(false); });
+  function step(by) { var place = shown.indexOf(picked) + by; if (place >= 0 && place < shown.length) { pick(shown[place]); address(false); } }
   part("previous").addEventListener("click", function () { step(-1); });
   part("next").addEventListener("click", function () { step(1); });
-  ["across", "up"].forEach(function (id) {
-    part(id).addEventListener("change", function () { plots.redraw(plot); });
+  function heading() {
+    function word(id) { return part(id).selectedOptions[0].textContent; }
+    var text = word("up") + " against " + word("across");
+    part("plot-heading").textContent = text.charAt(0).toUpperCase() + text.slice(1);
+    plot.setAttribute("aria-label", part("plot-heading").textContent + "; the slider below goes through the points");
+  }
+  ["across", "up", "log-x", "log-y"].forEach(function (id) {
+    part(id).addEventListener("change", function () { heading(); plots.redraw(plot); });
   });
+  heading();
   (family ? [] : ["stability", "symmetry"]).forEach(function (id) { part(id).addEventListener("change", choose); });
   document.querySelectorAll(".pick").forEach(function (button) {
     button.addEventListener("click", function () {
       pick(+button.dataset.item);
+      lock(true);
+      address(true);
       part("stage").scrollIntoView({ block: "center", behavior: orbitfinder.calm ? "auto" : "smooth" });
     });
   });
   part("save-csv").addEventListener("click", function () {
-    var names = family ? ["energy", "period", "action", "closure", "value", "stable", "largest"]
-      : ["title", "mechanism", "energy", "period", "action", "closure", "stability", "symmetry", "largest"];
+    var names = family ? ["energy", "period", "action", "closure", "value", "arclength", "stable", "largest"]
+      : ["title", "key", "mechanism", "energy", "period", "action", "closure", "stability", "symmetry", "largest"];
     var rows = [names.join(",")], count = family ? it.columns.energy.length : items.length;
     for (var k = 0; k < count; k++) {
       rows.push(names.map(function (name) {
@@ -182,4 +326,6 @@
     orbitfinder.save(it.name.replace(/[^A-Za-z0-9_.-]+/g, "-") + ".csv", "text/csv", rows.join("\n") + "\n");
   });
   choose();
+  if (keyed() >= 0) { lock(true); pick(keyed()); }
+  addEventListener("pageshow", function () { heading(); choose(); });
 })();

@@ -19,16 +19,24 @@ orbitfinder.plots = (function () {
   }
 
   // `make` returns { traces, layout } in the colours of the moment; it is asked again when the theme changes.
-  function plot(div, make) {
+  // Lines are drawn through every sample: thinning them puts corners into smooth curves.
+  function plot(div, given) {
+    function make() {
+      var made = given();
+      made.traces.forEach(function (trace) { if (trace.line) trace.line = Object.assign({ simplify: false }, trace.line); });
+      return made;
+    }
     var made = make();
     Plotly.newPlot(div, made.traces, made.layout, config);
     drawn.push({ div: div, make: make });
   }
 
-  function redraw(div) {
+  // With `anew` whatever was zoomed is shown whole again.
+  function redraw(div, anew) {
     drawn.forEach(function (one) {
       if (div && one.div !== div) return;
       var made = one.make();
+      if (anew) made.layout.uirevision = Math.random();
       Plotly.react(one.div, made.traces, made.layout, config);
     });
   }

@@ -1,0 +1,216 @@
+"""Families of optima: round turning points, through changes of the active constraints, to motions that cost nothing."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orbitfinder as of
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import ConvergenceError, InputError
+from orbitfinder.loops.controlled import optimum
+from orbitfinder.loops.stationary import Stationary, Varying
+from orbitfinder.mechanics.controls import with_controls
+
+PICK = (of.Task("x", 0.5, equals=1.0), of.Task("xdot", 0.5, equals=0.0))
+
+
+def pick(stiffness: float, intervals: int, limit: float | None = None, **parts) -> of.Problem:  # type: ignore[no-untyped-def]
+    """Rest at -1, rest at 1, back after 2 s."""
+    model = of.systems.driven_oscillator(stiffness)
+    model = model if limit is None else with_controls(model, ["force"], {"force": limit})
+    return of.Problem(model, of.Guess([-1.0, 0.0], 2.0), of.pin(x=-1.0, xdot=0.0, period=2.0), name="pick",
+                      control=of.Control("force**2", "linear", intervals, tasks=PICK, **parts))  # fmt: skip
+
+
+def maintained() -> of.Problem:
+    """A damped oscillator whose mean square is held."""
+    return of.Problem(
+        of.systems.driven_oscillator(1.0, 0.2), of.Guess([1.0, 0.0], 6.3), name="maintained",
+        control=of.Control("force**2", "fourier", 8, 1, average=True, guess={"force": 0.01},
+                           tasks=(of.Task("x**2 / size", "mean", equals=0.5),), numbers={"size": 1.0}),
+    )  # fmt: skip
+
+
+STIFFNESS, DAMPING, PERIOD, WEIGHT = 1.0, 0.2, 5.0, 3.0
+
+
+def tilted() -> of.Problem:
+    """A driven oscillator that chooses its amplitude A: cost kappa A^2 + A^4 / 4 - weight A^2 / 2 + tilt A."""
+    return of.Problem(
+        of.systems.driven_oscillator(STIFFNESS, DAMPING), of.Guess([1.6, 0.0], PERIOD),
+        of.pin(xdot=0.0, period=PERIOD), name="tilted",
+        control=of.Control("force**2", "fourier", 8, 1, average=True, guess={"force": 0.1},
+                           final="0.25 * x**4 - 0.5 * weight * x**2 + tilt * x",
+                           numbers={"weight": WEIGHT, "tilt": 1.6}),
+    )  # fmt: skip
+
+
+def turning() -> float:
+    """The tilt at which A^3 - q A + tilt = 0 has a double root."""
+    omega = 2 * np.pi / PERIOD
+    gain = (STIFFNESS - omega**2) ** 2 + (DAMPING * omega) ** 2
+    q = WEIGHT - 2 / (1 / STIFFNESS**2 + 2 / gain)
+    return float(2 / 3 * q * np.sqrt(q / 3))
+
+
+def certified(found: of.Optima) -> bool:
+    return all(one.certificate is not None and one.certificate.passed for one in found)
+
+
+@pytest.fixture(scope="module")
+def folded() -> of.Optima:
+    return of.follow_optima(tilted(), "tilt", until=3.0, points=10)
+
+
+def test_a_family_turns_back_where_the_cubic_has_a_double_root(folded: of.Optima) -> None:
+    """Closed form; before the turn a least, beyond it the cost falls in one direction; all are roots of the cubic."""
+    assert certified(folded)
+    (fold,) = [one for one in folded.changes if one.kind == "fold"]
+    assert fold.value == pytest.approx(turning(), rel=1e-11)
+    assert set(folded.descents[: fold.index + 1]) == {0} and set(folded.descents[fold.index + 1 :]) == {1}
+    assert np.all(np.diff(folded.values[: fold.index + 1]) > 0) and np.all(np.diff(folded.values[fold.index + 1 :]) < 0)
+    q = (turning() * 1.5) ** (2 / 3) * 3 ** (1 / 3)
+    for value, orbit in zip(folded.values, folded, strict=True):
+        a = orbit.state[0]
+        assert a**3 - q * a + value == pytest.approx(0.0, abs=1e-9)
+        assert orbit.control is not None and orbit.control["numbers"] == {"weight": WEIGHT, "tilt": value}
+        said = str(orbit.provenance["optimum"])
+        assert said.startswith("local") == (folded.descents[folded.points.index(orbit)] == 0)
+
+
+def test_beyond_the_turn_the_solver_finds_another_motion(folded: of.Optima) -> None:
+    """Past the fold no optimum is near: IPOPT from the last one lands on the other branch."""
+    last = max(folded.values)
+    problem, control = tilted(), tilted().control
+    assert control is not None
+    beyond = replace(control, numbers={"weight": WEIGHT, "tilt": last + 0.05})
+    other = of.find_orbit(replace(problem, control=beyond))
+    assert other.state[0] < -1 < 0 < folded[-1].state[0]
+
+
+def test_a_weight_that_was_changed_is_rejected(folded: of.Optima) -> None:
+    """The record's control is the best for its weight and for no other."""
+    one = folded[0]
+    assert one.control is not None
+    claimed = dict(one.control) | {"numbers": {"weight": WEIGHT * 1.01, "tilt": 1.6}}
+    failures = of.certify(replace(one, control=claimed)).failures
+    assert "stationarity" in failures and "cost" in failures
+
+
+def test_the_conditions_are_those_of_finite_differences() -> None:
+    """The derivatives of the conditions, theta a number and theta what a task asks."""
+    for problem, what in ((tilted(), "number"), (pick(4.0, 6, 20.0), "task")):
+        control = problem.control
+        assert control is not None
+        program, solution = optimum(problem, control, 1e-10)
+        varying = Varying(1.0, task=0, slopes=(1.0, 1.0))
+        if what == "number":
+            program = type(program)(problem, control, program.parts.steps, ("tilt",))
+            varying = Varying(1.6, unknown="tilt")
+        system = Stationary(program, solution, varying)
+        point = system.started()
+        active, names = point.active, list(point.active)
+        assert np.abs(system._system(point.z, point.y, active)[0]).max() < 1e-9
+        random = np.random.default_rng(1)
+        dz, dy = random.normal(size=point.z.size), np.zeros(point.y.size)
+        dy[names] = random.normal(size=len(names))
+        near = [system._system(point.z + h * dz, point.y + h * dy, active)[0] for h in (1e-5, -1e-5)]
+        exact = system._system(point.z, point.y, active)[1] @ np.concatenate([dz, dy[names]])
+        np.testing.assert_allclose((near[0] - near[1]) / 2e-5, exact, rtol=1e-6, atol=1e-6 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(
+    ("parameter", "until", "value"),
+    [
+        ("damping", 0.1, lambda one: 0.1**2 * (1 - 0.1**2 / 4) / 2),
+        ("task 1", 0.8, lambda one: 0.2**2 * (1 - 0.2**2 / 4) / 2 * 1.6),
+        ("size", 1.5, lambda one: 0.2**2 * (1 - 0.2**2 / 4) / 2 * 1.5),
+    ],
+)
+def test_the_kept_amplitude_costs_what_the_closed_form_says(parameter, until, value) -> None:  # type: ignore[no-untyped-def]
+    """c^2 (k - c^2 / 4) / 2 along damping, what the task asks, and a number of the control."""
+    found = of.follow_optima(maintained(), parameter, [until])
+    assert certified(found) and len(found) == 1
+    assert found.costs[0] == pytest.approx(value(until), rel=1e-10) and found.descents == (0,)
+
+
+def test_the_family_goes_through_the_motion_that_costs_nothing() -> None:
+    """At stiffness (2 pi / T)^2 the spring does it alone; beyond, it costs again. The end is where it was asked to."""
+    found = of.follow_optima(pick(8.0, 10), "stiffness", [8.0, 11.0])
+    (free,) = found.changes
+    assert free.kind == "costless" and free.value == pytest.approx(np.pi**2, rel=1e-10) and free.cost < 1e-18
+    assert certified(found) and min(found.costs) > 0.1 and found.end == "stiffness reached 11"
+
+
+def test_a_limit_becomes_active_and_then_leaves_no_way_on() -> None:
+    """Limits are met one after the other, named; the smallest limit is that of bang-bang, below which none can."""
+    found = of.follow_optima(pick(4.0, 8, 7.0), "limit force", until=2.0, points=25)
+    assert certified(found) and set(found.descents) == {0}
+    first = found.changes[0]
+    free = of.follow_optima(pick(4.0, 8), "stiffness", [4.0])
+    most = np.abs(free[0].control["coefficients"]).max()  # type: ignore[index]
+    assert first.kind == "active" and first.value == pytest.approx(most, rel=1e-9)
+    assert "force at phase 0 at its highest" in first.detail
+    last, least = found[-1].control, found.values[-1]
+    assert last is not None and last["limits"]["force"][1] == least and "leave no way on" in found.end
+    used = np.abs(last["coefficients"][0])
+    assert np.all((used < 1e-8) | (np.abs(used - least) < 1e-8 * least)) and found.costs[-1] > found.costs[0] + 1
+    of.find_orbit(pick(4.0, 8, 1.001 * least))
+    with pytest.raises(ConvergenceError, match="no motion does what is asked"):
+        of.find_orbit(pick(4.0, 8, 0.999 * least))
+
+
+def test_optima_are_saved_loaded_drawn_and_members_verified(tmp_path: Path, folded: of.Optima) -> None:
+    path = of.save_optima(folded, tmp_path / "optima.json")
+    again = of.load_optima(path)
+    assert again.changes == folded.changes and again.descents == folded.descents and again.end == folded.end
+    np.testing.assert_array_equal(again.values, folded.values)
+    np.testing.assert_array_equal(again.costs, folded.costs)
+    assert of.certify(of.load_orbit(f"{path}#2")).passed
+    assert of.save_optima_figure(again, tmp_path).stat().st_size > 5000
+    assert "10 points, 10 of them certified" in folded.counts
+    document = json.loads(path.read_text())
+    for broken in ({"values": [1.0]}, {"points": []}, {"version": 9}, {"changes": [{"kind": "fold"}]}):
+        path.write_text(json.dumps(document | broken))
+        with pytest.raises(InputError, match="malformed entry|version"):
+            of.load_optima(path)
+
+
+def test_continue_follows_a_controlled_problem(tmp_path: Path) -> None:
+    file = "problems/control/maintained-oscillator.toml"
+    out = ["--out", str(tmp_path), "--json"]
+    done = CliRunner().invoke(cli, ["continue", file, "--parameter", "damping", "--at", "0.19", *out])
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said["costs"] == pytest.approx([0.19**2 * (1 - 0.19**2 / 4) / 2], rel=1e-10)
+    assert {Path(one).name for one in said["written"]} == {"optima.json", "optima.png"}
+    given = ["--parameter", "damping"]
+    wrong_ones = {"--parameter": ["--until", "1"], "--until": given, "--direction": [*given, "--direction", "both"]}
+    for words, wrong in wrong_ones.items():
+        wrong = [*wrong, "--until", "1"] if words == "--direction" else wrong
+        refused = CliRunner().invoke(cli, ["continue", file, *wrong, *out])
+        assert refused.exit_code == 2 and words in refused.output
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: of.follow_optima(pick(4.0, 6), "task 3", [1.0]), "'task 3' is no pin and no physical parameter"),
+        (lambda: of.follow_optima(pick(4.0, 6), "limit force", [1.0]), "is no pin"),
+        (lambda: of.follow_optima(pick(4.0, 6), "stiffness"), "give finite values of stiffness, or until"),
+        (lambda: of.follow_optima(pick(4.0, 6), "stiffness", [np.nan]), "give finite values"),
+        (lambda: of.follow_optima(pick(4.0, 6), "stiffness", [4.0], points=0), "points: must be at least 1"),
+        (lambda: of.follow_optima(pick(4.0, 6, 9.0), "limit force", [-1.0]), "a range cannot end at -1"),
+        (lambda: of.Control("u", numbers={"a b": 1.0}), "'a b' cannot be a name"),
+        (lambda: of.Control("u", numbers={"a": np.inf}), "control.numbers.a: must be a finite number"),
+        (lambda: of.find_orbit(pick(4.0, 6, numbers={"x": 1.0})), "'x' is a name of the system already"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_followed_is_said(make, words: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=re.escape(words)):
+        make()
