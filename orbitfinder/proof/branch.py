@@ -187,12 +187,12 @@ def fitted(equations: Equations, near: Callable[[float], Vector], low: float, hi
         here = replace(equations, energy=arb(middle) + arb(half) * arb(place))
         rows.append([float(x) for x in solve(here, near(place), ROUGH, 1e-13, FARTHEST, inverse)[0]])
     bends = np.polynomial.chebyshev.chebfit(places, np.array(rows), DEGREE)
-    powers = np.zeros(bends.T.shape)
+    powers: np.ndarray = np.zeros((bends.shape[1], DEGREE + 1))
     for k, one in enumerate(bends.T):
         found = np.polynomial.chebyshev.cheb2poly(one)  # without the zeros that it ends with
         powers[k, : len(found)] = found
     radius = np.full(len(powers), RADIUS * np.abs(powers).max())
-    piece = Piece(low, high, tuple(tuple(one) for one in powers.tolist()), tuple(radius.tolist()))
+    piece = Piece(low, high, tuple(tuple(map(float, one)) for one in powers), tuple(map(float, radius)))
     return checked(equations, piece)
 
 
