@@ -103,7 +103,7 @@ def test_page_of_a_resonance_curve(resonance, tmp_path):
     assert done.exit_code == 0, done.output
     page = (tmp_path / "families" / "duffing-resonance.html").read_text()
     assert '<select id="across"><option value="value">frequency' in page
-    assert '<select id="up"><option value="amplitude">amplitude of x' in page and "Response" in page
+    assert '<select id="up"><option value="amplitude" selected>amplitude of x' in page and "Response" in page
 
 
 def test_the_frequency_of_a_drive_has_its_unit(resonance):

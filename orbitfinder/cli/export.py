@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,8 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
       orbitfinder page orbits -o site
       orbitfinder page orbits families atlas.sqlite -o site --title "Triple pendulum"
     """
-    note(f"reading {', '.join(map(str, paths))}")
+    if sys.stderr.isatty():  # somebody waits for the imports below
+        note(f"reading {', '.join(map(str, paths))}")
     from orbitfinder.site.build import Settings, build_site
     from orbitfinder.site.gather import gather
     from orbitfinder.site.text import size

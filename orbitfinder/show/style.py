@@ -20,6 +20,8 @@ from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")
 RESOLUTION = 150
+APART = 4.0
+"""Pixels between two names, which move a little when the figure is laid out around them"""
 
 
 def new_figure(width: float, height: float, title: str, what: str = "") -> Figure:
@@ -53,7 +55,7 @@ def place_labels(figure: Figure, axes: Any, labels: Sequence[tuple[str, float, f
                              va="center", xytext=(0, 0))  # fmt: skip
         box = text.get_window_extent()
         best = (np.inf, (0.0, 0.0))
-        for far, turn in product((0.9, 1.4, 2.2, 3.4), np.arange(16) * np.pi / 8):
+        for far, turn in product((0.9, 1.4, 2.2, 3.4, 5.0), np.arange(16) * np.pi / 8):
             move = np.array([np.cos(turn) * (box.width / 2 + 9 * far), np.sin(turn) * (box.height / 2 + 9 * far)])
             there = box.translated(*move)
             inside = ((taken > there.min - 2) & (taken < there.max + 2)).all(axis=1).sum()
@@ -62,7 +64,7 @@ def place_labels(figure: Figure, axes: Any, labels: Sequence[tuple[str, float, f
             best = min(best, (float(cost), (float(move[0]), float(move[1]))))
         move = np.array(best[1])
         text.set_position(tuple(move * 72.0 / figure.dpi))
-        boxes.append(box.translated(*move))
+        boxes.append(box.translated(*move).padded(APART))
 
 
 def _dense(line: np.ndarray) -> np.ndarray:

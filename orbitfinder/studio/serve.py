@@ -56,6 +56,7 @@ def _listens(port: int) -> bool:
 
 def serve(file: Path | None, out: Path, port: int | None, browser: bool, announce: Callable[[str], None]) -> None:
     """Serve the studio until Ctrl-C; `announce` gets its address once. Raises `InputError`."""
+    origin, chosen, token = opened(file), free_port(port), secrets.token_urlsafe(18)
     try:
         from nicegui import app, ui  # noqa: PLC0415  an extra
         from starlette.middleware.trustedhost import TrustedHostMiddleware  # noqa: PLC0415
@@ -63,7 +64,6 @@ def serve(file: Path | None, out: Path, port: int | None, browser: bool, announc
         raise InputError("studio: needs NiceGUI; pip install 'orbitfinder[studio]'") from error
     from orbitfinder.studio.page import ASSETS, SITE, Page  # noqa: PLC0415
 
-    origin, chosen, token = opened(file), free_port(port), secrets.token_urlsafe(18)
     taken: set[str] = set()
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
     app.add_static_files(f"/{token}/studio", ASSETS)
