@@ -95,12 +95,6 @@ def robot(
                               motors=motors, floating=floating, gravity=gravity), values=values)  # fmt: skip
 
 
-def described(file: str | Path, **options: Any) -> dict[str, Any]:
-    """The mechanism, as plain tables, that a robot's file stands for, with the file's name and digest."""
-    path = Path(file)
-    return tables(path, _numbers(path, _file(path)), **options)
-
-
 def _file(path: Path) -> bytes:
     try:
         return path.read_bytes()
