@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import atlas_checks
 import numpy as np
 from matplotlib.figure import Figure
 from prove_atlas import cost
@@ -77,7 +78,7 @@ ENTRIES = (
 )
 HYBRID = ("impact-oscillator", "compass-gait")
 """Of hybrid systems nothing is proved."""
-PAGES = {"README.md": ("counts", "commands", "twelve"), "DATASHEET.md": ("counts", "shells", "fields")}
+PAGES = {"README.md": ("counts", "commands", "twelve"), "DATASHEET.md": ("counts", "shells", "fields", "checks")}
 """Pages, and the marks in them between which tables are written."""
 PICTURED = ("triple", "quadruple")
 MARGIN = 2.0
@@ -333,7 +334,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--finished", type=Path, help="folder with atlases that the searches have made")
     parser.add_argument("--only", nargs="*", help="these atlases alone; the pages count all that are there")
-    parser.add_argument("--proofs", type=int, default=20, help="orbits of each system to be proved")
+    parser.add_argument("--proofs", type=int, default=12, help="orbits of each system to be proved")
     arguments = parser.parse_args()
     PLACE.mkdir(parents=True, exist_ok=True)
     for one in ENTRIES:
@@ -350,6 +351,7 @@ def main() -> int:
         sheet(name, atlases[name], [pick for pick in picks if pick.name == name], PLACE)
         save_atlas_figures(atlases[name], PLACE / name)
     parts = tables(atlases) | {"twelve": pictures(atlases, picks)}
+    parts["checks"] = "\n".join(["```text", *atlas_checks.report(PLACE, atlas_checks.SIDE), "```"])
     for page, names in PAGES.items():
         (PLACE / page).write_text(filled((PLACE / page).read_text(), {name: parts[name] for name in names}))
     count = sum(len(atlas) for atlas in atlases.values())

@@ -84,7 +84,7 @@ def as_parquet(names: list[str], rows: list[dict[str, Any]], system: str) -> byt
     table = pyarrow.table({name: [row[name] for row in rows] for name in names})
     told = {name: dict(zip(("unit", "meaning"), FIELDS.get(name, STATE), strict=True)) for name in names}
     fields = [table.schema.field(name).with_metadata(told[name]) for name in names]
-    fields = [one.with_type("float64") if pyarrow.types.is_null(one.type) else one for one in fields]
+    fields = [one.with_type(pyarrow.float64()) if pyarrow.types.is_null(one.type) else one for one in fields]
     sink = io.BytesIO()
     parquet.write_table(table.cast(pyarrow.schema(fields, {"system": system})), sink)
     return sink.getvalue()
