@@ -11,12 +11,18 @@ from importlib import import_module
 from typing import Any
 
 _drawing: list[str] = []
-"""Name of the module whose `html(value)` draws; empty until the package's front door has said so."""
+"""Names of the modules whose `html(value)` draws and whose `stage(value)` makes a widget; empty until the package's
+front door has said so."""
 
 
-def drawn_by(module: str) -> None:
-    """Let `module.html` draw from now on."""
-    _drawing[:] = [module]
+def drawn_by(module: str, staged: str) -> None:
+    """Let `module.html` draw from now on, and `staged.stage` make widgets."""
+    _drawing[:] = [module, staged]
+
+
+def stage(value: Any) -> Any:
+    """The widget of an orbit or a family. Raises `InputError` where the extra is missing."""
+    return import_module(_drawing[1]).stage(value)
 
 
 def html(value: Any) -> str | None:

@@ -137,6 +137,11 @@ class Orbit:
         """How a notebook shows it."""
         return display.html(self)
 
+    def widget(self) -> Any:
+        """The orbit on a stage with play, speed and a slider in time, for Jupyter, VS Code and marimo; of a point of a
+        family that point alone. Raises `InputError` without the extra [notebook]."""
+        return display.stage(self)
+
 
 ENTRIES = (
     "name", "title", "source", "system", "state", "period", "energy", "action", "closure", "symmetry", "winding",
