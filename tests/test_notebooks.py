@@ -145,6 +145,25 @@ def test_pictures_are_well_formed_xml(triple):
     assert [dot.get("fill") for dot in root.iter("circle")][1:] == ["#D55E00", "none", "#D55E00"]
 
 
+def test_what_else_users_hold_says_what_it_is():
+    """A table, and pictures of a guess and a run: of what one line names, balanced and escaped, without empty rows."""
+    model = of.chain(2)
+    problem = of.Problem(model, of.Guess([0.3, -0.2, 0, 0], 1.5), of.pin(energy=-15.0), name="<b>")
+    run = of.simulate(model, [0.3, -0.2, 0, 0], 3.0)
+    (close,) = of.guesses.close_returns(run.times, run.states, model.angles, 1)
+    swept = of.sweep(of.Problem(of.chain(1), of.Guess([0.5, 0], 2.0), of.pin(theta1=0.5)), {"theta1": [0.5]})
+    shown = [
+        (model, "θ₁ (rad), θ₂ (rad)"), (problem, "<b>"), (problem.guess, "1.5"), (problem.count(), "node states"),
+        (run, "time (s)"), (close, f"{close.distance:.9g}"), (of.Refiner(problem), "segments"), (swept, "elliptic"),
+        (of.systems.simplest_walker(0.009), "strike"),
+    ]  # fmt: skip
+    for value, text in shown:
+        tags = Tags(value._repr_html_())
+        assert text in tags.text and len(repr(value)) < 600 and "\n" not in repr(value)
+        assert not any(tag in ("script", "b>") for tag, _ in tags.found)
+    assert problem._repr_html_().count("<svg") == 1 and run._repr_html_().count("<polyline") == 2
+
+
 def test_other_things_and_failures_are_left_to_plain_text(triple, monkeypatch):
     """None tells a notebook to show the repr."""
     assert html(3) is None

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Orbit, system_at
 from orbitfinder.records.reading import (
@@ -104,7 +104,7 @@ class FamilyPoint(Orbit):
 
 
 @dataclass(frozen=True)
-class Event:
+class Event(Shown):
     """Something that happens between two points, located on the family.
 
     `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change, of hybrid systems
@@ -160,7 +160,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Family:
+class Family(Shown):
     """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
 
     `curve` is what rebuilds the equations (see `start.curve_of`), `source` what the family was started from. A curve of
@@ -215,10 +215,6 @@ class Family:
             f"{plural(len(self.points), 'closed orbit')}, {sure[0]} of them certified; "
             f"{plural(len(self.events), 'event')}, {sure[1]} of them at certified orbits"
         )
-
-    def _repr_html_(self) -> str | None:
-        """How a notebook shows it."""
-        return display.html(self)
 
     def widget(self) -> Any:
         """The family on a stage, with a slider along it, play and the numbers of each orbit, for Jupyter, VS Code and

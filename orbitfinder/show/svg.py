@@ -194,6 +194,18 @@ def moving_portrait(
     return picture(f"{axes.frame}{lines}{moving}", f"{names[1]} against {names[0]}", axes.width, axes.height)
 
 
+def curves(lines: Sequence[tuple[str, np.ndarray]], across: str, up: str) -> str:
+    """Named curves (k x 2 each) in colours of their own, each with its name at the right."""
+    axes = Axes(*ranged(np.vstack([one for _, one in lines])), (across, up), WIDTH, HEIGHT)
+    drawn, colours = [axes.frame], (*COLOURS[:6], "currentColor")
+    for k, (name, points) in enumerate(lines):
+        colour = colours[k % len(colours)]
+        drawn.append(f'<polyline points="{path(axes.place(points))}" fill="none" stroke="{colour}"/>')
+        x, y = WIDTH - AROUND - 4, AROUND + 12 * (k + 1)
+        drawn.append(f'<text x="{x}" y="{y}" text-anchor="end" font-size="11" fill="{colour}">{escape(name)}</text>')
+    return picture("".join(drawn), f"{up} over {across}", WIDTH, HEIGHT)
+
+
 def unit_circle(multipliers: np.ndarray, label: str, size: int = 150) -> str:
     """Multipliers in the plane beside the unit circle; those further out sit on the rim, hollow."""
     reach = 1.6
