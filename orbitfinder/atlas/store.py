@@ -13,7 +13,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from orbitfinder._runtime.arguments import checked
-from orbitfinder._runtime.notebook import brief, html
+from orbitfinder._runtime.notebook import Shown, brief, html
 from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
@@ -113,7 +113,7 @@ def check_range(name: str, limits: Sequence[float]) -> None:
         raise InputError(f"{name}: must be two increasing numbers, got {limits!r}; give (low, high)")
 
 
-class Atlas:
+class Atlas(Shown):
     """Orbits in an SQLite file, at `path`. Open to read by default; a context manager.
 
     `system` (the description in `Model.system`) must be given to write, and must be that of the
