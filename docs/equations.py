@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any
 
 import casadi as ca
@@ -93,7 +94,7 @@ class Printer(LatexPrinter):
         super().__init__({"fold_short_frac": False, "ln_notation": True})
         self.letters = letters
 
-    def _print_Symbol(self, expr: Any, style: str = "plain") -> str:  # noqa: N802
+    def _print_Symbol(self, expr: Any, style: str = "plain") -> str:
         return self.letters.get(expr.name) or letter(expr.name)
 
 
@@ -140,3 +141,160 @@ def typeset(expression: Any, letters: Mapping[str, str] | None = None) -> str:
     if len(found) > LONGEST:
         raise TooLarge("letters")
     return str(found)
+
+
+# --------------------------------------------------------------------------------------------------
+# A Model as displayed equations: rows (left, right) of an aligned block, or sentences where it is too large.
+
+Row = tuple[str, str]
+CHAIN = [
+    ("T", r"\tfrac12\sum_{i=1}^{n} m_i\left(\dot x_i^2+\dot y_i^2\right)+I_i\,\dot\theta_i^2"),
+    ("V", r"-\sum_{i=1}^{n} m_i\,g\,x_i"),
+    ("x_i", r"\sum_{j<i} l_j\cos\theta_j+c_i\,l_i\cos\theta_i"),
+    ("y_i", r"\sum_{j<i} l_j\sin\theta_j+c_i\,l_i\sin\theta_i"),
+]  # fmt: skip
+"""A chain: angles from the downward vertical, centres of mass a fraction c of the length from the upper joint"""
+CLOSED = [
+    *CHAIN[:2],
+    ("0=\\varphi_i", r"\left(x_i,\,y_i\right)-\sum_{j<i} l_j\left(\cos\theta_j,\,\sin\theta_j\right)"
+     r"-c_i\,l_i\left(\cos\theta_i,\,\sin\theta_i\right),\qquad i=1\dots n"),
+    ("0=\\varphi_{n+1}", r"\sum_{j=1}^{n} l_j\left(\cos\theta_j,\,\sin\theta_j\right)-\left(x_G,\,y_G\right)"),
+    ("M a+h", r"J^{\mathsf T}\lambda,\qquad J=\partial\varphi/\partial q"),
+]  # fmt: skip
+"""A linkage in maximal coordinates q = (x, y, theta) of each bar, its end at the ground pivot G: a DAE of index 1"""
+BODIES = [
+    ("T", r"\tfrac12\sum_b m_b\left|\dot r_b\right|^2+\omega_b\cdot I_b\,\omega_b"),
+    ("V", r"-\sum_b m_b\,g\cdot r_b+\tfrac12\sum_s k_s\left(l_s(q)-l_{s,0}\right)^2"),
+]  # fmt: skip
+"""Bodies b with springs s, r and omega of each from the joints' coordinates q"""
+NERVE = [
+    ("\\dot V", r"I-120\,m^3h\,(V-115)-36\,n^4(V+12)-0.3\,(V-10.613)"),
+    ("\\dot s", r"\alpha_s(V)\,(1-s)-\beta_s(V)\,s,\qquad s\in\{m,h,n\}"),
+]  # fmt: skip
+LATTICE = [
+    ("T", r"\tfrac{m}{2}\sum_{i=1}^{N}\dot y_i^2"),
+    ("V", r"\sum_{i=0}^{N}\frac{k}{2}\,d_i^2+\frac{\alpha}{3}\,d_i^3+\frac{\beta}{4}\,d_i^4,"
+     r"\qquad d_i=y_{i+1}-y_i,\quad y_0=y_{N+1}=0"),
+]  # fmt: skip
+GENERAL = {"chain": CHAIN, "linkage": CLOSED, "mechanism": BODIES, "robot": BODIES}
+NAMED = {"hodgkin_huxley": NERVE, "cart_chain": LATTICE}
+
+
+def display(rows: Sequence[Row]) -> str:
+    """An aligned block as HTML that KaTeX and MathJax find; wide ones scroll."""
+    body = r" \\[2pt] ".join(f"{left} &= {right}" for left, right in rows)
+    return f'<div class="arithmatex">{escape(f"{BEGIN}{body}{END}", quote=False)}</div>'
+
+
+BEGIN, END = r"\[\begin{aligned}", r"\end{aligned}\]"
+
+
+def equations(model: Model) -> tuple[list[Row], list[str]]:
+    """The rows of a Model, and in sentences what is too large for rows."""
+    known = NAMED.get(str(model.system.get("function"))) or GENERAL.get(str(model.system.get("kind")))
+    if known is not None:
+        rows, said = list(known), []
+        if model.system.get("kind") in ("mechanism", "robot") and model.constraint is None:
+            rows, said = smooth(model)
+            rows = rows if not said else list(known)
+    elif model.hybrid is not None:
+        return hybrid(model)
+    else:
+        rows, said = smooth(model)
+    return rows, [size(model)] if said or known is not None else []
+
+
+def size(model: Model) -> str:
+    """How large the equations are."""
+    count, rows = len(model.state_names), 0 if model.constraint is None else len(model.constraint.force_names)
+    graph = model.rates or model.acceleration
+    work = f", their rates {graph.n_instructions()} elementary operations" if graph.is_a("SXFunction") else ""
+    held = f", {rows} constraint forces" if rows else ""
+    return f"{count} states{held}, {len(model.parameter_names)} physical parameters{work}."
+
+
+def smooth(model: Model, letters: Mapping[str, str] | None = None) -> tuple[list[Row], list[str]]:
+    """The rows of a smooth mode; what is too large is named."""
+    n = model.degrees_of_freedom
+    q, v, p = model.state_names[:n], model.state_names[n:], model.parameter_names
+    if model.rates is not None and not model.hamiltonian:
+        return listed([(f"\\dot{{{letter(name)}}}", k) for k, name in enumerate(q)], model.rates, [("t",), q, p])
+    if model.hamiltonian:
+        rows, said = listed([("H", 0)], model.potential, [q, p])
+        return [*rows, ("\\dot q", r"\partial H/\partial p,\qquad \dot p=-\partial H/\partial q")], said
+    rows, said = listed([("T", 0)], model.kinetic, [q, v, p])
+    if model.gyroscopic is not None:
+        more, missing = listed([("G", 0)], model.gyroscopic, [q, v, p])
+        rows, said = [*rows, *more], [*said, *missing]
+    more, missing = listed([("V", 0)], model.potential, [q, p])
+    rows, said = [*rows, *more], [*said, *missing]
+    push = model.forces
+    if push is not None:
+        given = [(f"Q_{{{letter(name)}}}", k) for k, name in enumerate(q)]
+        more, missing = listed(given, push, [("t",), q, v, p])
+        rows, said = [*rows, *(one for one in more if one[1] != "0")], [*said, *missing]
+    if model.constraint is not None:
+        found, missing = listed([("0=\\varphi", 0)], model.constraint.phi, [q, p])
+        rows, said = [*rows, *found], [*said, *missing]
+    return rows, said
+
+
+def listed(
+    names: Sequence[tuple[str, int]], function: ca.Function, arguments: Sequence[Sequence[str]]
+) -> tuple[list[Row], list[str]]:
+    """Rows of some entries of a function; the first name where they are too large."""
+    try:
+        found = expressions(function, arguments)
+        return [(name, typeset(found[k])) for name, k in names], []
+    except TooLarge:
+        return [], [names[0][0]]
+
+
+def hybrid(model: Model) -> tuple[list[Row], list[str]]:
+    """The modes with what they hold, then guard and reset of each transition."""
+    rows: list[Row] = []
+    said: list[str] = []
+    x, p, parts = model.state_names, model.parameter_names, model.hybrid
+    several = len(parts.modes) > 1
+    for mode in parts.modes:
+        found, missing = smooth(mode.model)
+        if several and found:
+            found[0] = (f"\\text{{{mode.name.replace('_', ' ')}:}}\\quad {found[0][0]}", found[0][1])
+        rows += found
+        if missing:
+            said.append(f"{mode.name.replace('_', ' ').capitalize()}: {size(mode.model)}")
+    for one in parts.transitions:
+        rows += crossing(one, x, p)
+        words = f"{one.name.replace('_', ' ')} (from {one.source} to {one.target})"
+        reset = after(one, x, p)
+        if reset is None:
+            impact = "an impact, M (v⁺ − v⁻) = Jᵀ P with J v⁺ = −e J v⁻" if one.impulse is not None else "a map"
+            said.append(f"At {words} the state goes through {impact}.")
+        rows += reset or []
+        if one.ignored:
+            said.append(f"{words[:1].upper()}{words[1:]} ignores on purpose: {one.ignored}.")
+    return rows, said
+
+
+def crossing(one: Any, x: Sequence[str], p: Sequence[str]) -> list[Row]:
+    """The guard of a transition."""
+    arrow = r"\downarrow 0" if one.direction < 0 else r"\uparrow 0"
+    name = f"\\text{{{one.name.replace('_', ' ')}:}}\\quad g"
+    try:
+        return [(name, f"{typeset(expressions(one.guard, [x, p])[0])}\\;{arrow}")]
+    except TooLarge:
+        return [(name, f"g(x,p)\\;{arrow}")]
+
+
+def after(one: Any, x: Sequence[str], p: Sequence[str]) -> list[Row] | None:
+    """What a transition changes, None where it is too large."""
+    try:
+        found = expressions(one.reset, [x, p])
+        rows = [
+            (f"{letter(name)}^+", typeset(value))
+            for name, value in zip(x, found, strict=True)
+            if value != sympy.Symbol(name, real=True)
+        ]
+    except TooLarge:
+        return None
+    return rows or [("x^+", "x")]
