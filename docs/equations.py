@@ -103,6 +103,9 @@ def letter(name: str) -> str:
     if name.endswith("dot") and len(name) > 3:
         base, _, index = letter(name[:-3]).partition("_")
         return f"\\dot{{{base}}}{'_' + index if index else ''}"
+    owner, _, what = name.rpartition("_")
+    if owner and what in SHORT and name not in SHORT:
+        return f"{SHORT[what]}_{{\\mathrm{{{owner.replace('_', ' ')}}}}}"
     found = re.fullmatch(r"([A-Za-z]\w*?)_?(\d+)|(\w+)_([xyz])|([A-Za-z])([xyz])", name)
     stem, index = [one for one in found.groups() if one is not None] if found and name not in SHORT else (name, "")
     if stem in GREEK:

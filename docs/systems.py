@@ -151,7 +151,11 @@ STYLE = """<style>
 .systems { display: flex; flex-wrap: wrap; gap: .6rem }
 .systems a { width: 6.6rem; font-size: .6rem; line-height: 1.25; text-align: center; color: inherit }
 .systems svg { display: block; margin: 0 auto .2rem }
-.orbit { display: flex; flex-wrap: wrap; gap: 1rem; align-items: center }
+.orbit { display: flex; flex-wrap: wrap; gap: .8rem; align-items: center }
+.orbit svg { flex: 0 1 10rem; min-width: 8rem }
+.orbit table { display: table !important; width: auto !important; border: 0 !important; font-size: .62rem !important }
+.orbit th, .orbit td { padding: .05rem .5rem .05rem 0 !important; border: 0 !important; min-width: 0 !important }
+.orbit th { font-weight: 400; opacity: .75 }
 .arithmatex { overflow-x: auto; overflow-y: hidden }
 .values { font-size: .7rem }
 </style>
@@ -164,16 +168,23 @@ def chosen(kind: str) -> list[Entry]:
     order: dict[str, int] = {}
     for one in found:
         order.setdefault(group(one), len(order))
-    found.sort(key=lambda one: (one.record is None, order[group(one)]))
+    found.sort(key=lambda one: (one.record is None, order[group(one)], bars(one)))
     return found[:2] if os.environ.get(FEW) == "few" else found
 
 
 def group(entry: Entry) -> str:
     """What files of the same equations share."""
-    return str(entry.system.get("function") or f"{entry.system['kind']} {entry.name}")
+    kind = entry.system["kind"]
+    return str(entry.system.get("function") or (kind if kind in ("chain", "linkage") else entry.name))
 
 
 # --------------------------------------------------------------------------------------------------
+
+
+def bars(entry: Entry) -> int:
+    """How many links a chain or linkage has, 0 of other systems: the smallest come first."""
+    length = entry.system.get("length", ()) if entry.system["kind"] == "linkage" else ()
+    return int(entry.system.get("links", len(length)))
 
 
 def index() -> Iterator[str]:
@@ -214,8 +225,7 @@ def section(entry: Entry, fresh: bool) -> Iterator[str]:
     """A problem file: what it is, orbit, numbers, equations (where they are new), file, program, source."""
     yield f"\n## {plain(entry.document['title'])} {{: #{entry.name} }}\n"
     yield f"{plain(entry.said)}\n"
-    yield f'<div class="orbit">{"".join(pictures(entry))}</div>\n'
-    yield from numbers(entry)
+    yield f'<div class="orbit">{"".join(pictures(entry))}{numbers(entry)}</div>\n'
     yield from written_equations(entry, fresh)
     yield from files(entry)
     if "source" in entry.document:
@@ -250,10 +260,10 @@ def files(entry: Entry) -> Iterator[str]:
 def written_equations(entry: Entry, fresh: bool) -> Iterator[str]:
     """Equations of motion and the numbers that stand in them."""
     model = loaded(entry).model
-    if fresh:
-        rows, said = equations(model)
-        if rows:
-            yield f"{display(rows)}\n"
+    rows, said = equations(model)
+    if rows and fresh:
+        yield f"{display(rows)}\n"
+    if fresh or entry.system["kind"] in ("chain", "linkage"):
         yield from (f"{plain(one)}\n" for one in said)
     from orbitfinder.records.orbit import SHARE
 
@@ -266,17 +276,22 @@ def written_equations(entry: Entry, fresh: bool) -> Iterator[str]:
         yield f"<p class='values'>{told}</p>\n"
 
 
-def numbers(entry: Entry) -> Iterator[str]:
-    """What is certified of an orbit."""
+def numbers(entry: Entry) -> str:
+    """What is certified of an orbit, as a small table."""
     orbit = record(entry)
     sizes = np.abs(orbit.floquet_multipliers)
-    level = f"{orbit.energy:.10g}" if np.isfinite(orbit.energy) else "none is conserved"
     verdict = "none" if orbit.certificate is None else "passed" if orbit.certificate.passed else "FAILED"
-    largest = f"{sizes.max():.5g}" if sizes.size else "only trivial ones"
-    yield "| period | energy | stability | largest multiplier | symmetry | closure | certificate |"
-    yield "|---|---|---|---|---|---|---|"
-    row = (f"{orbit.period:.12g}", level, orbit.stability, largest, orbit.symmetry, f"{orbit.closure:.1e}", verdict)
-    yield f"| {' | '.join(row)} |\n"
+    rows = {
+        "period": f"{orbit.period:.12g}",
+        "energy": f"{orbit.energy:.10g}" if np.isfinite(orbit.energy) else "none conserved",
+        "stability": orbit.stability,
+        "largest multiplier": f"{sizes.max():.5g}" if sizes.size else "only trivial ones",
+        "symmetry": orbit.symmetry,
+        "closure": f"{orbit.closure:.1e}",
+        "certificate": verdict,
+    }
+    body = "".join(f"<tr><th>{name}</th><td>{escape(told)}</td></tr>" for name, told in rows.items())
+    return f"<table>{body}</table>"
 
 
 @cache
