@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -66,6 +67,8 @@ class Row:
 
 COLUMNS = tuple(Row.__dataclass_fields__)
 LINES = f"SELECT {', '.join(COLUMNS)} FROM orbits"
+ALIKE_ENERGY = "CAST(printf('%.9g', energy) AS REAL)"
+"""What rows are sorted by: energies that differ by round-off are one"""
 
 
 @dataclass(frozen=True)
@@ -222,6 +225,8 @@ class Atlas(Shown):
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
         question = f"{LINES} WHERE {condition} ORDER BY {order}, id"
+        told = re.sub(r"\benergy\b", ALIKE_ENERGY, order)
+        question = f"SELECT {', '.join(COLUMNS)} FROM orbits WHERE {condition} ORDER BY {told}, id"
         return [Row(*entry) for entry in self.select(list(get_type_hints(Row).values()), question, values)]
 
     def row(self, number: int) -> Row:
