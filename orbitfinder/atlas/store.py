@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from orbitfinder._runtime.arguments import checked
-from orbitfinder._runtime.notebook import brief, html
+from orbitfinder._runtime.notebook import Shown, brief, html
 from orbitfinder.atlas.signature import Signature, in_words, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
@@ -64,6 +65,8 @@ class Row:
 
 COLUMNS = tuple(Row.__dataclass_fields__)
 LINES = f"SELECT {', '.join(COLUMNS)} FROM orbits"
+ALIKE_ENERGY = "CAST(printf('%.9g', energy) AS REAL)"
+"""What rows are sorted by: energies that differ by round-off are one"""
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,7 @@ def check_range(name: str, limits: Sequence[float]) -> None:
         raise InputError(f"{name}: must be two increasing numbers, got {limits!r}; give (low, high)")
 
 
-class Atlas:
+class Atlas(Shown):
     """Orbits in an SQLite file, at `path`. Open to read by default; a context manager.
 
     `system` (the description in `Model.system`) must be given to write, and must be that of the
@@ -220,6 +223,8 @@ class Atlas:
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
         question = f"{LINES} WHERE {condition} ORDER BY {order}, id"
+        told = re.sub(r"\benergy\b", ALIKE_ENERGY, order)
+        question = f"SELECT {', '.join(COLUMNS)} FROM orbits WHERE {condition} ORDER BY {told}, id"
         return [Row(*entry) for entry in self.select(list(get_type_hints(Row).values()), question, values)]
 
     def row(self, number: int) -> Row:
