@@ -65,16 +65,16 @@ class Entry:
 ENTRIES = (
     Entry("triple", "triple pendulum", "search/triple-three-energies", 4600, SI, ("--workers", "2")),
     Entry("quadruple", "quadruple pendulum", "search/quadruple", 4000, SI, ("--workers", "2")),
-    Entry("double", "double pendulum", "atlas/double", 150, SI),
-    Entry("coupled-oscillators", "two springs coupled at fourth order", "atlas/coupled-oscillators", 400, FREE),
-    Entry("cart-chain", "Fermi-Pasta-Ulam chain of three carts", "atlas/cart-chain", 200, FREE),
-    Entry("henon-heiles", "Hénon-Heiles system", "atlas/henon-heiles", 150, FREE),
-    Entry("spring-pendulum", "swinging spring", "atlas/spring-pendulum", 150, SI),
-    Entry("earth-moon", "spatial restricted three-body problem, Earth and Moon", "atlas/earth-moon", 120, FREE),
-    Entry("lorenz", "Lorenz attractor (first order)", "atlas/lorenz", 1500, FREE),
-    Entry("rossler", "Rössler's attractor (first order)", "atlas/rossler", 300, FREE),
-    Entry("impact-oscillator", "forced oscillator with a stop (hybrid)", "atlas/impact-oscillator", 120, FREE),
-    Entry("compass-gait", "compass gait (hybrid)", "atlas/compass-gait", 80, SI),
+    Entry("double", "double pendulum", "search/double-atlas", 150, SI),
+    Entry("coupled-oscillators", "two springs coupled at fourth order", "search/coupled-oscillators-atlas", 400, FREE),
+    Entry("cart-chain", "Fermi-Pasta-Ulam chain of three carts", "search/cart-chain-atlas", 200, FREE),
+    Entry("henon-heiles", "Hénon-Heiles system", "search/henon-heiles-atlas", 100, FREE),
+    Entry("spring-pendulum", "swinging spring", "search/spring-pendulum-atlas", 150, SI),
+    Entry("earth-moon", "spatial restricted three-body problem, Earth and Moon", "search/earth-moon-atlas", 100, FREE),
+    Entry("lorenz", "Lorenz attractor (first order)", "search/lorenz-atlas", 1500, FREE),
+    Entry("rossler", "Rössler's attractor (first order)", "search/rossler-atlas", 200, FREE),
+    Entry("impact-oscillator", "forced oscillator with a stop (hybrid)", "search/impact-oscillator-atlas", 120, FREE),
+    Entry("compass-gait", "compass gait (hybrid)", "search/compass-gait-atlas", 80, SI),
 )
 HYBRID = ("impact-oscillator", "compass-gait")
 """Of hybrid systems nothing is proved."""
