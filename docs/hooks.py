@@ -116,20 +116,6 @@ def orbit(file: str) -> str:
     return orbit_html(load_orbit(ROOT / file))
 
 
-def found(file: str) -> str:
-    """The orbit of a problem file of the repository, found now, moving; nothing where its extra is not installed."""
-    from orbitfinder.errors import OrbitfinderError
-    from orbitfinder.orbits.find import find_orbit
-    from orbitfinder.problemfile.read import load_problem
-    from orbitfinder.show.html import orbit_html
-
-    try:
-        return orbit_html(find_orbit(load_problem(ROOT / file)))
-    except OrbitfinderError as error:
-        log.info("%s is left out: %s", file, error)
-        return ""
-
-
 def family(file: str) -> str:
     """A family of the repository as notebooks show it."""
     from orbitfinder.records.family import load_family
@@ -180,7 +166,6 @@ MAKERS = {
     "validation": validation,
     "changelog": changelog,
     "orbit": orbit,
-    "found": found,
     "family": family,
 }
 
