@@ -104,10 +104,12 @@ def follow_family(
     See Also:
         `of.switch_branch` at its events, `of.follow_curve` in two parameters, `of.load_family`.
     """
+    if not isinstance(origin, Origin):
+        made = {"Family": "give one of its points, or a branch: switch_branch(family, event)"}
+        remedy = made.get(type(origin).__name__, "give an Orbit, its file, a Problem, or what switch_branch gives")
+        raise InputError(f"origin: a {type(origin).__name__}; {remedy}")
     settings = replace(settings or FamilySettings(), parameter=_chosen(parameter, settings, origin))
     settings = settings if points is None else replace(settings, points=points)
-    if isinstance(origin, Family):
-        raise InputError("origin: a Family; give one of its points, or a branch: switch_branch(family, event)")
     if isinstance(origin, (str, Path)):
         origin = _read(origin)
     label = name or str(getattr(origin, "name", ""))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.arguments import check, check_fields
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import CountError, InputError, closest
 from orbitfinder.integrate.automaton import recognised
 from orbitfinder.integrate.idas import check_consistent
@@ -42,7 +42,7 @@ LARGEST_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class Guess:
+class Guess(Shown):
     """A starting point: state and period, optionally a whole trajectory.
 
     Args:
@@ -80,7 +80,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Count:
+class Count(Shown):
     """Equations against unknowns of a Problem, by name."""
 
     equations: Mapping[str, int]
@@ -90,6 +90,10 @@ class Count:
     def freedom(self) -> int:
         """Unknowns minus equations: 0 is square, positive leaves room for an objective."""
         return sum(self.unknowns.values()) - sum(self.equations.values())
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Count({self})"
 
     def __str__(self) -> str:
         def listed(parts: Mapping[str, int]) -> str:
@@ -102,7 +106,7 @@ class Count:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Shown):
     """What to find: an orbit of a model near a guess, and what is held fixed.
 
     Of a chain or linkage as a DAE, the guess's state and the winding may be given for its links instead of its

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.crossings import Crossings, Plane
 from orbitfinder.integrate.evaluate import one_thread
@@ -45,7 +45,7 @@ ROOM = 4_000_000
 
 
 @dataclass(frozen=True)
-class FrequencyMap:
+class FrequencyMap(Shown):
     """Frequencies of motions in two halves of a time; `diffusion` is how much they change (k).
 
     They are a basis: each is the strongest line that is no whole combination of those before it.
