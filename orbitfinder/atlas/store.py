@@ -15,8 +15,6 @@ import numpy as np
 
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import Shown, brief, html
-from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
-from orbitfinder._runtime.notebook import brief, html
 from orbitfinder.atlas.signature import Signature, in_words, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
