@@ -28,6 +28,7 @@ from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.style import (
+    LEAST_SIDE,
     arrows,
     configuration,
     dress,
@@ -38,6 +39,7 @@ from orbitfinder.show.style import (
     save_png,
     sweep,
     trail,
+    widen,
 )
 from orbitfinder.show.svg import COLOURS, runs
 
@@ -45,9 +47,8 @@ SNAPSHOTS = 48
 """Configurations drawn over one period."""
 STILL = 1e-9
 """Change relative to its size below which a component stands still."""
-WALKED, GROUNDS, LEAST_SIDE, SLIVER = 3, 8, 0.4, 0.08
-"""Periods drawn of what walks, places of a ground that moves, the shorter side of a picture with ground (and of what
-is drawn wider than it is), and how narrow that is."""
+WALKED, GROUNDS = 3, 8
+"""Periods drawn of what walks, places of a ground that moves."""
 MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
@@ -250,10 +251,8 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     plane(axes)
     axes.margins(0.06)
     seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, -1]])
-    wide, tall = np.nanmax(seen) - np.nanmin(seen), float(np.ptp(joints[:, 0]))
-    if 0 < wide < SLIVER * tall and course.grounds(np.zeros(1)) is None:
-        axes.set_aspect(wide / tall / LEAST_SIDE, adjustable="datalim")
-        axes.set_xlabel(f"to the right (m), drawn {LEAST_SIDE * tall / wide:.3g} times as wide")
+    if course.grounds(np.zeros(1)) is None:
+        widen(axes, np.nanmax(seen) - np.nanmin(seen), float(np.ptp(joints[:, 0])))
     draw_ground(axes, course)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
@@ -372,7 +371,7 @@ def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
         axes.set_visible(False)
     if shown[0].joints is not None:
         figure.supxlabel("to the right (m)", fontsize=8)
-        figure.supylabel("up (m)", fontsize=8)
+        figure.supylabel("height (m)", fontsize=8)
     return figure
 
 
