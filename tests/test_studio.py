@@ -439,14 +439,25 @@ class Tab:
     def click(self, name):
         self.ask("document.getElementById(arguments[0]).click()", name)
 
+    def open_panel(self, name):
+        self.ask("document.querySelector(`#${arguments[0]} .q-item`).click()", name)
+        self.until(f"return document.querySelector('#{name} button') !== null")
+
     def said(self, pattern, patience=90.0):
         self.until(f"return /{pattern}/.test(document.getElementById('status').innerText)", patience)
 
+    def turn(self, joint, angle):
+        """Take the joint at the end of a link and let it go, at rest, where the link has an angle (rad)."""
+        before, place = (np.array(self.ask("stage.rewind(); return stage.joint(arguments[0])", k))
+                         for k in (joint - 1, joint))  # fmt: skip
+        there = before + np.hypot(*(place - before)) * np.array([np.sin(angle), np.cos(angle)])
+        self.drag(joint, *(2 * round(x / 2) for x in there - place))
+
     def drag(self, joint, across, down, flick=False):
-        """Take a joint and let it go elsewhere, at rest or moving."""
+        """Take a joint where the motion begins and let it go elsewhere, at rest or moving."""
         from selenium.webdriver.common.action_chains import ActionChains
 
-        place = self.ask("stage.speed(0); return stage.joint(arguments[0])", joint)
+        place = self.ask("stage.rewind(); return stage.joint(arguments[0])", joint)
         canvas, before = self.driver.find_element("id", "stage"), self.ask("return stage.shown")
         size = canvas.rect
         moves = ActionChains(self.driver, duration=20)
@@ -469,8 +480,9 @@ def tab(server, tmp_path):
 @browsing
 @pytest.mark.slow
 def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_path):
+    """The slow mode's shape is released: along its family the multipliers turn, so that branches leave it."""
     began = time.monotonic()
-    tab.drag(2, 40, -30)
+    tab.turn(2, 0.5 * np.sqrt(2.0))
     assert re.match(r"E = -\d+\.\d+ J, kept to \S+ J, \d+ close returns in 18\.8 s", tab.text("readout"))
     tab.click("find")
     tab.said("certified")
@@ -578,6 +590,85 @@ def test_a_click_on_a_return_finds_it_and_two_tabs_do_not_meet(server, tab, tmp_
         second.driver.quit()
     names = {one.parent.name for one in (tmp_path / "studio").glob("*/orbit.json")}
     assert "double-pendulum-3" in names and "double-pendulum-2" not in names
+
+
+@nicegui
+@browsing
+@pytest.mark.slow
+def test_a_section_to_start_from_and_a_search_beside_that_loses_nothing_when_it_is_killed(server, tab, tmp_path):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    from orbitfinder.atlas.store import Atlas
+
+    for panel in ("beside", "background"):
+        tab.open_panel(panel)
+    before = set(_children(server.process.pid))
+    tab.click("search")
+    tab.until("return /starts?, [1-9]\\d* orbit/.test(document.getElementById('search-about').innerText)")
+    (searcher,) = [one for one in set(_children(server.process.pid)) - before if "spawn" in _command(one)]
+    tab.click("cut")  # and the page goes on meanwhile
+    tab.said("section: \\d+ crossings")
+    level = re.search(r"E = (-\d+\.\d+) J", tab.text("readout"))[1]
+    assert f"at E = {level} J" in tab.text("cut-about")
+    shown = tab.ask("return stage.shown")
+    dots = tab.driver.find_elements("css selector", "#section .points path")
+    ActionChains(tab.driver).move_to_element(dots[3]).click().perform()
+    tab.until(f"return stage.shown > {shown}")
+    assert f"E = {level} J" in tab.text("readout")
+
+    os.kill(searcher, signal.SIGKILL)
+    tab.until("return /stopped; the same search goes on/.test(document.getElementById('search-about').innerText)", 5.0)
+    (file,) = (tmp_path / "studio").glob("*.sqlite")
+    with Atlas(file) as book:
+        kept = book.rows()
+    assert kept and file.with_suffix(".toml").is_file()
+    tab.ask("document.querySelector('#found button').click()")
+    tab.said("orbit 1 of double-pendulum-")
+    assert "Certified" in tab.text("badge")
+    tab.click("follow")
+    tab.said(r": \d+ orbits?$")
+    tab.click("cancel")
+    began = time.monotonic()
+    tab.said("closed orbits|Stopped", 5.0)
+    assert time.monotonic() - began < 0.5 * _shared()
+    assert tab.driver.get_log("browser") == []
+    server.end(signal.SIGKILL)
+    with Atlas(file) as book:
+        assert book.rows()[: len(kept)] == kept or set(kept) <= set(book.rows())
+
+
+def _children(process):
+    """The processes that one has started, and those have."""
+    threads = Path(f"/proc/{process}/task").glob("*/children")
+    own = [int(one) for file in threads for one in file.read_text().split()]
+    return [*own, *(deeper for one in own for deeper in _children(one))]
+
+
+def _command(process):
+    return Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+
+
+@nicegui
+@browsing
+@pytest.mark.slow
+def test_joints_of_a_linkage_are_pulled_as_far_as_its_bars_reach(tmp_path):
+    server = Server(tmp_path, str(ROOT / "problems" / "linkages" / "four-bar-rocking.toml"))
+    tab = Tab(server.address, tmp_path / "profile")
+    try:
+        before, place = tab.text("readout"), tab.ask("stage.rewind(); return stage.joint(1)")
+        tab.drag(1, 20, 10)
+        words = "document.getElementById('readout').innerText"
+        tab.until(f"return /close return/.test({words}) && {words} !== {json.dumps(before)}")
+        moved = tab.ask("stage.rewind(); return stage.joint(1)")
+        assert 8 < np.hypot(*(np.array(moved) - place)) < 30
+        tab.drag(1, 20, -20, flick=True)
+        assert tab.driver.get_log("browser") == []
+        tab.click("own")
+        tab.said("certified", 150.0)
+    finally:
+        tab.driver.quit()
+        server.end(signal.SIGKILL)
+        server.log.close()
 
 
 @nicegui
