@@ -65,8 +65,8 @@ def test_triple_1_by_commands_alone(second_mode, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "--switch: missing; give the event to leave triple-mode-2 at: 0: period_doubling"),
-        (("--switch", 3), "no branch leaves at event 3; choose one of 0: period_doubling"),
+        ((), "--switch: missing; give the event to leave triple-mode-2 at: 0"),
+        (("--switch", 3), "no branch leaves at event 3; choose one of 0"),
         (("--switch", 99), "--switch: no branch leaves at event 99"),
         (("--switch", 2, "--branch", 5), "--branch: 5 asked for, 1 found at event 2; give 1 to 1"),
         (("--switch", 2, "--name", "a/b"), "--name: must consist of letters"),

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orbitfinder.integrate.cvodes import IntegratorSettings, build_flow, sample
+from orbitfinder.mechanics.chain import chain
 from orbitfinder.reproduce import runner
 from orbitfinder.reproduce.facts import ORBITS
 from orbitfinder.reproduce.orbits import printed_closure
-from orbitfinder.reproduce.runs import growth, simulate
+from orbitfinder.reproduce.runs import HORIZONTAL_REST, growth, simulate, stretching
 
 COMMITTED = Path(__file__).parents[1] / "results" / "report"
 
@@ -41,6 +43,15 @@ def test_growth_finds_a_known_rate() -> None:
     """An exact exponential's rate is recovered."""
     times = np.linspace(0, 20, 400)
     assert growth(times, 1e-13 * np.exp(1.3 * times))[0] == pytest.approx(1.3, rel=1e-6)
+
+
+def test_stretching_is_what_two_neighbours_do() -> None:
+    """A tangent vector grows as the distance of two motions that start together, however often it is rescaled."""
+    flow = build_flow(chain(3), settings=IntegratorSettings(1e-13, 1e-13))
+    ends = [sample(flow, HORIZONTAL_REST + shift, 3.0, 2)[-1] for shift in (0.0, 1e-7 / np.sqrt(6.0))]
+    grown = np.log(np.linalg.norm(ends[1] - ends[0]) / 1e-7)
+    assert stretching(3.0, 1.0)[-1] == pytest.approx(grown, abs=1e-4)
+    assert stretching(3.0, 0.25)[3::4] == pytest.approx(stretching(3.0, 1.0), abs=1e-6)
 
 
 @pytest.mark.parametrize(("printed", "known"), list(zip(ORBITS, (6.2e-6, 8.5e-4, 5.1e-6, 5.1e-7), strict=True)))

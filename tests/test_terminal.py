@@ -103,3 +103,50 @@ def test_events_are_told_in_words_with_units() -> None:
     family = load_family(os.path.join(root, "results", "families", "triple-mode-2", "family.json"))
     said = event_words(next(one for one in family.events if one.kind == "period_doubling"), "energy")
     assert re.fullmatch(r"period doubling.* at energy -[\d.]+ J, period [\d.]+ s", said)
+
+
+def commands(group: click.Group, path: tuple[str, ...] = ()):
+    """Every command with the words that call it."""
+    for name, one in group.commands.items():
+        if isinstance(one, click.Group):
+            yield from commands(one, (*path, name))
+        yield (*path, name)
+
+
+@pytest.mark.parametrize("words", list(commands(cli)), ids=" ".join)
+def test_no_line_of_any_help_is_wider_than_a_terminal(words: tuple[str, ...]) -> None:
+    """80 columns; an example that goes on in the next line says so as a shell reads it, and is one command."""
+    said = CliRunner().invoke(cli, [*words, "--help"]).stdout
+    assert max(map(len, said.splitlines())) <= 80
+    examples = said.partition("Examples:\n")[2].partition("\n\n")[0]
+    joined = re.sub(r" \\\n +", " ", examples)
+    assert all(re.match(r" +orbitfinder ", line) for line in joined.splitlines())
+
+
+def test_page_wants_a_folder_and_counts_what_it_makes(tmp_path, monkeypatch: pytest.MonkeyPatch, capfd) -> None:
+    """Without -o one sentence and no traceback; with it the first line at once, then how many of how many."""
+    monkeypatch.setattr("orbitfinder.cli.export.SPEAK_EVERY", 0.0)
+    orbit = os.path.join(os.path.dirname(os.path.dirname(__file__)), "results", "orbits", "triple-1")
+    refused = CliRunner().invoke(cli, ["page", orbit])
+    assert refused.exit_code == 2 and "Missing option '-o'" in refused.output
+    made = CliRunner().invoke(cli, ["page", orbit, "-o", str(tmp_path / "site"), "--no-verify"])
+    said = capfd.readouterr().err
+    assert said.splitlines()[0].endswith("reading 1 path") and "orbit 1 of 1 judged" in said
+    assert re.search(r"index.html: 1 orbit, [\d.]+ MB\n$", made.stdout)
+
+
+def test_the_events_that_switch_takes_are_counted_in_short() -> None:
+    """Runs of numbers as from and to."""
+    from orbitfinder.families.branches import counted
+
+    assert counted([0, 2, 3, 5, 6, 7, 8, 11]) == "0, 2, 3, 5 to 8, 11" and counted([]) == ""
+
+
+def test_all_faults_of_a_problem_file_are_told_together(tmp_path) -> None:
+    """Missing and wrong values first, unknown keys last, each with its field."""
+    file = tmp_path / "bad.toml"
+    file.write_text('nam = "x"\n[system]\nkind = "chain"\nlink = 3\n[guess]\nstate = [1, 2]\nperiod = -1\n')
+    said = CliRunner().invoke(cli, ["run", str(file)]).stderr
+    told = ("system.links: missing", "guess.period: must", "system.link: unknown", "nam: unknown")
+    places = [said.index(what) for what in told]
+    assert places == sorted(places)

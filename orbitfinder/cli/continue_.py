@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -94,6 +94,8 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
         from orbitfinder.families.point import FamilySettings
         from orbitfinder.problemfile.read import checked_name
 
+        if all(chosen[name] is None for name in ("event", "curve", "parameters")) and whole_family(file):
+            _asked_where(load_family(file), shown)
         settings = FamilySettings(directions=directions, points=points, **narrowest)
         if chosen["curve"] is None and chosen["parameters"] is None:
             origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
@@ -127,22 +129,31 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
     finish("continue", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
 
 
-def _listed(family: Family, places: list[int], shown: Display) -> None:
+MOST_LISTED, LAST_EVENTS = 20, 6
+"""Events that are listed at the end with their indices, and that the live panel shows"""
+
+
+def _listed(family: Family, places: list[int], shown: Display, most: int = MOST_LISTED) -> None:
     """The events that branches leave at, with the numbers that --switch takes."""
-    for k in places[:MOST_LISTED]:
+    for k in places[:most]:
         shown.say(f"--switch {k}: {event_words(family.events[k], family.parameter)}")
-    if len(places) > MOST_LISTED:
-        shown.say(f"and {len(places) - MOST_LISTED} more, up to --switch {places[-1]}")
+    if len(places) > most:
+        shown.say(f"and {len(places) - most} more, up to --switch {places[-1]}")
+
+
+def _asked_where(family: Family, shown: Display) -> NoReturn:
+    """`InputError` for a family without --switch, the events that it takes listed before."""
+    from orbitfinder.families.branches import SWITCHABLE, counted
+
+    places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
+    _listed(family, places, shown, len(places))
+    raise InputError(f"--switch: missing; give the event to leave {family.name} at: {counted(places) or 'none'}")
 
 
 def _drawn(family: Family, folder: Path, model: Model) -> list[Path]:
     from orbitfinder.show.plot import save_figures
 
     return save_figures(family, folder, model)
-
-
-MOST_LISTED, LAST_EVENTS = 20, 6
-"""Events that are listed at the end with their indices, and that the live panel shows"""
 
 
 def event_words(event: Event, parameter: str) -> str:
@@ -257,14 +268,19 @@ def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Lo
 
 
 def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
-    from orbitfinder.families.branches import SWITCHABLE, described, switch_branch
+    from orbitfinder.families.branches import SWITCHABLE, switch_branch
     from orbitfinder.mechanics.catalogue import build_model
 
     family = load_family(file)
     if switch is None:
-        known = [described(family, k) for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
-        raise InputError(f"--switch: missing; give the event to leave {family.name} at: {'; '.join(known) or 'none'}")
-    return switch_branch(file, switch, branch, model=build_model(family.system, file.parent if trust else None))
+        raise InputError(f"{file}: a whole family; give one orbit of it, such as {file}#0")
+    known = 0 <= switch < len(family.events) and family.events[switch].kind in SWITCHABLE
+    try:
+        return switch_branch(file, switch, branch, model=build_model(family.system, file.parent if trust else None))
+    except InputError as error:
+        if known:
+            raise
+        raise InputError(f"{error}; orbitfinder continue {file} lists them") from error
 
 
 def model_in(origin: Origin, model: Model | None, family: Family) -> Model:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from orbitfinder.cli.console import note
+from orbitfinder._runtime import interrupt
+from orbitfinder.cli.console import Progress, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
-from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, trust_option
+from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, text, trust_option
 from orbitfinder.errors import InputError, plural
 
 
@@ -113,6 +113,10 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool, **chosen: An
         click.echo(str(save_animation(orbit_clip(orbit, model, settings), target, settings)))
 
 
+SPEAK_EVERY = 2.0
+"""s between two lines about a site that is being made"""
+
+
 @click.command()
 @click.argument("paths", nargs=-1, required=True, type=FILES, metavar="PATH...")
 @out_option("Folder for the site; of it a former page is replaced.", required=True)
@@ -137,16 +141,24 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
       orbitfinder page orbits -o site
       orbitfinder page orbits families atlas.sqlite -o site --title "Triple pendulum"
     """
-    if sys.stderr.isatty():  # somebody waits for the imports below
-        note(f"reading {', '.join(map(str, paths))}")
-    from orbitfinder.site.build import Settings, build_site
-    from orbitfinder.site.gather import gather
-    from orbitfinder.site.text import size
-    from orbitfinder.site.writing import check_target, write_site
+    with display(f"{out}: reading {plural(len(paths), 'path')}", SPEAK_EVERY) as shown:
+        from orbitfinder.site.build import Settings, build_site
+        from orbitfinder.site.gather import gather
+        from orbitfinder.site.text import size
+        from orbitfinder.site.writing import check_target, write_site
 
-    check_target(out)
+        def report(line: str) -> None:
+            interrupt.check()
+            shown.show(Progress(f"{out}: {line}"))
 
-    site, summary = build_site(gather(paths), Settings(title, atlas_pages, verify), note)
-    write_site(site.files, out)
-    parts = [plural(summary.orbits, "orbit"), plural(summary.families, "family"), plural(summary.atlases, "atlas")]
-    click.echo(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")
+        check_target(out)
+        site, summary = build_site(gather(paths), Settings(title, atlas_pages, verify), report)
+        write_site(site.files, out)
+    counts = {
+        "orbit": summary.orbits,
+        "family": summary.families,
+        "atlas": summary.atlases,
+        "section": summary.sections,
+    }
+    parts = [plural(count, name) for name, count in counts.items() if count]
+    text(f"{out / 'index.html'}: {', '.join(parts)}, {size(summary.size)}")

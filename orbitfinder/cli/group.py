@@ -7,6 +7,9 @@ Heavy modules are imported inside the commands, so that --help is quick. Exit co
 from __future__ import annotations
 
 import contextlib
+import inspect
+import re
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,7 @@ from orbitfinder.cli.export import animate, export, page, plot
 from orbitfinder.cli.guess import guess, init
 from orbitfinder.cli.options import (
     BAD_INPUT,
+    GLUE,
     INTERRUPTED,
     JSON_KEY,
     NOT_CERTIFIED,
@@ -27,6 +31,7 @@ from orbitfinder.cli.options import (
     options_named,
     print_json,
 )
+from orbitfinder.cli.problems import problems
 from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
 from orbitfinder.cli.section import connect, manifold, section
@@ -46,7 +51,7 @@ the longest proof an hour. `search` has its budget; the others go on for as long
 
 
 PURPOSES = {
-    "Find": ("init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
+    "Find": ("problems", "init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
     "Follow": ("continue", "torus", "manifold", "connect"),
     "Prove": ("verify", "prove", "refine"),
     "Use": ("stabilise", "export"),
@@ -61,8 +66,10 @@ class Commands(click.Group):
 
     def add_command(self, cmd: click.Command, name: str | None = None) -> None:
         """A command whose errors name its options, with the option --limit, which starts with what `LIMITS` says."""
+        cmd.help = fitted(cmd.help or "")
         for one in cmd.commands.values() if isinstance(cmd, click.Group) else [cmd]:
             options_named(one)
+            one.help = fitted(one.help or "")
         if not isinstance(cmd, click.Group):
             parts = {"run": "each search", "sweep": "the sweep"}
             cmd.params.append(limit_option(LIMITS.get(cmd.name or ""), parts.get(cmd.name or "", "")))
@@ -103,6 +110,23 @@ class Commands(click.Group):
                 ctx.exit(BAD_INPUT)
 
 
+WIDEST = 76
+"""Letters of a line of help without its margin, which no terminal cuts"""
+
+
+def fitted(told: str) -> str:
+    """A help text whose long examples go on in the next line, as a shell takes them; no option leaves its value."""
+    more: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": "    "}
+    lines = []
+    for line in inspect.cleandoc(told).splitlines():
+        parts = [line]
+        if line.startswith("  orbitfinder ") and len(line) > WIDEST:
+            kept = re.sub(r"(\s--?[a-z]\S*) (?=[^-\s])", rf"\1{GLUE}", line)
+            parts = textwrap.wrap(kept, WIDEST - 2, **more)
+        lines.append(" \\\n".join(parts).replace(GLUE, " "))
+    return "\n".join(lines)
+
+
 def _interrupted(ctx: click.Context) -> None:
     click.echo("Interrupted: finished results are kept, nothing half-written.", err=True)
     ctx.exit(INTERRUPTED)
@@ -138,7 +162,7 @@ def cli() -> None:
 
 
 for command in (
-    run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise, search, atlas,
-    prove, refine, export, plot, animate, page, studio, reproduce, doctor, completion,
+    problems, run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise,
+    search, atlas, prove, refine, export, plot, animate, page, studio, reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

@@ -146,7 +146,7 @@ def print_json(document: Any) -> None:
 
 def out_option(what: str, **more: Any) -> Decorator:
     """The option -o, --out: where the command writes."""
-    return click.option("-o", "--out", type=FILES, help=what, **({"default": None} | more))
+    return click.option("-o", "--out", type=FILES, help=what, **more)
 
 
 def trust_option(what: str = TRUST) -> Decorator:

@@ -9,7 +9,7 @@ Subharmonic branching in reversible systems, SIAM J. Math. Anal. 21 (1990) 954-9
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -344,9 +344,19 @@ def _event(family: Family, number: int, where: str) -> Event:
     known = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
     if number in known:
         return family.events[number]
-    listed = "; ".join(described(family, k) for k in known)
-    choice = f"choose one of {listed}" if listed else "this family has none from which one does"
+    choice = f"choose one of {counted(known)}" if known else "this family has none from which one does"
     raise InputError(f"event: no branch leaves at event {number}; {choice}")
+
+
+def counted(numbers: Sequence[int]) -> str:
+    """Rising whole numbers in short: 0, 2 to 5, 9."""
+    runs: list[list[int]] = []
+    for one in numbers:
+        if runs and one == runs[-1][-1] + 1:
+            runs[-1].append(one)
+        else:
+            runs.append([one])
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
 
 
 def described(family: Family, number: int) -> str:

@@ -70,7 +70,7 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
     if grown > run.settings.longest_period:
         more = ""
     elif not curve.equations.physical and _settled(run.origin, before.point, after.point):
-        more = f", multiplier {after.point.scale:.2g}, beyond what can be told"
+        more = f", multiplier {after.point.scale:.2g}, while the energy stands still"
     saddle = more is not None and near_saddle(curve, found, state)
     return _homoclinic(curve, found, state, grown, str(more)) if saddle else None
 
@@ -120,7 +120,7 @@ def shortest_step(run: Run, step: Step) -> float:
 
 
 def _settled(origin: FamilyPoint, before: FamilyPoint, after: FamilyPoint) -> bool:
-    """Whether the period grows without the energy changing any more, beyond what can be decided."""
+    """Whether the period grows without the energy changing any more, of orbits that are very unstable."""
     stretch = float(np.log(after.period / before.period))
     change = abs(after.energy - before.energy) / max(stretch, 1e-300)
     return after.scale > UNDECIDED and stretch > 0 and change < SETTLED * abs(after.energy - origin.energy)

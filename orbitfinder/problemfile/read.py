@@ -45,6 +45,7 @@ from orbitfinder.records.orbit import SHIFT
 from orbitfinder.records.reading import bounded, file_bytes
 
 LARGEST_TOML = 5_000_000
+MOST_FAULTS = 5
 """Bytes; a larger problem file is refused before it is read (2,000 links with a number each take 0.1 MB)."""
 MANUAL = "docs/problem-file.md"
 DEFAULT_DURATION = 10.0
@@ -120,15 +121,16 @@ def read_toml(source: Path) -> dict[str, Any]:
 
 
 def parse(document: Mapping[str, Any], where: str) -> ProblemTable:
-    """The checked tables of a document; `InputError` is about the first thing that is wrong."""
+    """The checked tables of a document; `InputError` is about all that is wrong, unknown keys last."""
     try:
         declares = isinstance(system := document.get("system"), Mapping) and system.get("kind") == "python"
         return ProblemTable.model_validate(document, context={"declares": declares})
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
-        more = f" ({len(faults) - 1} more after this)" if len(faults) > 1 else ""
-        raise InputError(f"{where}: {sentence(first, document)}{more}") from None
+        faults.sort(key=lambda fault: fault["type"] == "extra_forbidden")
+        said = list(dict.fromkeys(sentence(fault, document) for fault in faults))
+        more = f" ({len(said) - MOST_FAULTS} more after this)" if len(said) > MOST_FAULTS else ""
+        raise InputError(f"{where}: {'; also '.join(said[:MOST_FAULTS])}{more}") from None
 
 
 @contextmanager

@@ -97,6 +97,7 @@ def json_document(data: bytes, where: str, remedy: str) -> Any:
             raise ValueError(f"more than {MOST_VALUES} entries")
         document = json.loads(data.decode("utf-8"), parse_constant=_no_number)
     except UnicodeDecodeError as error:
+        remedy = remedy if where.endswith(".json") else "give the .json file that orbitfinder wrote"
         raise InputError(f"{where}: cannot be read (no UTF-8 text at byte {error.start}); {remedy}") from error
     except RecursionError as error:
         raise InputError(f"{where}: nested too deeply; {remedy}") from error

@@ -20,7 +20,8 @@ from orbitfinder.orbits.measure import dense
 from orbitfinder.records.orbit import Orbit, save_orbit
 from orbitfinder.reproduce.facts import ORBITS, PrintedOrbit
 from orbitfinder.show.animate import orbit_clip, save_animation
-from orbitfinder.show.style import dress, line_style, new_figure, plane, save_both, sweep, trail
+from orbitfinder.show.style import arrows, dress, line_style, new_figure, plane, save_both, sweep, trail, widen
+from orbitfinder.show.svg import COLOURS
 
 
 def refine(printed: PrintedOrbit) -> Orbit:
@@ -102,15 +103,21 @@ def _histories(axes: Any, orbit: Orbit, model: Model) -> None:
         axes.plot(orbit.times, orbit.samples[:, i], label=rf"$\theta_{i + 1}$", **line_style(i, n))
     gap_found = gap(orbit.samples[0], orbit.samples[-1], np.zeros(n))
     dress(axes, "time (s)", "angle from the downward vertical (rad)")
-    axes.set_title(f"T = {orbit.period:.9f} s, E = {orbit.energy:.6f} J", fontsize=9)
+    level = f"{orbit.energy:.6f}".replace("-", "\N{MINUS SIGN}")
+    axes.set_title(f"T = {orbit.period:.9f} s, E = {level} J", fontsize=9)
     axes.set_xlim(0, orbit.period)
     if gap_found < 1e-6:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=n, frameon=False, fontsize=9)
 
 
 def _sweep(axes: Any, orbit: Orbit, model: Model) -> None:
-    sweep(axes, positions(model, orbit.samples[::16]), 0.12, 0.4, 0.9)
-    trail(axes, positions(model, orbit.samples)[:, :, -1], 1.3)
+    points = positions(model, orbit.samples)
+    down, right = points[:, :, -1].T
+    sweep(axes, points[::16], 0.12, 0.4, 0.9)
+    trail(axes, points[:, :, -1], 1.3)
+    if "brake" not in orbit.symmetry:  # a brake orbit goes both ways along its path
+        arrows(axes, right, -down, COLOURS[1])
     axes.plot(0, 0, "s", color="black", markersize=6)
     plane(axes)
+    widen(axes, float(np.ptp(points[:, 1])), float(np.ptp(points[:, 0])))
     axes.set_title("configurations and path of the tip", fontsize=9)

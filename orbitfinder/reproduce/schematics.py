@@ -9,7 +9,7 @@ import numpy as np
 
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import positions
-from orbitfinder.show.style import new_figure, save_both
+from orbitfinder.show.style import new_figure, place_labels, save_both
 from orbitfinder.show.svg import COLOURS
 
 POSE = np.array([0.45, 0.95, 0.25, 0.0, 0.0, 0.0])
@@ -62,28 +62,45 @@ def free_bodies(state: np.ndarray, closed: bool, title: str) -> Any:
     joints, centres = (1.6 * shape for shape in _pose(state))
     count = centres.shape[1]
     place = 0.0
+    weights, forces = list[Label](), list[Label]()
     for i in range(count):
         ends = joints[:, i : i + 2]
         offset = np.array([place - ends[0].min(), -ends[1].mean()])
         upper, lower, centre = ends[:, 0] + offset, ends[:, 1] + offset, centres[:, i] + offset
         axes.plot(*np.column_stack([upper, lower]), color=COLOURS[0], linewidth=4, solid_capstyle="round")
         axes.plot(*centre, "x", color=COLOURS[1], markersize=8, markeredgewidth=2)
-        _arrow(axes, centre, np.array([0.0, -0.36]), rf"$m_{i + 1} g$", COLOURS[2])
-        _joint_forces(axes, upper, f"R_{{{i + 1}", 1.0)
+        weights.append(_force(axes, centre, np.array([0.0, -0.36]), f"m_{i + 1} g", COLOURS[2]))
+        forces += _joint_forces(axes, upper, f"R_{{{i + 1}", 1.0)
         if closed or i + 1 < count:
-            _joint_forces(axes, lower, f"R_{{{i + 2}", -1.0)
-        axes.annotate(f"link {i + 1}", (place + np.ptp(ends[0]) / 2, -1.6), ha="center", fontsize=10)
+            forces += _joint_forces(axes, lower, f"R_{{{i + 2}", -1.0)
+        axes.annotate(f"link {i + 1}", (place + np.ptp(ends[0]) / 2, -1.5), ha="center", fontsize=10)
         place += float(np.ptp(ends[0])) + 1.6
     axes.set_xlim(-0.75, place - 0.85)
-    axes.set_ylim(-1.7, 1.5)
-    return _clean(figure, axes)
+    axes.set_ylim(-1.6, 1.3)
+    _clean(figure, axes)
+    place_labels(figure, axes, weights, 10.0, color=COLOURS[2], parse_math=True)
+    place_labels(figure, axes, forces, 10.0, color=COLOURS[3], parse_math=True)
+    return figure
 
 
-def _joint_forces(axes: Any, at: np.ndarray, name: str, sign: float) -> None:
+Label = tuple[str, float, float]
+
+
+def _joint_forces(axes: Any, at: np.ndarray, name: str, sign: float) -> list[Label]:
     """R_x (down) and R_y (to the right) with their sign on this body."""
     minus = "" if sign > 0 else "-"
-    _arrow(axes, at, np.array([0.0, -0.3 * sign]), rf"${minus}{name}x}}$", COLOURS[3])
-    _arrow(axes, at, np.array([0.3 * sign, 0.0]), rf"${minus}{name}y}}$", COLOURS[3])
+    return [
+        _force(axes, at, np.array([0.0, -0.3 * sign]), f"{minus}{name}x}}", COLOURS[3]),
+        _force(axes, at, np.array([0.3 * sign, 0.0]), f"{minus}{name}y}}", COLOURS[3]),
+    ]
+
+
+def _force(axes: Any, start: np.ndarray, step: np.ndarray, name: str, colour: str) -> Label:
+    """An arrow, as an unseen line too so that names keep off it; its name and its tip."""
+    _arrow(axes, start, step, "", colour)
+    tip = start + step
+    axes.plot(*np.column_stack([start, tip]), alpha=0.0)
+    return f"${name}$", float(tip[0]), float(tip[1])
 
 
 def _arrow(axes: Any, start: np.ndarray, step: np.ndarray, text: str, colour: str) -> None:

@@ -22,11 +22,13 @@ from orbitfinder.families.members import Motion, amplitudes, motions, whole
 from orbitfinder.loops.control import history
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.style import (
+    LEAST_SIDE,
     arrows,
     configuration,
     dress,
@@ -37,6 +39,7 @@ from orbitfinder.show.style import (
     save_png,
     sweep,
     trail,
+    widen,
 )
 from orbitfinder.show.svg import COLOURS, runs
 
@@ -44,9 +47,8 @@ SNAPSHOTS = 48
 """Configurations drawn over one period."""
 STILL = 1e-9
 """Change relative to its size below which a component stands still."""
-WALKED, GROUNDS, LEAST_SIDE, SLIVER = 3, 8, 0.4, 0.08
-"""Periods drawn of what walks, places of a ground that moves, the shorter side of a picture with ground (and of what
-is drawn wider than it is), and how narrow that is."""
+WALKED, GROUNDS = 3, 8
+"""Periods drawn of what walks, places of a ground that moves."""
 MOST_PORTRAITS = 12
 MOST_IN_LEGEND = 12
 
@@ -87,24 +89,15 @@ def label(name: str) -> str:
     return rf"$\theta_{{{found.group(1)}}}$" if found else name
 
 
-def units(model: Model) -> list[str]:
-    """Unit of each coordinate: rad for angles, m otherwise; none is known of a first-order system's components."""
-    n = model.degrees_of_freedom
-    if model.rates is not None:
-        return ["rad" if angle else "" for angle in model.angular]
-    angles = model.angles or (True,) * n
-    return ["rad" if angle else "m" for angle in angles]
-
-
 def _unit(model: Model, suffix: str = "") -> str:
-    known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(units(model)) if unit)
+    known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(unit_names(model)) if unit)
     return f" ({known})" if known else ""
 
 
 def axis(model: Model, i: int) -> str:
     """A component's name for an axis, with its unit where that is known."""
     n = model.degrees_of_freedom
-    name, unit = label(model.state_names[i % n]), units(model)[i % n]
+    name, unit = label(model.state_names[i % n]), unit_names(model)[i % n]
     if i >= n:
         return f"rate of {name} ({unit}/s)"
     return f"{name} ({unit})" if unit else name
@@ -258,10 +251,8 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
     plane(axes)
     axes.margins(0.06)
     seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, -1]])
-    wide, tall = np.nanmax(seen) - np.nanmin(seen), float(np.ptp(joints[:, 0]))
-    if 0 < wide < SLIVER * tall and course.grounds(np.zeros(1)) is None:
-        axes.set_aspect(wide / tall / LEAST_SIDE, adjustable="datalim")
-        axes.set_xlabel(f"to the right (m), drawn {LEAST_SIDE * tall / wide:.3g} times as wide")
+    if course.grounds(np.zeros(1)) is None:
+        widen(axes, np.nanmax(seen) - np.nanmin(seen), float(np.ptp(joints[:, 0])))
     draw_ground(axes, course)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
@@ -380,7 +371,7 @@ def gallery(family: Family, shown: Sequence[Motion]) -> Figure:
         axes.set_visible(False)
     if shown[0].joints is not None:
         figure.supxlabel("to the right (m)", fontsize=8)
-        figure.supylabel("up (m)", fontsize=8)
+        figure.supylabel("height (m)", fontsize=8)
     return figure
 
 

@@ -20,6 +20,8 @@ from orbitfinder.show.svg import COLOURS
 
 DASHES = ("-", "--", "-.", ":")
 RESOLUTION = 150
+LEAST_SIDE, SLIVER = 0.4, 0.08
+"""The shorter side of a picture with ground (and of what is drawn wider than it is), and how narrow that is"""
 APART = 4.0
 """Pixels between two names, which move a little when the figure is laid out around them"""
 
@@ -44,21 +46,23 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def place_labels(figure: Figure, axes: Any, labels: Sequence[tuple[str, float, float]], size: float = 9.0) -> None:
+def place_labels(
+    figure: Figure, axes: Any, labels: Sequence[tuple[str, float, float]], size: float = 9.0, **style: Any
+) -> None:
     """Names beside their places, clear of curves, marks, names before them and the frame; call it last."""
+    style = {"parse_math": False, "fontsize": size, "ha": "center", "va": "center"} | style
     figure.draw_without_rendering()
     lines = [axes.transData.transform(np.asarray(line.get_xydata(), float)) for line in axes.lines]
     taken = np.concatenate([_dense(line[np.isfinite(line).all(axis=1)]) for line in lines] or [np.zeros((0, 2))])
-    frame, boxes = axes.get_window_extent(), list[Any]()
+    frame, boxes = axes.get_window_extent(), [one.get_window_extent() for one in axes.texts if one.get_text()]
     for name, x, y in labels:
-        text = axes.annotate(name, (x, y), fontsize=size, textcoords="offset points", parse_math=False, ha="center",
-                             va="center", xytext=(0, 0))  # fmt: skip
+        text = axes.annotate(name, (x, y), textcoords="offset points", xytext=(0, 0), **style)
         box = text.get_window_extent()
         best = (np.inf, (0.0, 0.0))
         for far, turn in product((0.9, 1.4, 2.2, 3.4, 5.0), np.arange(16) * np.pi / 8):
             move = np.array([np.cos(turn) * (box.width / 2 + 9 * far), np.sin(turn) * (box.height / 2 + 9 * far)])
             there = box.translated(*move)
-            inside = ((taken > there.min - 2) & (taken < there.max + 2)).all(axis=1).sum()
+            inside = ((taken > there.min - APART) & (taken < there.max + APART)).all(axis=1).sum()
             out = not (frame.contains(*there.min) and frame.contains(*there.max))
             cost = 3.0 * inside + 200.0 * sum(there.overlaps(other) for other in boxes) + 100.0 * out + far
             best = min(best, (float(cost), (float(move[0]), float(move[1]))))
@@ -117,7 +121,14 @@ def trail(axes: Any, path: np.ndarray, width: float, **more: Any) -> None:
 def plane(axes: Any) -> None:
     """Axes for what hangs: x down, y to the right, equal scales."""
     axes.set_aspect("equal", adjustable="datalim")
-    dress(axes, "to the right (m)", "up (m)")
+    dress(axes, "to the right (m)", "height (m)")
+
+
+def widen(axes: Any, wide: float, tall: float) -> None:
+    """What is so narrow (extents in m) that nothing would be seen of it drawn wider, which the axis says."""
+    if 0 < wide < SLIVER * tall:
+        axes.set_aspect(wide / tall / LEAST_SIDE, adjustable="datalim")
+        axes.set_xlabel(f"to the right (m),\ndrawn {LEAST_SIDE * tall / wide:.3g} times as wide")
 
 
 def line_style(index: int, count: int) -> dict[str, Any]:

@@ -49,7 +49,6 @@ from orbitfinder.site.writing import MARK, mark
 WEIGHT = "@@WEIGHT@@"
 NEAR = 0.003
 """Distance of an orbit from a family's curve, in ranges of the family, of what is said to lie by it"""
-SPEAK_EVERY = 10
 NOT_ASKED = "it was not asked for"
 PLOTS = ("plotly-basic.min.js", "plots.js")
 SCRIPTS = {
@@ -80,6 +79,7 @@ class Summary:
     orbits: int
     families: int
     atlases: int
+    sections: int
     size: int
 
 
@@ -159,27 +159,29 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
     for file in found.orbits:
         motion = simulator.orbit(file.document, file.dense)
         entries.append(Entry(file, motion, slug(file.document["name"])))
-    tell(f"{plural(len(entries), 'orbit')} drawn")
+        tell(f"orbit {len(entries)} of {len(found.orbits)} drawn")
     links: list[Link] = []
     motions: dict[str, Any] = {}
     families = slug_maker()
     named = [(family, families(family.name)) for family in found.families]
-    for family, own in named:
+    for k, (family, own) in enumerate(named, 1):
+        tell(f"family {k} of {len(named)}, {family.name}: {plural(len(family.points), 'point')}")
         links.append(_add_family(site, family, own, simulator, motions, named))
-        tell(f"family {family.name}: {plural(len(family.points), 'point')}")
     atlases = slug_maker()
-    for atlas in found.atlases:
+    for k, atlas in enumerate(found.atlases, 1):
+        tell(f"atlas {k} of {len(found.atlases)}, {atlas.name}: {plural(atlas.total, 'orbit')}")
         link, shown = _add_atlas(site, atlas, simulator, (atlases(atlas.name), slug), motions)
         links.insert(found.atlases.index(atlas), link)
         entries += shown
-        tell(f"atlas {atlas.name}: {plural(atlas.total, 'orbit')}")
     sections = slug_maker()
-    links += [_add_section(site, one, sections(one.name), found, motions) for one in found.sections]
+    for k, section in enumerate(found.sections, 1):
+        tell(f"section {k} of {len(found.sections)}, {section.name}")
+        links.append(_add_section(site, section, sections(section.name), found, motions))
     entries = _judged([_complete(entry, simulator, links) for entry in entries], settings.verify, tell)
     for k, entry in enumerate(entries):
         _add_orbit(site, entry, entries[k - 1 : k] + entries[k + 1 : k + 2], k > 0)
     _add_gallery(site, entries, links, motions)
-    return site, Summary(len(entries), len(found.families), len(found.atlases), site.finish())
+    return site, Summary(len(entries), len(found.families), len(found.atlases), len(found.sections), site.finish())
 
 
 def _judged(entries: Sequence[Entry], verify: bool, tell: Progress) -> list[Entry]:
@@ -189,8 +191,7 @@ def _judged(entries: Sequence[Entry], verify: bool, tell: Progress) -> list[Entr
         document = entry.document
         verdict = known(entry.file.text, partial(judged, document)) if verify else recorded(document, NOT_ASKED)
         found.append(replace(entry, verdict=verdict))
-        if len(found) % SPEAK_EVERY == 0 or len(found) == len(entries):
-            tell(f"{len(found)} of {plural(len(entries), 'orbit')} judged")
+        tell(f"orbit {len(found)} of {len(entries)} judged")
     return found
 
 

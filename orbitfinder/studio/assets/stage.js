@@ -173,9 +173,8 @@ var stage = (function () {
     if (window_) view = window_;
     motion.centre = view.centre;
     motion.spans = view.spans;
-    var share = before && keep ? player.time / before.period % 1 : 0;
     if (scene) scene.show(motion); else scene = player.add(canvas, motion);
-    if (grabbed < 0) player.seek(share * motion.period);
+    if (grabbed < 0) player.turn(before && keep ? before.period : 0, motion.period);
     stage.shown++;
   }
 
