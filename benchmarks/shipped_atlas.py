@@ -1,36 +1,85 @@
-"""Make results/atlas: two searches, compacted, with figures and a page about the twelve most interesting orbits.
+"""Make results/atlas: a search for each system, compacted, with proofs, tables, figures, README and data sheet.
 
 An orbit whose certificate has less than a factor `MARGIN` in hand is left out, so that the rest passes on processors
 that round differently.
 
-    python benchmarks/shipped_atlas.py                   takes about ten minutes on two quiet processors
+    python benchmarks/shipped_atlas.py                   takes about an hour of one quiet processor
     python benchmarks/shipped_atlas.py --finished DIR    from atlases that the same searches have made in DIR
+    python benchmarks/shipped_atlas.py --finished results/atlas --proofs 0    tables and pages again
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import re
 import sqlite3
 import subprocess
 import sys
-from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from prove_atlas import cost
 
 import orbitfinder as of
-from orbitfinder.atlas.report import summarise
+from orbitfinder.atlas.export import FIELDS, STATE, exported
+from orbitfinder.atlas.report import summarise, total
 from orbitfinder.atlas.store import Row
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.proof.record import entry
+from orbitfinder.proof.theorem import Options, prove
+from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.plot import save_atlas_figures
 from orbitfinder.show.style import new_figure, save_png
 from orbitfinder.show.svg import COLOURS
 
 ROOT = Path(__file__).parents[1]
 PLACE = ROOT / "results" / "atlas"
-SEARCHES = (("triple", "triple-three-energies.toml", 4600), ("quadruple", "quadruple.toml", 4000))
+SI, FREE = "SI units", "the equations' own units"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A system of the data set: atlas, in words, problem file, starts at each energy, units, other options."""
+
+    name: str
+    words: str
+    file: str
+    starts: int
+    units: str
+    options: tuple[str, ...] = ("--shard", "1/1", "--workers", "0")
+
+    def command(self, folder: str) -> list[str]:
+        """The search that made it. A shard continues no orbit from one energy to another."""
+        return [
+            "orbitfinder", "search", f"problems/{self.file}.toml", "--starts", str(self.starts), *self.options,
+            "--atlas", f"{folder}/{self.name}.sqlite",
+        ]  # fmt: skip
+
+
+ENTRIES = (
+    Entry("triple", "triple pendulum", "search/triple-three-energies", 4600, SI, ("--workers", "2")),
+    Entry("quadruple", "quadruple pendulum", "search/quadruple", 4000, SI, ("--workers", "2")),
+    Entry("double", "double pendulum", "atlas/double", 150, SI),
+    Entry("coupled-oscillators", "two springs coupled at fourth order", "atlas/coupled-oscillators", 400, FREE),
+    Entry("cart-chain", "Fermi-Pasta-Ulam chain of three carts", "atlas/cart-chain", 200, FREE),
+    Entry("henon-heiles", "Hénon-Heiles system", "atlas/henon-heiles", 150, FREE),
+    Entry("spring-pendulum", "swinging spring", "atlas/spring-pendulum", 150, SI),
+    Entry("earth-moon", "spatial restricted three-body problem, Earth and Moon", "atlas/earth-moon", 120, FREE),
+    Entry("lorenz", "Lorenz attractor (first order)", "atlas/lorenz", 1500, FREE),
+    Entry("rossler", "Rössler's attractor (first order)", "atlas/rossler", 300, FREE),
+    Entry("impact-oscillator", "forced oscillator with a stop (hybrid)", "atlas/impact-oscillator", 120, FREE),
+    Entry("compass-gait", "compass gait (hybrid)", "atlas/compass-gait", 80, SI),
+)
+HYBRID = ("impact-oscillator", "compass-gait")
+"""Of hybrid systems nothing is proved."""
+PAGES = {"README.md": ("counts", "commands", "twelve"), "DATASHEET.md": ("counts", "shells", "fields")}
+"""Pages, and the marks in them between which tables are written."""
+PICTURED = ("triple", "quadruple")
 MARGIN = 2.0
 LOWER_BOUNDS = ("minimal_period", "not_equilibrium")
 FIGURES = {
@@ -49,21 +98,14 @@ class Pick:
     row: Row
 
 
-def command(name: str, file: str, starts: int, folder: str) -> list[str]:
-    return [
-        "orbitfinder", "search", f"problems/search/{file}", "--starts", str(starts), "--workers", "2",
-        "--atlas", f"{folder}/{name}.sqlite",
-    ]  # fmt: skip
-
-
 def compacted(source: Path, target: Path) -> None:
     """A copy without free pages and without a write-ahead log, readable from a folder that cannot be written."""
     target.unlink(missing_ok=True)
-    with sqlite3.connect(source) as connection:
+    with sqlite3.connect(source) as connection:  # another process may be at it
         connection.execute("VACUUM INTO ?", [str(target)])
     connection.close()
     with of.Atlas(target) as atlas:
-        close = [row.id for row in atlas.rows() if narrow(atlas.document(row.id))]
+        close, system = [row.id for row in atlas.rows() if narrow(atlas.document(row.id))], atlas.system
     with sqlite3.connect(target, isolation_level=None) as connection:
         connection.execute("PRAGMA journal_mode = DELETE")
         for number in close:
@@ -72,9 +114,39 @@ def compacted(source: Path, target: Path) -> None:
                 "UPDATE starts SET outcome = 'failed', reason = ?, orbit = NULL WHERE orbit = ?", [reason, number]
             )
             connection.execute("DELETE FROM orbits WHERE id = ?", [number])
+    connection.close()
+    with of.Atlas(target, system, write=True) as atlas:  # brings files of older versions to this one
+        for row in atlas.rows():
+            if not row.signature:
+                atlas.describe(row.id)
+    print(f"{target.name}: {len(close)} orbits left out", file=sys.stderr)
+
+
+def packed(target: Path) -> None:
+    """The file without free pages and without a write-ahead log."""
+    with sqlite3.connect(target, isolation_level=None) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
         connection.execute("VACUUM")
     connection.close()
-    print(f"{target.name}: {len(close)} orbits left out", file=sys.stderr)
+
+
+def prove_some(file: Path, count: int, records: Path) -> None:
+    """Give an atlas the proofs recorded in `records`, then those of its quickest orbits until it has `count`."""
+    with of.Atlas(file) as atlas:
+        system, rows = atlas.system, [row for row in atlas.rows() if not row.proof]
+        documents = {row.id: atlas.document(row.id) for row in rows}
+    known = {one["record"]: one["proof"] for one in (json.loads(path.read_text()) for path in records.glob("*.json"))}
+    with of.Atlas(file, system, write=True) as atlas:
+        for number, document in documents.items():
+            if document["record"] in known:
+                atlas.describe(number, known[document["record"]])
+        wanted = count - sum(bool(row.proof) for row in atlas.rows())
+        chosen = [row for row in sorted(rows, key=lambda row: cost(documents[row.id])) if not atlas.row(row.id).proof]
+        for row in chosen[: max(0, wanted)]:
+            orbit = atlas.orbit(row.id)
+            proof = entry(prove(orbit, options=Options(symmetry=None if orbit.symmetry in SYMMETRIES else "none")))
+            if proof["proved"]:
+                atlas.describe(row.id, proof)
 
 
 def narrow(document: dict) -> bool:
@@ -154,39 +226,78 @@ def sheet(name: str, atlas: of.Atlas, picks: list[Pick], folder: Path) -> Path:
     return save_png(contact_sheet(atlas.model, loops, across=3), folder / f"{name}-interesting.png")
 
 
-def page(atlases: dict[str, of.Atlas], picks: list[Pick], folder: Path) -> str:
-    total = sum(len(atlas) for atlas in atlases.values())
+def energies_of(name: str, atlas: of.Atlas) -> list[str]:
+    """A line of the data sheet for each energy of an atlas: orbits, and the estimate of how many there are."""
+    summary, lines = summarise(atlas), []
+    for energy in sorted({one.energy for one in summary.strata}):
+        here = [one for one in summary.strata if one.energy == energy]
+        rows = [row for row in atlas.rows() if abs(row.energy - energy) <= 1e-6 * max(1.0, abs(energy))]
+        least, error = total(here)
+        once, hits = sum(one.once for one in here), sum(one.hits for one in here)
+        starts = max(one.starts for one in here)
+        shell = f"{energy:g}" if atlas.model.invariants else "any"
+        lines.append(
+            f"| {name} | {shell} | {len(rows)} | {len(kinds(rows))} | {least:.0f} ± {error:.0f} | "
+            f"{1 - once / max(hits, 1):.0%} | {starts} | {min(row.period for row in rows):.2f} to "
+            f"{max(row.period for row in rows):.2f} |"
+        )
+    return lines
+
+
+def kinds(rows: Sequence[Row]) -> set[tuple[int, ...]]:
+    """What differs in energy, period or action: orbits of equal numbers are, but for chance, images of each other."""
+    return {
+        tuple(round(np.arcsinh(value) * 1e5) for value in (row.energy, row.period, abs(row.action))) for row in rows
+    }
+
+
+def counts(atlases: dict[str, of.Atlas]) -> str:
+    """The table of the systems."""
     lines = [
-        "# The shipped atlas",
-        "",
-        f"{total} distinct certified periodic orbits of the triple pendulum at three energies and of the quadruple at "
-        "one, and the record of the starts that found them. Uniform rods of 1 m and 1 kg; energies have their zero at "
-        "the fixed joint (hanging at rest: -44.1 J and -78.4 J). Made by",
-        "",
-        "```sh",
-        *(" ".join(command(*one, "results/atlas")) for one in SEARCHES),
-        "python benchmarks/shipped_atlas.py --finished results/atlas     # compacts them, draws, writes this page",
-        "```",
-        "",
-        "Every orbit passes `orbitfinder verify` (`python -m pytest -m slow tests/test_atlas_shipped.py`). Look with",
-        "`orbitfinder atlas list results/atlas/triple.sqlite --stability elliptic`, take one out with",
-        "`orbitfinder atlas show results/atlas/triple.sqlite ID --json > orbit.json`.",
-        "",
-        "| atlas | energy (J) | orbits | elliptic | unstable | periods (s) | symmetries |",
-        "|---|---|---|---|---|---|---|",
+        "| atlas | system | units | energies | orbits | up to images | stable | unstable | proved | starts |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for name, atlas in atlases.items():
-        rows = atlas.rows()
-        for energy in sorted({round(row.energy, 6) for row in rows}):
-            here = [row for row in rows if abs(row.energy - energy) < 1e-5]
-            kinds, symmetries = Counter(r.stability for r in here), Counter(r.symmetry for r in here)
-            lines.append(
-                f"| {name} | {energy:g} | {len(here)} | {kinds['elliptic']} | {kinds['unstable']} | "
-                f"{min(r.period for r in here):.2f} to {max(r.period for r in here):.2f} | "
-                + ", ".join(f"{count} {kind}" for kind, count in symmetries.most_common()) + " |"
-            )  # fmt: skip
-    lines += ["", "## Twelve of them", "", "Blue: path of the tip. Grey: the links at equal times.", ""]
-    for name in atlases:
+    sums = np.zeros(7, int)
+    for one in ENTRIES:
+        atlas = atlases[one.name]
+        rows, summary = atlas.rows(), summarise(atlas)
+        shells = len({stratum.energy for stratum in summary.strata})
+        stable = sum(row.stability in ("elliptic", "asymptotically stable") for row in rows)
+        numbers = [shells, len(rows), len(kinds(rows)), stable, sum(row.stability == "unstable" for row in rows),
+                   sum(bool(row.proof) for row in rows), summary.starts]  # fmt: skip
+        sums += numbers
+        lines.append(f"| {one.name} | {one.words} | {one.units} | " + " | ".join(map(str, numbers)) + " |")
+    return "\n".join([*lines, f"| all | {len(ENTRIES)} systems | | " + " | ".join(map(str, sums)) + " |"])
+
+
+def tables(atlases: dict[str, of.Atlas]) -> dict[str, str]:
+    """The generated parts of the data sheet by the names of their marks."""
+    head = "| atlas | energy | orbits | up to images | at least | coverage | starts | periods |\n" + "|---" * 8 + "|"
+    shells = [line for one in ENTRIES for line in energies_of(one.name, atlases[one.name])]
+    states = ", ".join(f"{one.name}: `{' '.join(atlases[one.name].model.state_names)}`" for one in ENTRIES)
+    fields = [f"| `{name}` | {unit or '-'} | {text} |" for name, (unit, text) in FIELDS.items()]
+    fields.insert(list(FIELDS).index("strategy"), f"| components | {STATE[0]} | {STATE[1]} |")
+    return {
+        "counts": counts(atlases),
+        "shells": "\n".join([head, *shells]),
+        "fields": "\n".join(["| column | unit | meaning |", "|---|---|---|", *fields]) + f"\n\nComponents: {states}.",
+        "commands": "\n".join(["```sh", *(" ".join(one.command("results/atlas")) for one in ENTRIES), "```"]),
+    }
+
+
+def filled(text: str, parts: dict[str, str]) -> str:
+    """A page with the text between `<!-- NAME -->` and `<!-- end -->` replaced."""
+    for name, part in parts.items():
+        pattern = rf"(<!-- {name} -->\n).*?(\n<!-- end -->)"
+        text, count = re.subn(pattern, lambda found, part=part: found[1] + part + found[2], text, flags=re.DOTALL)
+        assert count == 1, name
+    return text
+
+
+def pictures(atlases: dict[str, of.Atlas], picks: list[Pick]) -> str:
+    """Twelve orbits, and how the two atlases that have pictures were searched."""
+    lines = ["Blue: path of the tip. Grey: the links at equal times.", ""]
+    for name in PICTURED:
         lines += [f"![{name} pendulum]({name}-interesting.png)", ""]
     lines += ["| pendulum | why | id | energy (J) | period (s) | symmetry | stability | largest multiplier |",
               "|---|---|---|---|---|---|---|---|"]  # fmt: skip
@@ -196,38 +307,55 @@ def page(atlases: dict[str, of.Atlas], picks: list[Pick], folder: Path) -> str:
             f"| {pick.name} | {pick.why} | {row.id} | {row.energy:.6g} | {row.period:.9f} | {row.symmetry} | "
             f"{row.stability} | {row.instability:.4g} |"
         )
-    for name, atlas in atlases.items():
-        summary = summarise(atlas)
+    for name in PICTURED:
+        summary = summarise(atlases[name])
         lines += ["", f"## How the {name} pendulum was searched", "",
                   f"{summary.starts} starts, {summary.hits} hits, {summary.seconds:.0f} s of processor time "
                   "(on a busy machine).", "",
                   "| strategy | starts | hits | new | processor time, s |", "|---|---|---|---|---|"]  # fmt: skip
         lines += [f"| {y.strategy} | {y.starts} | {y.hits} | {y.new} | {y.seconds:.0f} |" for y in summary.yields]
         lines += ["", *(f"![{text}]({name}/{file})" for file, text in FIGURES.items())]
-    return "\n".join([*lines, ""])
+    return "\n".join(lines)
+
+
+def finish(name: str, source: Path, proofs: int) -> None:
+    """The shipped files of one system from the atlas that its search has made."""
+    target, compact = PLACE / f"{name}.sqlite", PLACE / f"{name}.compact"
+    compacted(source, compact)
+    compact.replace(target)
+    prove_some(target, proofs, ROOT / "results" / "proofs")
+    packed(target)
+    with of.Atlas(target) as atlas:
+        write_atomically(PLACE / f"{name}.parquet", exported(atlas, "parquet"))
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--finished", type=Path, help="folder with atlases that the searches have made")
+    parser.add_argument("--only", nargs="*", help="these atlases alone; the pages count all that are there")
+    parser.add_argument("--proofs", type=int, default=20, help="orbits of each system to be proved")
     arguments = parser.parse_args()
     PLACE.mkdir(parents=True, exist_ok=True)
-    for name, file, starts in SEARCHES:
-        source = (arguments.finished or PLACE) / f"{name}.sqlite"
+    for one in ENTRIES:
+        if arguments.only is not None and one.name not in arguments.only:
+            continue
         if not arguments.finished:
-            subprocess.run(command(name, file, starts, str(PLACE)), cwd=ROOT, check=True)
-        compact = PLACE / f"{name}.compact"
-        compacted(source, compact)
-        compact.replace(PLACE / f"{name}.sqlite")
-    atlases = {name: of.Atlas(PLACE / f"{name}.sqlite") for name, _, _ in SEARCHES}
-    picks = twelve(*(atlas.rows() for atlas in atlases.values()))
-    for name, atlas in atlases.items():
-        sheet(name, atlas, [pick for pick in picks if pick.name == name], PLACE)
-        save_atlas_figures(atlas, PLACE / name)
-    (PLACE / "README.md").write_text(page(atlases, picks, PLACE))
-    total = sum(len(atlas) for atlas in atlases.values())
-    print(f"{PLACE}: {total} orbits, {sum(p.stat().st_size for p in PLACE.glob('*.sqlite')) / 1e6:.1f} MB")
-    return 0 if total >= 500 else 1
+            subprocess.run(one.command(str(PLACE)), cwd=ROOT, check=True)
+        finish(
+            one.name, (arguments.finished or PLACE) / f"{one.name}.sqlite", arguments.proofs * (one.name not in HYBRID)
+        )
+    atlases = {one.name: of.Atlas(PLACE / f"{one.name}.sqlite") for one in ENTRIES}
+    picks = twelve(*(atlases[name].rows() for name in PICTURED))
+    for name in PICTURED if arguments.only is None else ():
+        sheet(name, atlases[name], [pick for pick in picks if pick.name == name], PLACE)
+        save_atlas_figures(atlases[name], PLACE / name)
+    parts = tables(atlases) | {"twelve": pictures(atlases, picks)}
+    for page, names in PAGES.items():
+        (PLACE / page).write_text(filled((PLACE / page).read_text(), {name: parts[name] for name in names}))
+    count = sum(len(atlas) for atlas in atlases.values())
+    size = sum(path.stat().st_size for path in PLACE.iterdir() if path.suffix in (".sqlite", ".parquet"))
+    print(f"{PLACE}: {count} orbits, {size / 1e6:.1f} MB")
+    return 0 if count >= 3000 else 1
 
 
 if __name__ == "__main__":

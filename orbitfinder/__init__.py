@@ -32,5 +32,5 @@ _MOVED |= {
 }
 """Names of 0.1 that are elsewhere now; for one version"""
 
-_notebook.drawn_by("orbitfinder.show.html")
+_notebook.drawn_by("orbitfinder.show.html", "orbitfinder.studio.widget")
 __getattr__, __dir__, __all__ = _door(__name__, __file__, _MOVED)

@@ -40,6 +40,8 @@ LIBRARIES = {
     "sqlite3": ("atlas",),
     "jinja2": ("site", "reproduce.runner"),
     "nicegui": ("studio",),
+    "anywidget": ("studio.widget",),
+    "traitlets": ("studio.widget",),
     "platformdirs": ("integrate.compiled",),
     "pickle": (),
     "cloudpickle": (),

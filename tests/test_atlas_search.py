@@ -304,7 +304,7 @@ def test_mirrors_are_read_off_the_equations(made, expected):
     assert [one.moves(model.state_names[: model.degrees_of_freedom]) for one in undeclared_mirrors(model)] == expected
 
 
-@pytest.mark.parametrize("parts", [{}, {"symmetries": {"mirror": (1, -1)}}])
+@pytest.mark.parametrize("parts", [{}, pytest.param({"symmetries": {"mirror": (1, -1)}}, marks=pytest.mark.slow)])
 def test_a_mirror_is_imposed_declared_or_not(tmp_path, parts):
     """Starts where phi and r' vanish solve half a period; with them 60 starts (2 s) find all fourteen orbits, the two
     nearly degenerate ones among them that search missed in 6000 (trial of 0.1.0, section 10)."""

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from orbitfinder.atlas.attempt import attempt
-from orbitfinder.atlas.signature import DISTANCE, LOOP_SAMPLES, distance, images, same_orbit, signature_of
+from orbitfinder.atlas.signature import (
+    DISTANCE,
+    LOOP_SAMPLES,
+    Signature,
+    distance,
+    images,
+    in_words,
+    same_orbit,
+    signature_of,
+    turning_points,
+)
 from orbitfinder.atlas.starts import Target, context_of, make_start
 from orbitfinder.integrate.cvodes import build_flow, end_state
 from orbitfinder.mechanics.chain import chain
@@ -32,6 +42,31 @@ def test_the_phase_is_found_between_the_samples(report_orbits, share):
         moved = end_state(build_flow(model), orbit.state, share * orbit.period)
         again = replace(orbit, state=moved, nodes=moved[None], times=np.zeros(0), samples=np.zeros((0, moved.size)))
         assert distance(signature_of(orbit, model), signature_of(again, model)) < DISTANCE / 4
+
+
+def test_turning_points_are_counted(signatures):
+    """A slow swing at twice, three times and never; every image from anywhere on the loop; noise does not turn."""
+    t = np.arange(LOOP_SAMPLES) * 2 * np.pi / LOOP_SAMPLES
+    noise = 1e-14 * np.random.default_rng(0).normal(size=t.size)
+    q = np.array([np.cos(t), np.sin(2 * t) + 0.1, noise, t]).T
+    v = np.array([-np.sin(t), 2 * np.cos(2 * t), noise, 1.0 + 0 * t]).T
+    made = Signature(0.0, 2 * np.pi, 1.0, np.hstack([q, v]), (True,) * 4)
+    assert turning_points(made) == (2, 4, 0, 0)
+    assert turning_points(replace(made, loop=q[:, :3], angles=(False,) * 3))[:2] == (2, 4)
+    for one in [made, *signatures.values()]:
+        for image in images(one.loop, len(one.angles)):
+            moved = replace(one, loop=np.roll(image, LOOP_SAMPLES // 3, axis=0))
+            assert turning_points(moved) == turning_points(one)
+
+
+def test_a_signature_in_words(report_orbits, signatures):
+    """Turns of a running orbit are the same both ways; a hybrid orbit is its events, from the first in the alphabet."""
+    orbit, one = report_orbits["triple-1"], signatures["triple-1"]
+    told = " ".join(map(str, turning_points(one)))
+    assert in_words(orbit, one) == told
+    assert {in_words(replace(orbit, winding=k), one) for k in ((0, -1, 2), (0, 1, -2))} == {f"{told} turns 0 1 -2"}
+    hybrid = replace(orbit, system={"cycle": ["strike", "knee", "strike"]})
+    assert in_words(hybrid, replace(one, arcs=3)) == "knee strike strike"
 
 
 def test_other_orbits_are_other(signatures):

@@ -1,5 +1,6 @@
 """The atlas file: what goes in comes out, the same orbit goes in once, and no accident damages it."""
 
+import csv
 import json
 import os
 import sqlite3
@@ -12,6 +13,7 @@ import pytest
 
 from orbitfinder.atlas import store, tables
 from orbitfinder.atlas.export import exported
+from orbitfinder.atlas.merge import merge_atlases
 from orbitfinder.atlas.signature import LOOP_SAMPLES, Signature, signature_of
 from orbitfinder.atlas.store import Atlas, Filter
 from orbitfinder.errors import InputError
@@ -171,19 +173,64 @@ def test_a_newer_atlas_is_refused_untouched(book):
     assert book.read_bytes() == before
 
 
-def test_an_older_atlas_is_migrated_by_a_writer(tmp_path, triples):
-    path = tmp_path / "old.sqlite"
-    with sqlite3.connect(path) as connection:
-        connection.executescript(tables.MIGRATIONS[0])
-        connection.execute(f"PRAGMA application_id = {tables.APPLICATION}")
-        connection.execute("PRAGMA user_version = 1")
+def older(book, version):
+    """The file as it was in a version: without what later migrations added."""
+    with sqlite3.connect(book) as connection:
+        for column in ("signature", "proof")[: 2 * (version < 3)]:
+            connection.execute(f"ALTER TABLE orbits DROP COLUMN {column}")
+        for index in ("orbits_by_energy", "starts_by_orbit")[: 2 * (version < 2)]:
+            connection.execute(f"DROP INDEX {index}")
+        connection.execute(f"PRAGMA user_version = {version}")
     connection.close()
-    with pytest.raises(InputError, match=rf"version: an atlas of version 1, this orbitfinder reads {tables.VERSION}"):
-        Atlas(path)
-    with Atlas(path, triples[0].system, write=True) as atlas:
+    return book.read_bytes()
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_older_atlas_is_read_as_it_is_and_migrated_by_a_writer(book, triples, version):
+    """Reading leaves the file alone; its signatures are empty in rows, counted for a table, written by `describe`."""
+    with Atlas(book) as atlas:
+        wanted = [row.signature for row in atlas.rows(order="id")]
+    before = older(book, version)
+    with Atlas(book) as atlas:
+        assert [(row.signature, row.proof) for row in atlas.rows()] == [("", "")] * 2
+        assert [one["signature"] for one in csv.DictReader(exported(atlas, "csv").decode().splitlines())] == wanted
+    assert book.read_bytes() == before
+    with Atlas(book, triples[0].system, write=True) as atlas:
         assert atlas.connection.execute("PRAGMA user_version").fetchone()[0] == tables.VERSION
-        assert atlas.add(triples[0]) == (1, True)
-    assert intact(path) == 1
+        assert atlas.add(triples[0]) == (1, False)
+        for row in atlas.rows():
+            atlas.describe(row.id)
+        assert [row.signature for row in atlas.rows(order="id")] == wanted
+    assert intact(book) == 2
+
+
+def test_a_table_that_was_tampered_with_is_refused(book):
+    """A view in place of a column, a table that lacks one."""
+    with sqlite3.connect(book) as connection:
+        connection.execute("ALTER TABLE orbits DROP COLUMN proof")
+    connection.close()
+    with pytest.raises(InputError, match="table 'orbits' is not as orbitfinder makes it; restore a copy"):
+        Atlas(book)
+
+
+def test_a_proof_goes_into_the_row_and_the_document(book, triples):
+    """`describe` keeps the record's digest; a proof that failed is no proof; merging prefers the proved copy."""
+    with Atlas(book, triples[0].system, write=True) as atlas:
+        record = atlas.document(1)["record"]
+        atlas.describe(1, {"proved": False, "reason": "planted"})
+        assert atlas.row(1).proof == ""
+        atlas.describe(1, {"proved": True, "stability": "unstable"})
+        assert atlas.row(1).proof == "unstable" and atlas.row(2).proof == ""
+        assert atlas.document(1)["record"] == record and atlas.orbit(1).proof["stability"] == "unstable"
+        with pytest.raises(InputError, match="id: no orbit 7"):
+            atlas.describe(7)
+    other = book.with_name("other.sqlite")
+    with Atlas(other, triples[0].system, write=True) as atlas:
+        atlas.add(triples[0])
+    for name, pair in (("a.sqlite", (book, other)), ("b.sqlite", (other, book))):
+        merge_atlases(pair, book.with_name(name))
+        with Atlas(book.with_name(name)) as atlas:
+            assert sorted(row.proof for row in atlas.rows()) == ["", "unstable"]
 
 
 def test_a_read_only_atlas_can_be_read_only(book, triples):

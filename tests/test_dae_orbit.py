@@ -175,7 +175,12 @@ def test_five_bar_about_a_saddle_is_unstable():
 
 
 @pytest.mark.parametrize(
-    ("mode", "amplitude", "stability"), [(1, 0.1, "elliptic"), (2, 0.2, "elliptic"), (2, 0.4, "unstable")]
+    ("mode", "amplitude", "stability"),
+    [
+        pytest.param(1, 0.1, "elliptic", marks=pytest.mark.slow),
+        pytest.param(2, 0.2, "elliptic", marks=pytest.mark.slow),
+        (2, 0.4, "unstable"),
+    ],
 )
 def test_six_bar_modes(mode, amplitude, stability):
     """Three degrees of freedom: modes of the hanging equilibrium at growing energy, four multipliers in two pairs."""
@@ -235,7 +240,16 @@ def test_bad_input_is_refused(change, words):
         of.find_orbit(of.Problem(model, of.Guess(change.get("state", [0.7, 0, 0, 1]), 1.7)))
 
 
-@pytest.mark.parametrize("path", sorted(FILES.glob("*.toml")), ids=lambda path: path.stem)
+LONG = {"six-bar-middle-mode", "five-bar-saddle"}
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=[pytest.mark.slow] if path.stem in LONG else [], id=path.stem)
+        for path in sorted(FILES.glob("*.toml"))
+    ],
+)
 def test_linkage_files_certify_and_verify(path, tmp_path):
     """`run` certifies every file in problems/linkages; `verify` agrees from orbit.json alone."""
     result = CliRunner().invoke(main, ["run", str(path), "--out", str(tmp_path), "--no-figures"])

@@ -71,3 +71,12 @@ def test_degrees_in_the_place_of_radians_are_hinted_at():
     with pytest.warns(Hint, match="theta1 = 63 rad is 10 turns; .* 63 degrees are 1.09956 rad"):
         orbit = of.find_orbit(of.Problem(of.chain(1), of.Guess([63.0, 0.0], 1.64), of.pin(theta1=63.0)))
     assert orbit.certificate.passed
+
+
+def test_a_failure_says_that_angles_are_in_rad():
+    problem = of.Problem(of.chain(2), of.Guess([60.0, 0, 0, 0], 2.0), of.pin(energy=-5.0))
+    with (
+        pytest.warns(Hint),
+        pytest.raises(ConvergenceError, match="no orbit found .*; angles are in rad, and 60 degrees are 1.0472 rad"),
+    ):
+        of.find_orbit(problem, of.SolveSettings(max_iterations=2))

@@ -252,6 +252,15 @@ def test_exports(found, tmp_path):
             export_orbit(orbit, to, tmp_path)
 
 
+def test_a_record_without_samples_is_simulated_again(found):
+    """An event at the very end of a step: a record's state alone gives the motion that its samples show."""
+    for name in ("rimless-wheel", "bouncing-ball", "wall-pendulum"):
+        orbit, model = found(name)
+        times, states = sampled(model, orbit.state, orbit.period)
+        assert times[-1] == pytest.approx(orbit.period, rel=1e-12)
+        assert np.allclose(states[-1], orbit.samples[-1], rtol=0, atol=1e-9)
+
+
 def test_samples_go_on_in_time(found, tmp_path):
     """Times of events come twice, never three times, and never go back."""
     orbit, _ = found("kneed-walker")

@@ -1,7 +1,9 @@
 """Importing the package is cheap, and everything it promises is there."""
 
+import copy
 import functools
 import importlib
+import pickle
 import subprocess
 import sys
 import tomllib
@@ -65,7 +67,22 @@ def test_unknown_name_is_an_attribute_error():
 
 def test_a_misspelt_name_is_answered_with_the_one_that_was_meant():
     said = subprocess.run([sys.executable, "-c", "import orbitfinder; orbitfinder.find_orbti"], capture_output=True)
-    assert b"Did you mean: 'find_orbit'?" in said.stderr
+    assert said.stderr.strip().endswith(b"has no attribute 'find_orbti', did you mean 'find_orbit'?")  # and only once
+    with pytest.raises(AttributeError, match="did you mean 'normal_mode'"):
+        _ = orbitfinder.guesses.normal_mod
+
+
+def test_a_misspelt_attribute_is_answered_with_the_one_that_was_meant(pendulum_orbit):
+    """Also what is only a part of the name; with none near, what there is; a copy and a pickle are what they were."""
+    meant = {"multipliers": "floquet_multipliers", "Period": "period", "certificat": "certificate"}
+    for name, right in meant.items():
+        with pytest.raises(AttributeError, match=f"'Orbit' object has no attribute '{name}', did you mean '{right}'"):
+            getattr(pendulum_orbit, name)
+    with pytest.raises(AttributeError, match="'Model' object has no attribute 'dof'; it has system, state_names,"):
+        _ = orbitfinder.chain(1).dof
+    assert not hasattr(pendulum_orbit, "_repr_png_")
+    again = pickle.loads(pickle.dumps(copy.deepcopy(pendulum_orbit)))
+    assert again.period == pendulum_orbit.period and np.array_equal(again.state, pendulum_orbit.state)
 
 
 def test_dir_lists_unloaded_names():

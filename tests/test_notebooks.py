@@ -1,6 +1,7 @@
 """What notebooks show, and that the worked notebooks run."""
 
 import re
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -28,7 +29,7 @@ class Tags(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.open, self.found, self.text = [], [], ""
+        self.open, self.found, self.text, self.source = [], [], "", text
         self.feed(text)
         assert not self.open
 
@@ -144,6 +145,25 @@ def test_pictures_are_well_formed_xml(triple):
     assert [dot.get("fill") for dot in root.iter("circle")][1:] == ["#D55E00", "none", "#D55E00"]
 
 
+def test_what_else_users_hold_says_what_it_is():
+    """A table, and pictures of a guess and a run: of what one line names, balanced and escaped, without empty rows."""
+    model = of.chain(2)
+    problem = of.Problem(model, of.Guess([0.3, -0.2, 0, 0], 1.5), of.pin(energy=-15.0), name="<b>")
+    run = of.simulate(model, [0.3, -0.2, 0, 0], 3.0)
+    (close,) = of.guesses.close_returns(run.times, run.states, model.angles, 1)
+    swept = of.sweep(of.Problem(of.chain(1), of.Guess([0.5, 0], 2.0), of.pin(theta1=0.5)), {"theta1": [0.5]})
+    shown = [
+        (model, "θ₁ (rad), θ₂ (rad)"), (problem, "<b>"), (problem.guess, "1.5"), (problem.count(), "node states"),
+        (run, "time (s)"), (close, f"{close.distance:.9g}"), (of.Refiner(problem), "segments"), (swept, "elliptic"),
+        (of.systems.simplest_walker(0.009), "strike"),
+    ]  # fmt: skip
+    for value, text in shown:
+        tags = Tags(value._repr_html_())
+        assert text in tags.text and len(repr(value)) < 600 and "\n" not in repr(value)
+        assert not any(tag in ("script", "b>") for tag, _ in tags.found)
+    assert problem._repr_html_().count("<svg") == 1 and run._repr_html_().count("<polyline") == 2
+
+
 def test_other_things_and_failures_are_left_to_plain_text(triple, monkeypatch):
     """None tells a notebook to show the repr."""
     assert html(3) is None
@@ -155,6 +175,80 @@ def test_long_mechanisms_stay_small():
     """A hundred joints get fewer frames."""
     places = np.random.default_rng(0).normal(size=(401, 2, 101))
     assert len(svg.moving_mechanism(places, 1.0, "many")) < 300_000
+
+
+@pytest.fixture(scope="module")
+def five_bar():
+    """A linkage along the length of a link: five points and an event, in `results/families`."""
+    whole = of.load_family(ROOT / "results" / "families" / "five-bar-length" / "family.json")
+    return replace(whole, points=whole.points[::9], events=whole.events[3:4])
+
+
+def test_a_family_on_a_stage(five_bar):
+    """Every point and event with its motion at its own length, its numbers and its place on the curve; one scale."""
+    pytest.importorskip("anywidget")
+    stage = five_bar.widget()
+    items = stage.shown["items"]
+    assert len(items) == len(stage.members) == 6 and stage.picked is five_bar.points[0]
+    for one, item in zip(stage.members, items, strict=True):
+        rows = dict(item["rows"])
+        length = one.value if one in five_bar.points else one.parameter
+        assert item["period"] == one.period and float(rows["length3"]) == pytest.approx(length, rel=1e-11)
+        assert min(abs(rod[2] - length) for rod in item["motion"]["rods"]) < 1e-7
+        assert 0 <= item["place"][0] <= svg.WIDTH and 0 <= item["place"][1] <= svg.HEIGHT
+        assert item["portrait"].count("<animate ") == 2 and "<svg" in item["circle"]
+    assert {name for name in stage.keys if not name.startswith("_")} >= {"shown", "index", "playing", "speed"}
+    spans = np.array(stage.shown["frame"]["spans"])
+    assert all(np.all(spans >= 0.999 * np.array(item["motion"]["spans"])) for item in items)
+    stage.index = 5
+    assert stage.picked is five_bar.points[-1]
+    for wrong in ({"index": 6}, {"index": -1}, {"speed": 0.0}, {"speed": float("nan")}):
+        with pytest.raises(of.errors.InputError, match=next(iter(wrong))):
+            stage.set_trait(*next(iter(wrong.items())))
+    with pytest.raises(of.errors.InputError, match="no orbits"):
+        replace(five_bar, points=()).widget()
+
+
+def test_a_stage_shows_the_static_picture_where_no_widget_runs(triple):
+    """GitHub reads text/html; a notebook that runs prefers the view. Nothing of either comes from a network."""
+    pytest.importorskip("anywidget")
+    stage = triple.widget()
+    data, _ = stage._repr_mimebundle_()
+    assert data["text/html"] == triple._repr_html_() and "application/vnd.jupyter.widget-view+json" in data
+    assert (
+        data["text/plain"].startswith("Stage(Orbit(")
+        and dict(stage.shown["items"][0]["rows"])["stability"] == "unstable"
+    )
+    loaded = re.findall(r"https?:[^\"')]*|import[ (]|@import|url\(", stage._esm + stage._css)
+    assert set(loaded) <= {"http://www.w3.org/2000/svg"}
+    assert ":root" not in stage._css and "--link" in stage._css  # the host keeps its own
+
+
+def test_an_orbit_that_no_file_describes_has_a_stage_with_its_numbers(triple):
+    pytest.importorskip("anywidget")
+    bare = replace(triple, system={"kind": "custom"}, times=np.zeros(0), samples=np.zeros((0, 6)))
+    (item,) = bare.widget().shown["items"]
+    assert item["motion"] is None and item["portrait"] == "" and item["period"] == triple.period
+
+
+def test_without_anywidget_a_sentence_names_the_extra(triple, monkeypatch):
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    monkeypatch.delitem(sys.modules, "orbitfinder.studio.widget", raising=False)
+    with pytest.raises(of.errors.InputError, match=r"pip install 'orbitfinder\[notebook\]'"):
+        triple.widget()
+
+
+def test_axes_have_round_numbers_inside_their_range():
+    """At least two and at most so many, whatever the range; the portrait of a motion lies inside its axes."""
+    for low, high in ((0.0, 1.0), (-44.1, 44.09), (0.863, 0.8630001), (-3e-7, 5e-7), (1e5, 3e7), (-8.3, 8.3)):
+        found = svg.ticks(low, high, 5)
+        assert 2 <= len(found) <= 5 and all(low - 1e-9 <= at <= high + 1e-9 for at, _ in found)
+        assert np.ptp(np.diff([at for at, _ in found])) < 1e-6 * (high - low)
+        assert len({text for _, text in found}) == len(found)
+    places = np.column_stack([np.cos(np.arange(60) / 9.4), 5e3 * np.sin(np.arange(60) / 9.4)])
+    tags = Tags(svg.moving_portrait(places, 2.0, ("x (m)", "rate of x (m/s)")))
+    texts = [float(one) for one in re.findall(r">(-?[\d.]+)<", tags.source.replace("\N{MINUS SIGN}", "-"))]
+    assert len(texts) >= 6 and max(texts) <= 5.5e3 and "rate of x (m/s)" in tags.text
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -1,7 +1,9 @@
 """The site in a real browser: it runs, moves, filters, follows clicks, and holds at both widths and themes."""
 
+import json
 import shutil
 import time
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from test_page import NASTY, SHIPPED, material, site  # noqa: F401  (fixtures)
 import orbitfinder as of
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.section import section
+from orbitfinder.records.family import load_family
 from orbitfinder.records.store import load_orbit
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import gather
@@ -513,3 +516,102 @@ def test_lines_of_equal_potential_lie_under_a_motion(browser, potential):
     go(browser, next((potential / "orbits").glob("*.html")))
     wait(browser, "return (orbitfinder.player.scenes[0].lines || []).length === 7")
     assert browser.execute_script("return orbitfinder.player.scenes[0].level") == 0.125
+
+
+# --------------------------------------------------------------------------------------------------
+# The same stage in a notebook: the widget's module mounted on a page that stands for the host.
+
+HOST = """<!doctype html><meta charset="utf-8"><title>a notebook</title><style>{css}</style>
+<body style="font: 14px sans-serif"><main id="host"></main><script type="module">{esm}
+const state = {state}, heard = {{}};
+window.model = {{ get: key => state[key], save_changes() {{}},
+  set(key, value) {{ state[key] = value; (heard["change:" + key] || []).forEach(one => one()); }},
+  on(key, one) {{ (heard[key] = heard[key] || []).push(one); }},
+  off(key, one) {{ heard[key] = heard[key].filter(other => other !== one); }} }};
+window.host = document.getElementById("host");
+window.gone = render({{ model, el: host }});
+</script>"""
+
+
+@pytest.fixture(scope="module")
+def notebook(tmp_path_factory):
+    """A page with the widget of a family, and the family."""
+    pytest.importorskip("anywidget")
+    whole = load_family(SHIPPED.parent / "families" / "five-bar-length" / "family.json")
+    family = replace(whole, points=whole.points[::9], events=whole.events[3:4])
+    stage = family.widget()
+    state = {name: getattr(stage, name) for name in ("shown", "index", "playing", "speed")}
+    page = tmp_path_factory.mktemp("notebook") / "host.html"
+    text = json.dumps(state).replace("<", "\\u003c")
+    page.write_text(HOST.format(css=stage._css, esm=stage._esm, state=text), encoding="utf-8")
+    return page, family
+
+
+def mounted(browser, page, width=900):
+    browser.get_log("browser")
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-reduced-motion", "value": ""}]}
+    )
+    browser.get(page.as_uri())
+    wait(browser, "return window.host && host.orbitfinder && host.orbitfinder.player.frames > 2")
+    return lambda script: browser.execute_script(f"const {{ player, scene }} = host.orbitfinder; {script}")
+
+
+SLIDE = """const s = host.querySelector(`input[aria-label="${arguments[0]}"]`);
+s.value = arguments[1]; s.dispatchEvent(new Event("input"));"""
+
+
+def test_the_widget_slides_keeps_phase_and_scale_and_tells_the_kernel(browser, notebook):
+    page, family = notebook
+    run = mounted(browser, page)
+    loaded = run("return performance.getEntriesByType('resource').map(one => one.name)")
+    assert browser.get_log("browser") == [] and loaded == []
+    find(browser, "#host button").click()
+    assert run("return [player.playing, model.get('playing')]") == [False, False]
+    browser.execute_script(SLIDE, "time", 300)
+    wait(browser, "return !host.orbitfinder.player.stale")
+    seen = """const one = selector => host.querySelector(selector);
+        return [player.time / scene.motion.period, scene.scale, one('canvas').toDataURL(),
+        [...scene.motion.at(player.time)], one('.of-diagram circle:last-child').getAttribute('cx'),
+        [...host.querySelectorAll('tr')].map(row => row.textContent),
+        host.querySelectorAll('svg')[1].getCurrentTime()]"""
+    first = run(seen)
+    browser.execute_script(SLIDE, "along the family", 5)
+    wait(browser, "return !host.orbitfinder.player.stale")
+    last = run(seen)
+    assert first[0] == pytest.approx(0.3) and last[0] == pytest.approx(0.3) and first[1] == last[1] > 0
+    assert first[2] != last[2] and max(abs(a - b) for a, b in zip(first[3], last[3], strict=True)) > 0.05
+    assert float(last[4]) > float(first[4]) and run("return model.get('index')") == 5
+    assert last[5][0] == f"period{family.points[-1].period:.12g} s"
+    assert last[6] == pytest.approx(0.3 * family.points[-1].period, rel=1e-3)
+    wanted = find(browser, "#host .of-diagram").rect
+    browser.execute_script("model.set('index', 0); model.set('speed', 0.25); model.set('playing', true)")
+    assert run("return [host.orbitfinder.picked(), player.speed, player.playing]") == [0, 0.25, True]
+    browser.execute_script(
+        "const e = {clientX: arguments[0], clientY: arguments[1], bubbles: true};"
+        "host.querySelector('.of-diagram svg').dispatchEvent(new MouseEvent('click', e));",
+        wanted["x"] + wanted["width"] - 20, wanted["y"] + 150,
+    )  # fmt: skip
+    assert run("return model.get('index')") == 5
+
+
+@pytest.mark.parametrize("width", [360, 900])
+def test_the_widget_takes_the_colours_of_its_host_and_leaves_nothing_behind(browser, notebook, width):
+    run = mounted(browser, notebook[0], width)
+    link = "return [host.firstChild.dataset.theme, getComputedStyle(scene.canvas).getPropertyValue('--link').trim()]"
+    assert run(link) == ["light", "#0072b2"] and ask(browser, "overflow") == []
+    assert [text for text in ask(browser, "texts") if text[0] < 4.5] == []
+    assert run("return getComputedStyle(document.documentElement).getPropertyValue('--link')") == ""
+    browser.execute_script("document.body.style.background = '#111'; document.body.style.color = '#eee'")
+    wait(browser, "return host.firstChild.dataset.theme === 'dark'")
+    assert run(link) == ["dark", "#56b4e9"]
+    assert [text for text in ask(browser, "texts") if text[0] < 4.5] == []
+    blue = """const c = scene.canvas, d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let n = 0;
+        for (let k = 0; k < d.length; k += 4) n += d[k] === 0x56 && d[k + 1] === 0xb4 && d[k + 2] === 0xe9; return n"""
+    wait(browser, f"const {{ scene }} = host.orbitfinder; {blue} > 50")
+    assert ask(browser, "nameless") == []
+    frames = run("gone(); return player.frames")
+    time.sleep(0.2)
+    assert run("return player.frames") == frames

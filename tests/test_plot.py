@@ -99,7 +99,9 @@ def test_titles_are_text_and_never_clipped(orbit, title):
         drawn(make(replace(orbit, title=title), model))
 
 
-@pytest.mark.parametrize("links", [1, 4, 9, 20, 40])
+@pytest.mark.parametrize(
+    "links", [1, 4, pytest.param(9, marks=pytest.mark.slow), 20, pytest.param(40, marks=pytest.mark.slow)]
+)
 def test_any_number_of_links(orbit, links, tmp_path):
     model = chain(links)
     times = np.linspace(0, 1, 65)

@@ -85,8 +85,15 @@ def at_work(leader, seconds=1.5):
 proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 
 
-@pytest.mark.parametrize("way", ["installed", "module"])
-@pytest.mark.parametrize("command", ["search", "run"])
+@pytest.mark.parametrize(
+    ("command", "way"),
+    [
+        ("run", "module"),
+        ("search", "installed"),
+        pytest.param("run", "installed", marks=pytest.mark.slow),
+        pytest.param("search", "module", marks=pytest.mark.slow),
+    ],
+)
 def test_modules_in_the_current_folder_are_not_run(tmp_path, command, way):
     """A stranger's struct.py beside a problem file is not the library's; the workers' first imports are tried too."""
     for name in PLANTED:
@@ -115,8 +122,15 @@ def test_a_matplotlibrc_of_the_current_folder_is_not_read(tmp_path):
 
 
 @proc
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-@pytest.mark.parametrize("command", ["search", "run"])
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [
+        ("search", signal.SIGKILL),
+        ("run", signal.SIGTERM),
+        pytest.param("search", signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param("run", signal.SIGKILL, marks=pytest.mark.slow),
+    ],
+)
 def test_workers_do_not_outlive_their_parent(tmp_path, number, command):
     words = {
         "run": ("run", *problems(tmp_path, 60), "--jobs", 2, "--no-figures", "--out", tmp_path / "o"),

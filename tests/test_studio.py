@@ -24,10 +24,11 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.mechanics.model import energy, positions
 from orbitfinder.orbits.certify import certify
 from orbitfinder.orbits.find import find_orbit
+from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import load_family
 from orbitfinder.records.store import load_orbit
-from orbitfinder.studio.films import draggable, pose, view
-from orbitfinder.studio.plots import clicked
+from orbitfinder.studio.films import draggable, pose, pullable, view
+from orbitfinder.studio.plots import clicked, section_figure
 from orbitfinder.studio.serve import free_port
 from orbitfinder.studio.session import Session, leaving, opened, parameters
 from orbitfinder.studio.tasks import Return, Tasks
@@ -156,7 +157,7 @@ def test_what_a_chain_shows_can_be_dragged():
     "file, message",
     [
         ("thing.py", "the studio runs no Python files"),
-        ("atlas.json", "the studio opens a problem file, an orbit.json or a family.json"),
+        ("atlas.json", "the studio opens a problem file, an orbit.json, a family.json or an atlas"),
         ("missing.toml", "missing.toml"),
     ],
 )
@@ -229,6 +230,100 @@ def test_a_family_whose_process_was_killed_is_kept_as_far_as_it_came(tasks, sess
     session.save()
     assert len(load_family(session.out / "part" / "family.json").points) == 2
     assert leaving(family) == {}
+
+
+def test_a_section_starts_motions_at_its_energy_and_shows_where_the_orbit_crosses(tasks, monkeypatch):
+    monkeypatch.setattr("orbitfinder.studio.tasks.SEEDS", 4)
+    monkeypatch.setattr("orbitfinder.studio.tasks.CROSSINGS", 6)
+    orbit = find_orbit(_swing())
+    model, cut = chain(2), tasks.cut(dict(orbit.system), orbit.energy, orbit)
+    section = cut.section
+    assert section.energy == orbit.energy and section.returns == 24 and len(cut.crossings) == 1
+    assert [energy(model, one) for one in section.states] == pytest.approx([orbit.energy] * 24, rel=1e-9)
+    moment = np.abs(orbit.samples[:, 0]).argmin()  # one of the two times at which theta1 = 0
+    assert abs(cut.crossings[0, 0]) == pytest.approx(abs(orbit.samples[moment, 1]), abs=0.02)
+    figure = section_figure(cut, False)
+    assert len(figure["data"][0]["x"]) == 24 and figure["data"][1]["x"] == cut.crossings[:, 0].tolist()
+    native = load_problem(ROOT / "problems" / "linkages" / "four-bar-rocking.toml").model
+    with pytest.raises(InputError, match="systems under constraints have no section"):
+        tasks.cut(dict(native.system), -10.0, None)
+
+
+def test_a_search_that_is_killed_keeps_what_it_found_and_goes_on(tasks, session, tmp_path, monkeypatch):
+    """The command line repeats it: the same orbits under the same ids."""
+    from orbitfinder.atlas.store import Atlas
+
+    class KilledError(Exception):
+        pass
+
+    def die(at):
+        if at.starts >= 2:
+            raise KilledError
+
+    monkeypatch.setattr("orbitfinder.studio.tasks.SPEAK_EVERY", 0.0)
+    taken, level = set(), energy(session.model, np.array([0.5, 1.0, 0.0, 0.0]))
+    name, file = session.search([0.5, 1.0, 0.0, 0.0], (0.7, 3.0), level, taken)
+    assert (name, file) == session.search([0.1, 0.1, 0.0, 0.0], (0.7, 3.0), level, taken)
+    asked = dict(session.model.system), level, (0.7, 3.0)
+    with pytest.raises(KilledError):
+        Tasks(die).searched(*asked, 60.0, file)
+    assert tasks.searched(*asked, 0.5, file) >= 3  # it went on
+    item = session.keep_atlas(name)
+    assert item.atlas and session.save() == [] and session.tree()[0]["label"].startswith(f"{name}: an atlas of ")
+    number = item.atlas[0].id
+    found = tasks.opened(Path(f"{file}#{number}"))
+    assert certify(found.orbit).passed and found.film
+    member = session.keep_member(item, number, found.orbit)
+    family = tasks.followed(member.file, "energy", 1, f"{member.name}-energy", session.folder)
+    session.keep_family(family, member.name, 1)
+    session.save()
+    monkeypatch.chdir(tmp_path)
+    for line in session.commands():
+        result = CliRunner().invoke(cli, shlex.split(line)[1:])
+        assert result.exit_code == 0, result.output
+    with Atlas(file) as mine, Atlas(f"again-{name}.sqlite") as theirs:
+        assert mine.rows() == theirs.rows()
+    one, other = (load_family(place / family.name / "family.json") for place in (session.out, tmp_path / "again"))
+    assert np.abs(one.values("period") / other.values("period") - 1).max() < 1e-12
+    shown = opened(file)
+    assert shown.atlas == file and shown.model.system == session.model.system
+    assert opened(Path(f"{file}#{number}")).orbit is not None
+    with Atlas(tmp_path / "empty.sqlite", session.model.system, write=True):
+        pass
+    with pytest.raises(InputError, match="the atlas is empty"):
+        opened(tmp_path / "empty.sqlite")
+
+
+@pytest.mark.parametrize(
+    "file, pulls",
+    [("hybrid/bouncing-ball", False), ("control/cart-pole-cycle", True), ("linkages/four-bar-rocking", True),
+     ("robots/a1-leg", True), ("mechanisms/furuta", True)],
+)  # fmt: skip
+def test_every_kind_of_system_opens_runs_and_is_found_by_its_own_file(tasks, tmp_path, file, pulls):
+    given = opened(ROOT / "problems" / f"{file}.toml")
+    run = tasks.simulated(dict(given.model.system), given.state.tolist(), given.duration / 8)
+    assert run.film["count"] > 1
+    points = pullable(given.model, given.state)
+    assert bool(points) == pulls
+    (tmp_path / "tab").mkdir()
+    name, copy = Session(given, tmp_path / "tab", tmp_path / "out").own_problem(set())
+    again = load_problem(copy)  # its robot's description is found from elsewhere, too
+    assert again.name == name and again.model.system["kind"] == given.model.system["kind"]
+    if pulls:
+        there = positions(given.model, given.state[None])[0, :, points[-1]]
+        state, film = tasks.pulled(dict(given.model.system), given.state.tolist(), points[-1], (there + 0.01).tolist())
+        assert film["moving"] == [] and np.isfinite(state).all()
+        system = dict(given.model.system)
+        assert tasks.later(system, state, 0.0) == state and np.isfinite(tasks.later(system, state, 0.01)).all()
+
+
+def test_a_linkage_without_a_guess_is_put_together(tmp_path):
+    text = (ROOT / "problems" / "linkages" / "four-bar-rocking.toml").read_text()
+    table = text[text.index("[system]") : text.index("[guess]")]
+    file = tmp_path / "bare.toml"
+    file.write_text(f'name = "bare"\n{table}\n[search]\nperiod = [0.5, 2.0]\nenergy = -10.0\n')
+    given = opened(file)
+    assert given.guess is None and given.model.constraint is None and np.isfinite(given.state).all()
 
 
 # ---------------------------------------------------------------------- in a browser

@@ -1,5 +1,5 @@
 """What belongs to the process and not to a computation: streams, signals, locks, processes, the version."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 PROCESSORS = "ORBITFINDER_PROCESSORS"
 """Environment variable: how many processors one process may keep busy; processes of ours get one"""

@@ -83,6 +83,7 @@ MADE_BY = {
     "Baumgarte": "Baumgarte(alpha, beta) makes one",
     "Family": "follow_family(origin) makes one, load_family(path) reads one",
     "Event": "family.events[k] is one",
+    "Controller": "stabilise(orbit) designs one, load_controller(path) reads one",
     "FamilySettings": "FamilySettings(directions=...) makes them",
     "SolveSettings": "SolveSettings(max_iterations=...) makes them",
     "IntegratorSettings": "IntegratorSettings(relative_tolerance=...) makes them",

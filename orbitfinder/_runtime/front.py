@@ -22,8 +22,11 @@ def door(
 
     def getattr_(name: str) -> Any:
         if name not in names:
-            said = gone.get(name) or f"module {package!r} has no attribute {name!r}"
-            raise AttributeError(said, name=name, obj=module)  # Python adds what may have been meant
+            from orbitfinder.errors import closest  # noqa: PLC0415 - NumPy; names must cost nothing
+
+            meant = "" if name.startswith("_") else closest(name, names)
+            said = gone.get(name) or f"module {package!r} has no attribute {name!r}{meant}"
+            raise AttributeError(said, name=name, obj=None)  # or Python says once more what may have been meant
         value = fronted(load(name), package)
         setattr(module, name, value)
         return value

@@ -1,22 +1,28 @@
 """How values are shown: one line in a terminal, and in a notebook orbits, certificates, families and atlases drawn.
 
 Those classes live on lower floors than the pictures. So `orbitfinder/__init__.py` says here which module draws, the
-classes ask `html` in their `_repr_html_`, and the module is loaded when something is shown for the first time.
+classes are `Shown` and ask `html`, and the module is loaded when something is shown for the first time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 _drawing: list[str] = []
-"""Name of the module whose `html(value)` draws; empty until the package's front door has said so."""
+"""Names of the modules whose `html(value)` draws and whose `stage(value)` makes a widget; empty until the package's
+front door has said so."""
 
 
-def drawn_by(module: str) -> None:
-    """Let `module.html` draw from now on."""
-    _drawing[:] = [module]
+def drawn_by(module: str, staged: str) -> None:
+    """Let `module.html` draw from now on, and `staged.stage` make widgets."""
+    _drawing[:] = [module, staged]
+
+
+def stage(value: Any) -> Any:
+    """The widget of an orbit or a family. Raises `InputError` where the extra is missing."""
+    return import_module(_drawing[1]).stage(value)
 
 
 def html(value: Any) -> str | None:
@@ -30,6 +36,47 @@ LONGEST = 60
 """characters of one attribute in a line"""
 
 
+class Shown:
+    """A value that users see: HTML in a notebook, and a misspelt attribute answered with the one that was meant."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str | None:
+        """How a notebook shows it."""
+        return html(self)
+
+    if not TYPE_CHECKING:  # type checkers know which attributes there are
+
+        def __getattr__(self, name: str) -> Any:
+            kind = type(self)
+            fields = [one for one in getattr(kind, "__dataclass_fields__", ()) if not one.startswith("_")]
+            known = [*fields, *(one for one in dir(kind) if not one.startswith("_") and one not in fields)]
+            if name in known:  # Python comes here when a property fails, and has forgotten why
+                raise AttributeError(f"{kind.__name__}: {name} could not be computed")
+            said = f"{kind.__name__!r} object has no attribute {name!r}"
+            if not name.startswith("_"):
+                from orbitfinder.errors import closest  # noqa: PLC0415 - NumPy; importing must cost nothing
+
+                whole = [one for one in known if name in one.split("_")]  # floquet_multipliers for multipliers
+                said += closest(name, whole or known) or f"; it has {', '.join(known[:MOST])}"
+            raise AttributeError(said, name=name, obj=None)
+
+
+MOST = 16
+"""Attributes that a message lists"""
+
+
+_names: dict[Callable[[Any], str], tuple[str, ...]] = {}
+"""The attributes that each `brief` shows"""
+
+
+def facts(value: Any) -> list[tuple[str, str]]:
+    """What the one line of a value names, and the texts."""
+    names = _names.get(type(value).__repr__, ())
+    found = [(name.replace("_", " "), _short(getattr(value, name, None)).strip("'")) for name in names]
+    return [(name, text) for name, text in found if text not in ("", "nan")]
+
+
 def brief(*names: str) -> Callable[[Any], str]:
     """A `__repr__` of one line: the class and these of its attributes, long ones by their size."""
 
@@ -38,6 +85,7 @@ def brief(*names: str) -> Callable[[Any], str]:
         said = ", ".join(f"{name}={value}" for name, value in found.items() if value not in ("", "nan"))
         return f"{type(self).__name__}({said})"
 
+    _names[text] = names
     return text
 
 

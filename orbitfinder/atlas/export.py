@@ -7,8 +7,30 @@ import io
 import json
 from typing import Any
 
-from orbitfinder.atlas.store import Atlas, Filter, named_state
+from orbitfinder.atlas.signature import in_words
+from orbitfinder.atlas.store import Atlas, Filter, Row, named_state
 from orbitfinder.errors import InputError
+from orbitfinder.records.orbit import orbit_from_document
+
+FIELDS = {
+    "id": ("", "number of the orbit in the atlas, which it keeps"),
+    "energy": ("J", "energy; of first-order systems their first invariant, empty where nothing is conserved"),
+    "period": ("s", "minimal period"),
+    "action": ("J s", "integral of momentum dq over a period; of first-order systems of |x'|^2"),
+    "symmetry": ("", "none, brake, reflection, reversal, brake+reflection, or one that the system declares"),
+    "stability": ("", "elliptic, unstable, marginal or asymptotically stable, by the Floquet multipliers"),
+    "instability": ("1", "largest magnitude of a non-trivial Floquet multiplier"),
+    "closure": ("1", "gap round the loop by the certifying integrator, largest component, in the state's units"),
+    "pair_defect": ("1", "max |mu_i mu_j - 1| over reciprocal pairs of multipliers: their error bar"),
+    "strategy": ("", "how the start that found it was made"),
+    "seed": ("", "seed of its search"),
+    "start": ("", "number of that start"),
+    "signature": ("", "turning points of each coordinate in a period, whole turns after `turns`; events of a hybrid"),
+    "floquet_multipliers": ("1", "the non-trivial ones, JSON list of [real, imaginary]"),
+    "proof": ("", "stability proved with the orbit's existence in ball arithmetic; empty where not attempted"),
+}
+"""Columns of the table: unit and meaning. The state at t = 0 stands before `strategy`, a column a component."""
+STATE = ("rad or m, and 1/s", "component of the state at t = 0: coordinates, then rates; the system's own units")
 
 
 def exported(atlas: Atlas, kind: str, chosen: Filter | None = None) -> bytes:
@@ -16,24 +38,26 @@ def exported(atlas: Atlas, kind: str, chosen: Filter | None = None) -> bytes:
     if kind == "json":
         return (json.dumps(list(atlas.documents(chosen)), indent=1, allow_nan=False) + "\n").encode()
     states = atlas.model.state_names
-    rows = [flat(row.id, row.instability, atlas.document(row.id), states) for row in atlas.rows(chosen)]
+    rows = [flat(atlas, row, states) for row in atlas.rows(chosen)]
     names = list(flat_names(states))
-    return as_csv(names, rows) if kind == "csv" else as_parquet(names, rows)
+    return as_csv(names, rows) if kind == "csv" else as_parquet(names, rows, json.dumps(atlas.system, sort_keys=True))
 
 
 def flat_names(state_names: tuple[str, ...]) -> tuple[str, ...]:
     """Columns of the table."""
-    return (
-        "id", "energy", "period", "action", "symmetry", "stability", "instability", "closure", "pair_defect",
-        *state_names, "strategy", "seed", "start",
-    )  # fmt: skip
+    names = list(FIELDS)
+    place = names.index("strategy")
+    return (*names[:place], *state_names, *names[place:])
 
 
-def flat(number: int, instability: float, document: dict[str, Any], state_names: tuple[str, ...]) -> dict[str, Any]:
+def flat(atlas: Atlas, row: Row, state_names: tuple[str, ...]) -> dict[str, Any]:
     """One row: numbers in SI units and rad, the state at t = 0 and where the orbit came from."""
+    document = atlas.document(row.id)
     origin = dict(document.get("provenance") or {})
-    known = document | {"id": number, "instability": instability, "strategy": origin.get("strategy", "")}
+    known = vars(row) | document | {"strategy": origin.get("strategy", ""), "proof": row.proof}
     known |= {"seed": origin.get("seed"), "start": origin.get("index")}
+    known["floquet_multipliers"] = json.dumps(document["floquet_multipliers"])
+    known["signature"] = row.signature or in_words(orbit_from_document(document), atlas.signature(row.id))
     known |= named_state(document, state_names)
     return {name: known[name] for name in flat_names(state_names)}
 
@@ -47,14 +71,20 @@ def as_csv(names: list[str], rows: list[dict[str, Any]]) -> bytes:
     return text.getvalue().encode()
 
 
-def as_parquet(names: list[str], rows: list[dict[str, Any]]) -> bytes:
-    """A Parquet file. Raises `InputError` without the extra `parquet`."""
+def as_parquet(names: list[str], rows: list[dict[str, Any]], system: str) -> bytes:
+    """A Parquet file that says the system (JSON), and the unit and meaning of each column, in its metadata.
+
+    Raises `InputError` without the extra `parquet`.
+    """
     try:
         import pyarrow  # noqa: PLC0415  an extra
         from pyarrow import parquet  # noqa: PLC0415  an extra
     except ImportError as error:
         raise InputError("kind: parquet needs pyarrow; pip install 'orbitfinder[parquet]', or use csv") from error
-    columns = {name: [row[name] for row in rows] for name in names}
+    table = pyarrow.table({name: [row[name] for row in rows] for name in names})
+    told = {name: dict(zip(("unit", "meaning"), FIELDS.get(name, STATE), strict=True)) for name in names}
+    fields = [table.schema.field(name).with_metadata(told[name]) for name in names]
+    fields = [one.with_type("float64") if pyarrow.types.is_null(one.type) else one for one in fields]
     sink = io.BytesIO()
-    parquet.write_table(pyarrow.table(columns), sink)
+    parquet.write_table(table.cast(pyarrow.schema(fields, {"system": system})), sink)
     return sink.getvalue()

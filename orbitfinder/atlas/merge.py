@@ -63,6 +63,7 @@ class _Entry:
     orphan: bool
     birth: Birth | tuple[()]
     numbers: tuple[float, float, float]
+    unproved: bool
     digest: bytes
     book: int
     number: int
@@ -136,15 +137,19 @@ def _entries(k: int, book: Atlas) -> Iterator[_Entry]:
         [int, int, int], "SELECT orbit, search, number FROM starts WHERE outcome = 'new' AND orbit IS NOT NULL"
     ):
         born[orbit] = min(born.get(orbit, (requests[search], number)), (requests[search], number))
-    kinds = [int, float, float, float, int, int, bytes]
-    question = "SELECT id, energy, period, action, period_bin, action_bin, document FROM orbits WHERE id = ?"
+    kinds = [int, float, float, float, int, int, str, bytes]
+    question = "SELECT id, energy, period, action, period_bin, action_bin, proof, document FROM orbits WHERE id = ?"
     for (number,) in book.select([int], "SELECT id FROM orbits"):
-        ((_, *numbers, first, second, document),) = book.select(kinds, question, [number])
+        ((_, *numbers, first, second, proof, document),) = book.select(kinds, question, [number])
         birth, digest = born.get(number, ()), hashlib.sha256(document).digest()
-        yield _Entry(not birth, birth, tuple(numbers), digest, k, number, (first, second))  # type: ignore[arg-type]
+        where = k, number, (first, second)
+        yield _Entry(not birth, birth, tuple(numbers), not proof, digest, *where)  # type: ignore[arg-type]
 
 
-COLUMNS = "period_bin, action_bin, energy, period, action, symmetry, stability, instability, closure, document"
+COLUMNS = (
+    "period_bin, action_bin, energy, period, action, symmetry, stability, instability, closure, signature, proof, "
+    "document"
+)
 
 
 def _orbits(out: Atlas, books: Sequence[Atlas], entries: Sequence[_Entry]) -> dict[tuple[int, int], int]:

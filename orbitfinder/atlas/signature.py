@@ -37,6 +37,8 @@ DISTANCE = 5e-3
 """Loops of one orbit lie over each other to this, relative to the motion's extent; interpolated rates err by 1e-3."""
 PHASE_STEPS = 4
 """Gauss-Newton steps in aligning two loops."""
+LEAST_TURN = 1e-6
+"""A coordinate turns back where its rate changes its sign by more than this, in units of the largest rate."""
 BIN = 1e-6
 """Width of the bins of asinh(period) and asinh(action) that the atlas is indexed by; wider than `AGREEMENT`."""
 
@@ -66,6 +68,34 @@ class Signature:
     def bins(self) -> tuple[int, int]:
         """Quantised period and action: the key of the look-up, with its neighbours."""
         return quantised(self.period), quantised(self.action)
+
+
+def turning_points(signature: Signature) -> tuple[int, ...]:
+    """How often each coordinate (n) of a smooth orbit turns back in a period, of a first-order system each component.
+
+    The numbers are the same for every image of a loop: signs of the rates at `LOOP_SAMPLES` times, round the loop.
+    """
+    n, loop = len(signature.angles), signature.loop
+    rates = loop[:, n:]
+    if not rates.size:
+        rates = wrapped(np.roll(loop, -1, axis=0) - loop, signature.angles)
+        scale = np.abs(rates).max(axis=0)
+    else:
+        scale = _extents(loop, signature.angles)[n:]
+    moving = [one[np.abs(one) > LEAST_TURN * unit] for one, unit in zip(rates.T, scale, strict=True)]
+    return tuple(int(np.sum(np.sign(one) != np.sign(np.roll(one, 1)))) for one in moving)
+
+
+def in_words(orbit: Orbit, signature: Signature) -> str:
+    """The symbolic signature of an orbit: turning points of its coordinates, and whole turns where there are any, such
+    as `2 4` or `0 2 turns 1 0`; of a hybrid orbit its events, begun where that comes first in the alphabet.
+    """
+    if signature.arcs:
+        events = list(orbit.system["cycle"])
+        return " ".join(min(events[k:] + events[:k] for k in range(len(events))))
+    told = " ".join(map(str, turning_points(signature)))
+    whole = max(orbit.winding, tuple(-k for k in orbit.winding))
+    return told + (f" turns {' '.join(map(str, whole))}" if any(whole) else "")
 
 
 def quantised(value: float) -> int:

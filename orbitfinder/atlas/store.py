@@ -14,8 +14,8 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from orbitfinder._runtime.arguments import checked
-from orbitfinder._runtime.notebook import brief, html
-from orbitfinder.atlas.signature import Signature, neighbours, same_orbit, signature_of
+from orbitfinder._runtime.notebook import Shown, brief, html
+from orbitfinder.atlas.signature import Signature, in_words, neighbours, same_orbit, signature_of
 from orbitfinder.atlas.tables import connect, explained, transaction
 from orbitfinder.errors import InputError, closest
 from orbitfinder.loops.symmetry import SYMMETRIES
@@ -45,7 +45,11 @@ SAME_ENERGY = 1e-9
 
 @dataclass(frozen=True)
 class Row:
-    """One line of an atlas: an orbit in a few numbers (SI units), `instability` its largest |multiplier|."""
+    """One line of an atlas: an orbit in a few numbers (SI units), `instability` its largest |multiplier|.
+
+    `signature` says how often each coordinate turns back in a period (see `signature.in_words`), `proof` the stability
+    that is proved of it; "" where that was not asked.
+    """
 
     id: int
     energy: float
@@ -55,9 +59,12 @@ class Row:
     stability: str
     instability: float
     closure: float
+    signature: str
+    proof: str
 
 
 COLUMNS = tuple(Row.__dataclass_fields__)
+LINES = f"SELECT {', '.join(COLUMNS)} FROM orbits"
 ALIKE_ENERGY = "CAST(printf('%.9g', energy) AS REAL)"
 """What rows are sorted by: energies that differ by round-off are one"""
 
@@ -116,7 +123,7 @@ def check_range(name: str, limits: Sequence[float]) -> None:
         raise InputError(f"{name}: must be two increasing numbers, got {limits!r}; give (low, high)")
 
 
-class Atlas:
+class Atlas(Shown):
     """Orbits in an SQLite file, at `path`. Open to read by default; a context manager.
 
     `system` (the description in `Model.system`) must be given to write, and must be that of the
@@ -215,18 +222,29 @@ class Atlas:
         if not set(words) <= {*COLUMNS, "DESC"}:
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
+        question = f"{LINES} WHERE {condition} ORDER BY {order}, id"
         told = re.sub(r"\benergy\b", ALIKE_ENERGY, order)
         question = f"SELECT {', '.join(COLUMNS)} FROM orbits WHERE {condition} ORDER BY {told}, id"
         return [Row(*entry) for entry in self.select(list(get_type_hints(Row).values()), question, values)]
+
+    def row(self, number: int) -> Row:
+        """The line of one orbit, by its id."""
+        found = self.select(list(get_type_hints(Row).values()), f"{LINES} WHERE id = ?", [int(number)])
+        if not found:
+            raise self._missing(number)
+        return Row(*found[0])
 
     def document(self, number: int) -> dict[str, Any]:
         """The orbit.json document of an orbit by its id."""
         rows = self.select([bytes], "SELECT document FROM orbits WHERE id = ?", [int(number)])
         if not rows:
-            last = self.select([int], "SELECT coalesce(max(id), 0) FROM orbits")[0][0]
-            known = f"ids are from 1 to {last}" if last else "the atlas is empty"
-            raise InputError(f"{self.path}: id: no orbit {number}, {known}; list them with orbitfinder atlas list")
+            raise self._missing(number)
         return unpacked(rows[0][0], f"{self.path}: orbit {number}")
+
+    def _missing(self, number: int) -> InputError:
+        last = self.select([int], "SELECT coalesce(max(id), 0) FROM orbits")[0][0]
+        known = f"ids are from 1 to {last}" if last else "the atlas is empty"
+        return InputError(f"{self.path}: id: no orbit {number}, {known}; list them with orbitfinder atlas list")
 
     def orbit(self, number: int) -> Orbit:
         """An orbit by its id, certificate included; its dense samples are left out."""
@@ -269,15 +287,24 @@ class Atlas:
         periods, actions = signature.bins
         numbers = [
             periods, actions, signature.energy, orbit.period, orbit.action, orbit.symmetry, orbit.stability,
-            float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, packed(orbit),
+            float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, in_words(orbit, signature),
+            proved(orbit.proof), packed(orbit),
         ]  # fmt: skip
         cursor = self.connection.execute(
             "INSERT INTO orbits (period_bin, action_bin, energy, period, action, symmetry, stability, instability, "
-            "closure, document) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            f"closure, signature, proof, document) VALUES ({', '.join('?' * len(numbers))})",
             numbers,
         )
         assert cursor.lastrowid is not None
         return cursor.lastrowid
+
+    def describe(self, number: int, proof: Mapping[str, Any] | None = None) -> None:
+        """Write the signature of a stored orbit again, which atlases made before 0.2 lack, and a proof of it."""
+        document = self.document(number) | ({} if proof is None else {"proof": dict(proof)})
+        orbit = orbit_from_document(document)
+        values = [in_words(orbit, self.signature(number)), proved(orbit.proof), compressed(document), number]
+        with explained(self.path), transaction(self.connection):
+            self.connection.execute("UPDATE orbits SET signature = ?, proof = ?, document = ? WHERE id = ?", values)
 
     def add(self, orbit: Orbit) -> tuple[int, bool]:
         """The id of an orbit, and True when it was new to this atlas."""
@@ -304,8 +331,17 @@ def load_orbit(path: str | Path) -> Orbit:
 
 def packed(orbit: Orbit) -> bytes:
     """The orbit.json document of an orbit, compressed."""
-    text = json.dumps(orbit_to_document(orbit), separators=(",", ":"), allow_nan=False)
-    return zlib.compress(text.encode(), 9)
+    return compressed(orbit_to_document(orbit))
+
+
+def compressed(document: Mapping[str, Any]) -> bytes:
+    """A document as an atlas keeps it."""
+    return zlib.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), 9)
+
+
+def proved(proof: Mapping[str, Any] | None) -> str:
+    """The stability that a proof of an orbit's existence decides ("linearly stable", ..., "open"), "" without one."""
+    return str(proof["stability"]) if proof and proof.get("proved") is True and "stability" in proof else ""
 
 
 def unpacked(data: bytes, where: str) -> dict[str, Any]:

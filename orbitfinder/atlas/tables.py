@@ -13,6 +13,7 @@ import sqlite3
 import stat
 import time
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,11 @@ LISTING = """
 CREATE INDEX orbits_by_energy ON orbits (energy, period);
 CREATE INDEX starts_by_orbit ON starts (orbit);
 """
-MIGRATIONS: tuple[str, ...] = (BASE, LISTING)
+DESCRIBED = """
+ALTER TABLE orbits ADD COLUMN signature TEXT NOT NULL DEFAULT '';
+ALTER TABLE orbits ADD COLUMN proof TEXT NOT NULL DEFAULT '';
+"""
+MIGRATIONS: tuple[str, ...] = (BASE, LISTING, DESCRIBED)
 """Scripts that raise the version by one each; a published one is never edited, only followed by another."""
 VERSION = len(MIGRATIONS)
 OURS = ("about", "orbits", "searches", "starts", "orbits_by_signature", "orbits_by_energy", "starts_by_orbit")
@@ -67,6 +72,7 @@ OURS = ("about", "orbits", "searches", "starts", "orbits_by_signature", "orbits_
 def connect(path: Path, write: bool) -> sqlite3.Connection:
     """A connection to an atlas of this version; a new file is made, an older one migrated, only to write.
 
+    An older one is read as a copy in memory that has been migrated.
     Raises `InputError` for files that are missing, not an atlas, newer than this program or unusable.
     """
     with explained(path):
@@ -106,17 +112,19 @@ def _reading(path: Path) -> sqlite3.Connection:
 
 
 def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
-    """The connection, if its file is an atlas of this version."""
+    """The connection, or one to a migrated copy in memory, if its file is an atlas."""
     try:
         found = _version(path, connection)
         if found == 0:
             raise InputError(f"{path}: empty, not an atlas yet; make one with orbitfinder search")
-        if found < VERSION:
-            raise InputError(
-                f"{path}: version: an atlas of version {found}, this orbitfinder reads {VERSION}; "
-                "update it by any search into it (orbitfinder search FILE --starts 0 --atlas ...)"
-            )
-        return connection
+        if found == VERSION:
+            return connection
+        with contextlib.closing(connection):
+            copy = sqlite3.connect(":memory:", isolation_level=None)
+            copy.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_FILE)
+            connection.backup(copy)
+        _migrate(copy, found)
+        return copy
     except BaseException:
         connection.close()
         raise
@@ -150,8 +158,7 @@ def _version(path: Path, connection: sqlite3.Connection) -> int:
 
 def _check_schema(path: Path, made: Sequence[tuple[Any, ...]], version: int) -> None:
     """`InputError` unless the tables are those that the migrations make: no view computes, no trigger acts."""
-    statements = [one for script in MIGRATIONS[:version] for one in script.split(";") if one.strip()]
-    wanted = {_squeezed(one) for one in statements}
+    wanted = set(_schema(version))
     for kind, name, text in made:
         if _squeezed(text) in wanted:
             wanted.remove(_squeezed(text))
@@ -176,12 +183,27 @@ def _prepared(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
     while _version(path, connection) < VERSION:
         with transaction(connection):
             found = _version(path, connection)  # another writer may have been faster
-            if found < VERSION:
-                for statement in MIGRATIONS[found].split(";"):
-                    connection.execute(statement)
-                connection.execute(f"PRAGMA application_id = {APPLICATION}")
-                connection.execute(f"PRAGMA user_version = {found + 1}")
+            _migrate(connection, found, found + 1)
     return connection
+
+
+def _migrate(connection: sqlite3.Connection, found: int, wanted: int = VERSION) -> None:
+    """Raise the version of an atlas from the one found to the one wanted."""
+    for script in MIGRATIONS[found:wanted]:
+        for statement in script.split(";"):
+            connection.execute(statement)
+        found += 1
+        connection.execute(f"PRAGMA application_id = {APPLICATION}")
+        connection.execute(f"PRAGMA user_version = {found}")
+
+
+@lru_cache
+def _schema(version: int) -> frozenset[str]:
+    """The statements of the tables and indices of an atlas of a version, as SQLite keeps them."""
+    with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        _migrate(connection, 0, version)
+        question = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL"
+        return frozenset(_squeezed(text) for (text,) in connection.execute(question))
 
 
 def _log_ahead(connection: sqlite3.Connection) -> None:

@@ -128,6 +128,7 @@ def show(book: Path, number: int, trust: bool) -> None:
     with Atlas(book, trusted=book.parent if trust else None) as opened:
         document = opened.document(number)
         names = None if wants_json() else opened.model.state_names
+        row = opened.row(number)
     if names is None:
         print_json(document)
         return
@@ -138,6 +139,8 @@ def show(book: Path, number: int, trust: bool) -> None:
         text(f"  {key:<22}{f'{value:.12g}' if isinstance(value, float) else value} {unit}".rstrip())
     for name, value in named_state(document, names).items():
         text(f"  {name:<22}{value:.12g}")
+    text(f"  {'signature':<22}{row.signature}")
+    text(f"  {'proof':<22}{row.proof or 'none'}")
     multipliers = ", ".join(f"{complex(*mu):.6g}" for mu in document["floquet_multipliers"])
     text(f"  {'floquet multipliers':<22}{multipliers}")
     if "cycle" in document["system"]:

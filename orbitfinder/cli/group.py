@@ -31,6 +31,7 @@ from orbitfinder.cli.options import (
     options_named,
     print_json,
 )
+from orbitfinder.cli.problems import problems
 from orbitfinder.cli.run import reproduce, run, simulate
 from orbitfinder.cli.search import search
 from orbitfinder.cli.section import connect, manifold, section
@@ -50,7 +51,7 @@ the longest proof an hour. `search` has its budget; the others go on for as long
 
 
 PURPOSES = {
-    "Find": ("init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
+    "Find": ("problems", "init", "guess", "run", "simulate", "sweep", "search", "atlas", "section"),
     "Follow": ("continue", "torus", "manifold", "connect"),
     "Prove": ("verify", "prove", "refine"),
     "Use": ("stabilise", "export"),
@@ -161,7 +162,7 @@ def cli() -> None:
 
 
 for command in (
-    run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise, search, atlas,
-    prove, refine, export, plot, animate, page, studio, reproduce, doctor, completion,
+    problems, run, verify, simulate, init, guess, sweep, continue_, section, manifold, connect, torus, stabilise,
+    search, atlas, prove, refine, export, plot, animate, page, studio, reproduce, doctor, completion,
 ):  # fmt: skip
     cli.add_command(command)

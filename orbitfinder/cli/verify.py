@@ -154,7 +154,7 @@ def prove(
 
     Needs the extra `proof` (python-flint). A proof encloses the orbit, its minimal period and its
     multipliers, and is recorded in the file. Exit code 0: all proved; 1: some not, with the reason.
-    FILE#K is point K of a family.json, counted from 0, or orbit K of an atlas; its proof is not recorded.
+    FILE#K is orbit K of an atlas, or point K of a family.json, counted from 0, whose proof is not recorded.
 
     \b
     Examples:
@@ -165,7 +165,7 @@ def prove(
     if low is not None or high is not None:
         _prove_branch(files, low, high, record, trust, given)
         return
-    from orbitfinder.atlas.store import load_orbit
+    from orbitfinder.atlas.store import Atlas, load_orbit
     from orbitfinder.proof.record import checked, entry, write_entry
     from orbitfinder.proof.theorem import Options, provable_model
     from orbitfinder.proof.theorem import prove as proved
@@ -178,10 +178,14 @@ def prove(
         model = provable_model(orbit, file.parent if trust else None)
         proof = proved(orbit, model, options, lambda line, name=orbit.name: note(f"{name}: {line}"))  # type: ignore[misc]
         interrupt.check()
+        book, number = member(file)
         if proof.proved and record and file.exists():
             write_entry(file, proof)
+        elif proof.proved and record and number is not None and kind_of(book) == "atlas":
+            with Atlas(book, write=True, model=model) as atlas:
+                atlas.describe(number, entry(proof))
         elif proof.proved and record:
-            note(f"{file}: the proof is not recorded, which only an orbit.json can be given")
+            note(f"{file}: the proof is not recorded, which only an orbit.json or an atlas can be given")
         results.append({"file": str(file), "name": orbit.name} | entry(proof))
         _print_proof(f"{file} ({orbit.name})", proof)
     passed = all(result["proved"] for result in results)

@@ -78,10 +78,12 @@ def follow_family(
     family.npz, and DIR/<name>/family.jsonl is resumed when the same was asked before. A branch `Start` needs its
     `name` there, and a system that no file describes its `model`. Raises `InputError`, `ConvergenceError`.
     """
+    if not isinstance(origin, Origin):
+        made = {"Family": "give one of its points, or a branch: switch_branch(family, event)"}
+        remedy = made.get(type(origin).__name__, "give an Orbit, its file, a Problem, or what switch_branch gives")
+        raise InputError(f"origin: a {type(origin).__name__}; {remedy}")
     settings = replace(settings or FamilySettings(), parameter=_chosen(parameter, settings, origin))
     settings = settings if points is None else replace(settings, points=points)
-    if isinstance(origin, Family):
-        raise InputError("origin: a Family; give one of its points, or a branch: switch_branch(family, event)")
     if isinstance(origin, (str, Path)):
         origin = _read(origin)
     label = name or str(getattr(origin, "name", ""))

@@ -222,7 +222,7 @@ def _eigenpair(
     mu, w = float(values[chosen].real), basis @ vectors[:, chosen].real
     # Phi w = mu w + directions a, so that w + directions a / (mu - 1) is the eigenvector
     if len(directions):
-        a = np.linalg.lstsq(directions.T, monodromy @ w - mu * w)[0]
+        a = np.linalg.lstsq(directions.T, monodromy @ w - mu * w, rcond=None)[0]
         w = w + directions.T @ a / (mu - 1.0)
     return mu if which == "unstable" else 1.0 / mu, w
 

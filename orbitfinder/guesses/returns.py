@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, plural
 from orbitfinder.guesses.modes import normal_mode, normal_modes
 from orbitfinder.integrate.cvodes import build_flow, sample
@@ -27,7 +27,7 @@ NEAR_RETURN = 0.1
 
 
 @dataclass(frozen=True)
-class CloseReturn:
+class CloseReturn(Shown):
     """x(t + period) came within `distance` (relative to the motion's extent) of x(t) = state, t = `time`."""
 
     __repr__ = brief("time", "period", "distance")

@@ -44,6 +44,8 @@ ZENO = 20
 """Arcs in a row of which each is shorter than the one before, that make a Zeno motion where they end in nothing"""
 NOTHING = 1e-5
 """Share of the whole time that the last arc of a Zeno motion takes at most"""
+NEAR = 64
+"""Units in the last place of the clock below which a step is a line: its error is their square"""
 TOGETHER = 1e-9
 """Share of an arc within which two events are simultaneous"""
 RETURN = 0.5
@@ -276,8 +278,10 @@ class Automaton:
         """Newton's method on the event's time, with the integrator itself instead of its dense output."""
         start, x = begin
         for _ in range(3):
-            state = self.path(one.source, x, np.array([start, moment])) if moment > start else x[None]
-            state = state[-1]
+            if moment - start > NEAR * np.spacing(abs(moment)):
+                state = self.path(one.source, x, np.array([start, moment]))[-1]
+            else:  # no integrator takes a step of a few units in the last place of its clock
+                state = x + (moment - start) * np.asarray(field(start, x))
             rate = self._rate(one, field, moment, state)
             if rate == 0.0:
                 break

@@ -6,7 +6,7 @@ import numpy as np
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import integration_error, sundials
-from orbitfinder.loops.problem import clocked
+from orbitfinder.loops.problem import Problem, clocked
 from orbitfinder.loops.shooting import Shooting
 from orbitfinder.mechanics.model import energy
 
@@ -51,6 +51,8 @@ def refuse_equilibrium(shooting: Shooting, w: np.ndarray) -> None:
 def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
     """What happened and what to try, the most telling sign first."""
     problem, found = shooting.problem, shooting.at(w)
+    if slip := degrees_taken_for_radians(problem):
+        return slip
     if at_rest(shooting, w):
         return f"the search fell on an equilibrium; {_away_from_rest(shooting)}"
     if turning := _turning(shooting, w):
@@ -77,6 +79,22 @@ def advice(shooting: Shooting, w: np.ndarray, defects: np.ndarray) -> str:
     if len(found.nodes) == 1:
         return "one segment amplifies every error; use more segments, or a guess nearer to an orbit"
     return "try a guess nearer to an orbit, more segments, or another pin"
+
+
+def degrees_taken_for_radians(problem: Problem) -> str:
+    """A sentence where an angle of the guess is of several turns and winds nowhere, as 60 degrees taken for rad."""
+    guess, model = problem.guess, problem.model
+    if guess.states is not None:
+        return ""
+    angles = np.where(model.angular, np.asarray(guess.state, float)[: model.degrees_of_freedom], 0.0)
+    worst = int(np.abs(angles).argmax())
+    if abs(angles[worst]) <= 2 * np.pi:
+        return ""
+    value = angles[worst]
+    return (
+        f"guess.state: {model.state_names[worst]} = {value:.6g} rad is {abs(value) / (2 * np.pi):.3g} turns; angles "
+        f"are in rad, and {value:.6g} degrees are {np.radians(value):.6g} rad"
+    )
 
 
 def at_rest(shooting: Shooting, w: np.ndarray) -> bool:

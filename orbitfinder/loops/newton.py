@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.march import Varied, divided
 from orbitfinder.loops.condensed import Linearised, Solver, eliminated
@@ -98,7 +98,7 @@ class Units:
 
 
 @dataclass(frozen=True)
-class Refined:
+class Refined(Shown):
     """A refined orbit: state (2n), period (s), nodes (N x 2n), unfolding, freed parameters, turns (n), residual.
 
     `residual` is the largest row of the shooting equations by a march of `steps` Runge-Kutta steps per segment;

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime.arguments import check, check_fields
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import CountError, InputError, closest
 from orbitfinder.integrate.automaton import recognised
 from orbitfinder.integrate.idas import check_consistent
@@ -42,7 +42,7 @@ LARGEST_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class Guess:
+class Guess(Shown):
     """A starting point: state (2n) at t = 0 and period T in s; optionally a whole trajectory.
 
     `times` (k, from 0 to T) and `states` (k x 2n) give the trajectory when there is one;
@@ -67,7 +67,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Count:
+class Count(Shown):
     """Equations against unknowns of a Problem, by name."""
 
     equations: Mapping[str, int]
@@ -77,6 +77,10 @@ class Count:
     def freedom(self) -> int:
         """Unknowns minus equations: 0 is square, positive leaves room for an objective."""
         return sum(self.unknowns.values()) - sum(self.equations.values())
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Count({self})"
 
     def __str__(self) -> str:
         def listed(parts: Mapping[str, int]) -> str:
@@ -89,7 +93,7 @@ class Count:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Shown):
     """What to find. `pin=()` takes the orbit nearest to the guess; of a chain or linkage as a DAE, the guess's state
     and the winding may be given for its links instead of its coordinates.
 

@@ -230,13 +230,13 @@ class Symmetry:
         first, last = self.rows(n)
         along = last[:, :n] @ np.transpose(self.relative)
         missed = first @ start + last @ end - constant
-        return np.asarray(constant + along @ np.linalg.lstsq(along, missed)[0])
+        return np.asarray(constant + along @ np.linalg.lstsq(along, missed, rcond=None)[0])
 
     def shifts(self, constant: np.ndarray) -> np.ndarray:
         """How far a period takes the motion along each of `relative`, from constants that are `settled`."""
         n = self.coordinates(constant.size)
         moved = self.displaced(constant)[1][:n] - 2 * np.pi * self.turns(constant)
-        return np.asarray(np.linalg.lstsq(np.reshape(self.relative, (-1, n)).T, moved)[0])
+        return np.asarray(np.linalg.lstsq(np.reshape(self.relative, (-1, n)).T, moved, rcond=None)[0])
 
     def implied(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """The constants (2n) that coordinates at start and end have themselves, rates' ones 0: for drawing."""

@@ -1210,8 +1210,9 @@ def independent_rows(matrix: np.ndarray) -> list[int]:
 
 
 def closed_near(
-    function: ca.Function, values: np.ndarray, start: np.ndarray, fixed: Sequence[int], units: np.ndarray, owner: Any
-) -> np.ndarray:
+    function: Callable[..., Any], values: np.ndarray, start: np.ndarray, fixed: Sequence[int], units: np.ndarray,
+    owner: Any,
+) -> np.ndarray:  # fmt: skip
     """A configuration (n) with phi = 0 near a start, some coordinates held, by Gauss-Newton; `InputError` naming the
     joint that stays open. `function(q, p)` is (phi, J).
     """

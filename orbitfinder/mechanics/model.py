@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from orbitfinder._runtime.arguments import check_fields
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 
 
@@ -82,7 +82,7 @@ class HolonomicConstraint:
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(Shown):
     """Equations of motion x' = (v, a(t, q, v, p)) of a state x = (q, v), and what belongs to them.
 
     A first-order system has `rates(t, q, p)` = q' instead: q is its whole state, v and a are empty, its energy is the

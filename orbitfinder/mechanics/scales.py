@@ -39,6 +39,15 @@ def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
     return np.asarray(base**powers)
 
 
+def unit_names(model: Model) -> list[str]:
+    """Unit of each coordinate: rad for angles, m otherwise; none is known of a first-order system's components."""
+    n = model.degrees_of_freedom
+    if model.rates is not None:
+        return ["rad" if angle else "" for angle in model.angular]
+    angles = model.angles or (True,) * n
+    return ["rad" if angle else "m" for angle in angles]
+
+
 def masses_of(kinetic: Callable[..., Any], state: np.ndarray, model: Model | None = None) -> np.ndarray:
     """Diagonal (n) of the mass matrix at a state (2n): twice the kinetic energy of each unit velocity."""
     n = state.size // 2

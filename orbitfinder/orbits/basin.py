@@ -151,8 +151,8 @@ def _assembled(model: Model, state: np.ndarray) -> np.ndarray:
     n, p, constraint = model.degrees_of_freedom, model.parameter_values, constraint_of(model)
     q, v = state[:n].copy(), state[n:].copy()
     for _ in range(20):
-        q -= np.linalg.lstsq(constraint.jacobian(q, p).full(), constraint.phi(q, p).full().ravel())[0]
-    v -= np.linalg.lstsq(constraint.jacobian(q, p).full(), constraint.rate(q, v, p).full().ravel())[0]
+        q -= np.linalg.lstsq(constraint.jacobian(q, p).full(), constraint.phi(q, p).full().ravel(), rcond=None)[0]
+    v -= np.linalg.lstsq(constraint.jacobian(q, p).full(), constraint.rate(q, v, p).full().ravel(), rcond=None)[0]
     return np.concatenate([q, v])
 
 

@@ -124,7 +124,7 @@ def shift_along(
         return {}
     known, moved = shifts_of(model), (end - start)[: turns.size] - 2 * np.pi * turns
     directions = np.array([known[name].direction for name in chosen])
-    return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved)[0]), strict=True))
+    return dict(zip(chosen, map(float, np.linalg.lstsq(directions.T, moved, rcond=None)[0]), strict=True))
 
 
 def between(times: np.ndarray, states: np.ndarray, n: int, moments: np.ndarray | float) -> np.ndarray:

@@ -23,6 +23,7 @@ from orbitfinder.integrate.equations import accelerations, invariant_gradients
 from orbitfinder.integrate.evaluate import one_thread
 from orbitfinder.integrate.idas import build_dae_flow
 from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.failure import degrees_taken_for_radians
 from orbitfinder.loops.ipopt import Callback, Progress, SolveSettings
 from orbitfinder.loops.polish import polish, segment, tail_of
 from orbitfinder.loops.problem import (
@@ -146,22 +147,6 @@ def hint(text: str) -> None:
     """Give a hint as a warning of the caller's caller."""
     if text:
         warnings.warn(text, Hint, stacklevel=5)
-
-
-def degrees_taken_for_radians(problem: Problem) -> str:
-    """A sentence where an angle of the guess is of several turns and winds nowhere, as 60 degrees taken for rad."""
-    guess, model = problem.guess, problem.model
-    if guess.states is not None:
-        return ""
-    angles = np.where(model.angular, np.asarray(guess.state, float)[: model.degrees_of_freedom], 0.0)
-    worst = int(np.abs(angles).argmax())
-    if abs(angles[worst]) <= 2 * np.pi:
-        return ""
-    value = angles[worst]
-    return (
-        f"guess.state: {model.state_names[worst]} = {value:.6g} rad is {abs(value) / (2 * np.pi):.3g} turns; angles "
-        f"are in rad, and {value:.6g} degrees are {np.radians(value):.6g} rad"
-    )
 
 
 def unexplained_multipliers(problem: Problem, orbit: Orbit) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.integrate.crossings import Crossings, Plane
 from orbitfinder.integrate.evaluate import one_thread
@@ -45,7 +45,7 @@ ROOM = 4_000_000
 
 
 @dataclass(frozen=True)
-class FrequencyMap:
+class FrequencyMap(Shown):
     """Frequencies (rad/s) of motions from `starts` (k x d): `frequencies` (k x n) in the first half of `duration` (s)
     and `later` (k x n) in the second; nan where a motion leaves, and where it has fewer.
 

@@ -27,7 +27,7 @@ def steady(model: Model, state: np.ndarray, period: float) -> dict[str, float]:
     if not len(along) or model.forced:
         return {}
     rate = accelerations(model)(0.0, state).full().ravel()
-    found = np.linalg.lstsq(along.T, rate)[0]
+    found = np.linalg.lstsq(along.T, rate, rcond=None)[0]
     speed = max(float(np.abs(rate[:n]).max()), 1e-300)
     missed = np.abs(rate - along.T @ found) / np.where(np.arange(state.size) < n, speed, 2 * np.pi * speed / period)
     if not missed.max() <= STEADY:

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from orbitfinder._runtime.arguments import checked
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, CountError, InputError, IntegrationError, plural
 from orbitfinder.integrate.cvodes import build_flow
 from orbitfinder.integrate.march import uniform
@@ -50,7 +50,7 @@ MOST_SAMPLES = 6
 """Times that the samples of a period are doubled, at most, for the action"""
 
 
-class Refiner:
+class Refiner(Shown):
     """Refines guesses of one Problem, as many as you like, at its pins or at other values of them.
 
     Building it derives and, with a C compiler, compiles (about a second, once; later runs load the library). It needs

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.notebook import Shown
 from orbitfinder.errors import InputError, IntegrationError, plural
 from orbitfinder.integrate.automaton import MOST_EVENTS, Automaton
 from orbitfinder.integrate.cvodes import build_flow, sample
@@ -25,7 +26,7 @@ LEAST_STEPS = 64
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Shown):
     """Times (k) in s, states (k x 2n) and total energy (k) in J; `exchanged` is the range of the kinetic energy.
 
     What becomes of the energy is a drift, an error of the integration, only where it is `conserved`.

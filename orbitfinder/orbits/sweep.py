@@ -19,7 +19,7 @@ import numpy as np
 
 from orbitfinder._runtime import limit as limited
 from orbitfinder._runtime import processes
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import (
     ConvergenceError,
     InputError,
@@ -50,7 +50,7 @@ NUMBERS = ("period", "energy", "action", "symmetry", "stability", "closure")
 
 
 @dataclass(frozen=True)
-class Row:
+class Row(Shown):
     """One value of a sweep: the parameters, the orbit there where one was reached, and what is wrong with it."""
 
     __repr__ = brief("values", "certified", "reason")
@@ -75,7 +75,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class Sweep(Shown):
     """The rows of a sweep in the order of their values; `records` is a table, `pandas.DataFrame(sweep.records)`."""
 
     __repr__ = brief("parameters", "certified", "seconds")

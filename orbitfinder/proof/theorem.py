@@ -13,7 +13,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.loops.symmetry import Symmetry, named
 from orbitfinder.mechanics.catalogue import build_model
@@ -49,7 +49,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Proof:
+class Proof(Shown):
     """What was proved of one orbit, or why nothing was.
 
     `radius` of the box X of unknowns about `nodes` (N x d balls, K(X)) in which exactly one orbit of

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.orbit import Certificate, Check, certificate_to_document
 from orbitfinder.records.reading import json_bytes, json_file, plain_numbers, read_as, walked, write_atomically
@@ -34,7 +34,7 @@ class Returned:
 
 
 @dataclass(frozen=True)
-class Basin:
+class Basin(Shown):
     """Seeded disturbances of the nonlinear system under a sampled controller, and how many of them returned.
 
     `rate` samples and control values a period, held between; `noise` is the standard deviation of what is measured, in
@@ -53,7 +53,7 @@ class Basin:
 
 
 @dataclass(frozen=True)
-class Controller:
+class Controller(Shown):
     """u = u*(tau) - K(tau) (x - x*(tau)), tau the place (s) of the orbit nearest to x, or with `clock` the time.
 
     At N + 1 equal times over the period: `states` x* (N + 1 x d), `inputs` u* (N + 1 x m), `gains` K (N + 1 x m d, row

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Orbit, system_at
 from orbitfinder.records.reading import (
@@ -56,6 +56,8 @@ SEAL = "digest"
 """The key of a journal line's digest: the first digits of the SHA-256 of the rest of its content."""
 SEAL_DIGITS = 16
 AGAIN = "continue the family again"
+ALIKE = 1e-6
+"""Change of the energies of a family, relative to them, below which they are no axis"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +104,7 @@ class FamilyPoint(Orbit):
 
 
 @dataclass(frozen=True)
-class Event:
+class Event(Shown):
     """Something that happens between two points, located on the family.
 
     `kind`: fold | branch_point | period_doubling | torus | resonance | collision | stability_change, of hybrid systems
@@ -158,7 +160,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Family:
+class Family(Shown):
     """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
 
     `curve` is what rebuilds the equations (see `start.curve_of`), `source` what the family was started from. A curve of
@@ -186,6 +188,13 @@ class Family:
         return UNITS.get(self.parameter, "")
 
     @property
+    def by_energy(self) -> bool:
+        """Whether the energy is an axis to draw it over: it changes, or nothing but it and the period does."""
+        energies = self.values("energy")
+        alike = np.ptp(energies) <= ALIKE * max(float(np.abs(energies).max()), 1e-300)
+        return bool(self.unit) or (bool(np.isfinite(energies).all()) and not alike)
+
+    @property
     def parameters(self) -> tuple[str, ...]:
         """What varies along it: one parameter, or the two of a curve of bifurcations."""
         test = self.curve.get("test")
@@ -207,9 +216,10 @@ class Family:
             f"{plural(len(self.events), 'event')}, {sure[1]} of them at certified orbits"
         )
 
-    def _repr_html_(self) -> str | None:
-        """How a notebook shows it."""
-        return display.html(self)
+    def widget(self) -> Any:
+        """The family on a stage, with a slider along it, play and the numbers of each orbit, for Jupyter, VS Code and
+        marimo. Raises `InputError` without the extra [notebook]."""
+        return display.stage(self)
 
 
 def number_of(one: FamilyPoint | Event, name: str) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.orbit import Certificate, Check, certificate_to_document
 from orbitfinder.records.reading import (
@@ -46,7 +46,7 @@ def reach(points: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 @dataclass(frozen=True)
-class Manifold:
+class Manifold(Shown):
     """A stable or unstable manifold of an orbit: curves on a section, or motions along it (a tube).
 
     `states` (k x d) are the points of all curves one after another; `pieces` (k) numbers the curves, which are broken
@@ -178,7 +178,7 @@ class End:
 
 
 @dataclass(frozen=True)
-class Connection:
+class Connection(Shown):
     """A motion from one orbit to another (heteroclinic) or back to the same (homoclinic).
 
     `states` (m + 1 x d) are its crossings of the section, the first on the unstable manifold of `origin`, the last on

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError, plural
 from orbitfinder.records.orbit import Orbit, orbit_in, orbit_to_document
 from orbitfinder.records.reading import json_bytes, json_file, write_atomically
@@ -36,7 +36,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Optima:
+class Optima(Shown):
     """Controlled orbits along a family: `values` of its `parameter`, `costs`, and in `descents` how many directions
     lower the cost to second order: 0 of a local least, more beyond a turn. `end` says why it ends."""
 

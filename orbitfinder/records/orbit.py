@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import notebook as display
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import (
     arrays,
@@ -61,7 +61,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class Certificate(Shown):
     """Every check of one orbit; `passed` only when all of them did."""
 
     __repr__ = brief("passed", "failures", "closure")
@@ -82,13 +82,9 @@ class Certificate:
         """Names of the checks that failed."""
         return tuple(check.name for check in self.checks if not check.passed)
 
-    def _repr_html_(self) -> str | None:
-        """How a notebook shows it."""
-        return display.html(self)
-
 
 @dataclass(frozen=True)
-class Orbit:
+class Orbit(Shown):
     """A periodic orbit: state (2n) at t = 0, minimal period (s) and what follows from them.
 
     `closure` is the largest gap round the loop by the independent integrator, `action` the
@@ -133,9 +129,10 @@ class Orbit:
     control: Mapping[str, Any] | None = None
     """of a controlled motion its control: shape, coefficients, what was asked, cost, multipliers"""
 
-    def _repr_html_(self) -> str | None:
-        """How a notebook shows it."""
-        return display.html(self)
+    def widget(self) -> Any:
+        """The orbit on a stage with play, speed and a slider in time, for Jupyter, VS Code and marimo; of a point of a
+        family that point alone. Raises `InputError` without the extra [notebook]."""
+        return display.stage(self)
 
 
 ENTRIES = (

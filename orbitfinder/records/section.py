@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.reading import arrays, finite, json_file, read_as, write_json, write_npz
 
@@ -20,7 +20,7 @@ AGAIN = "make the section again"
 
 
 @dataclass(frozen=True)
-class Section:
+class Section(Shown):
     """Crossings of many motions: `states` (k x d) at `times` (k, s since each began), `seeds` (k) says whose they are.
 
     `plane` in words, `axes` the components that are drawn, `energy` nan where none is held; `starts` (m x d) are where

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime.notebook import brief
+from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import InputError
 from orbitfinder.records.family import plain
 from orbitfinder.records.orbit import Certificate, Check, certificate_to_document
@@ -20,7 +20,7 @@ AGAIN = "compute the tori again"
 
 
 @dataclass(frozen=True)
-class Torus:
+class Torus(Shown):
     """One quasi-periodic motion: a closed curve X(theta) that the flow over T turns by 2 pi `rotation`.
 
     `curve` (N x d, N odd) at equal angles, `period` T (s), `rotation` in turns a return, `energy` (J, nan without
@@ -47,7 +47,7 @@ class Torus:
 
 
 @dataclass(frozen=True)
-class Tori:
+class Tori(Shown):
     """A family of tori of one system: `held` says what is the same for all, `parameter` what changes, `end` why it
     ends."""
 

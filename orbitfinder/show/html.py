@@ -5,27 +5,39 @@ Everything is inline: no script, no style sheet, no network. Names and titles ar
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
+from orbitfinder._runtime.notebook import Shown, facts
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import OrbitfinderError, plural
 from orbitfinder.families.members import STEADY
 from orbitfinder.integrate.cvodes import build_flow, sample
+from orbitfinder.loops.problem import Count, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
-from orbitfinder.orbits.course import course, sampled
+from orbitfinder.mechanics.scales import unit_names
+from orbitfinder.orbits.closure import between
+from orbitfinder.orbits.course import Course, course, sampled
+from orbitfinder.orbits.simulate import Simulation
+from orbitfinder.orbits.sweep import Sweep
 from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.records.optima import Optima
 from orbitfinder.records.orbit import Certificate, Orbit, asked
-from orbitfinder.show.svg import diagram, moving_mechanism, moving_portrait, unit_circle
+from orbitfinder.records.torus import Tori
+from orbitfinder.show.svg import curves, diagram, moving_mechanism, moving_portrait, ranged, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
 EVENLY = 481
 """Points of a period of a hybrid orbit, whose samples are not at equal times."""
+MOST, LISTED = 12, 24
+"""Names of parameters, and rows of a table of orbits, that are shown"""
 ROWS = 12
 """Orbits of an atlas in its table."""
 ROW = "display:flex;flex-wrap:wrap;gap:16px;align-items:center"
@@ -34,15 +46,102 @@ CELL = "text-align:left;padding:1px 10px 1px 0;font-variant-numeric:tabular-nums
 
 def html(value: Any) -> str | None:
     """HTML of one of ours; None for anything else, and for a drawing that fails (the plain text remains)."""
-    makers: dict[type, Callable[[Any], str]]
-    makers = {Orbit: orbit_html, Certificate: certificate_html, Family: family_html, Atlas: atlas_html}
-    maker = next((one for kind, one in makers.items() if isinstance(value, kind)), None)
+    maker = next((one for kind, one in MAKERS.items() if isinstance(value, kind)), None)
     if maker is None:
         return None
     try:
         return maker(value)
     except OrbitfinderError:
         return None
+
+
+def plain_html(value: Shown, rows: Sequence[tuple[str, str]] = (), pictures: Sequence[str] = ()) -> str:
+    """What its one line names as a table, with more rows, and pictures before it."""
+    body = f'<div style="{ROW}">{"".join(pictures)}{table([*facts(value), *rows])}</div>'
+    return f"<div>{heading(type(value).__name__)}{body}</div>"
+
+
+def model_html(model: Model) -> str:
+    """What a Model describes: its coordinates and parameters by name and unit, and what is conserved."""
+    units = unit_names(model)
+    names = [f"{_greek(name)} ({unit})" if unit else name for name, unit in zip(model.state_names, units, strict=False)]
+    numbered = zip(model.parameter_names, model.parameter_values, strict=True)
+    parameters = [f"{name} = {value:.9g}" for name, value in numbered]
+    kept = ", ".join(one.name for one in model.invariants) or "nothing"
+    rows = [
+        ("coordinates" if model.rates is None else "states", ", ".join(names[:MOST])),
+        ("parameters", ", ".join(parameters[:MOST]) + (", ..." if len(parameters) > MOST else "")),
+        ("conserved", kept),
+    ]
+    told = {"controls": ", ".join(model.controls), "cycle": " > ".join(getattr(model.hybrid, "cycle", ()))}
+    rows += [(name, text) for name, text in told.items() if text]
+    kind = str(model.system.get("function") or model.system.get("kind", "")).replace("_", " ")
+    return f"<div>{heading(f'Model {kind}'.strip())}{table(rows)}</div>"
+
+
+def problem_html(problem: Problem) -> str:
+    """What is asked, with the guess as a picture."""
+    model, guess = problem.model, problem.guess
+    pictures = []
+    state = np.asarray(guess.state, float)
+    if model.points is not None and model.constraint is None and state.size == len(model.state_names):
+        shape = positions(model, state[None])
+        pictures = [moving_mechanism(np.concatenate([shape, shape]), guess.period, "the guess")]
+    return plain_html(problem, [("count", str(problem.count()))], pictures)
+
+
+def count_html(count: Count) -> str:
+    """Equations beside unknowns."""
+    rows = [
+        [(what, str(number)) for what, number in side.items() if number] for side in (count.equations, count.unknowns)
+    ]
+    beside = [(*one, *other) for one, other in zip_longest(*rows, fillvalue=("", ""))]
+    said = "as many equations as unknowns" if count.freedom == 0 else f"{count.freedom} more unknowns than equations"
+    return f"<div>{heading('Count', said)}{table(beside, ('equations', '', 'unknowns', ''))}</div>"
+
+
+def simulation_html(run: Simulation) -> str:
+    """What moved, each component over time."""
+    names = [_greek(name) for name in run.state_names[: max(1, len(run.state_names) // 2)]]
+    kept = np.unique(np.linspace(0, len(run.times) - 1, 400).round().astype(int))
+    lines = [(name, np.column_stack([run.times, run.states[:, k]])[kept]) for k, name in enumerate(names[:6])]
+    rows = [("duration", f"{run.times[-1]:.6g} s"), ("samples", str(len(run.times)))]
+    if np.isfinite(run.energy[0]):
+        rows.append(("energy drift" if run.conserved else "energy change", f"{run.change:.2g} J"))
+    body = f'<div style="{ROW}">{curves(lines, "time (s)", "coordinates")}{table(rows)}</div>'
+    return f"<div>{heading('Simulation')}{body}</div>"
+
+
+def sweep_html(sweep: Sweep) -> str:
+    """A row for each value."""
+    head = (*sweep.parameters, "period (s)", "stability", "certified", "why not")
+    rows = []
+    for row in sweep.rows[:LISTED]:
+        found = ("", "") if row.orbit is None else (f"{row.orbit.period:.10g}", row.orbit.stability)
+        values = (f"{row.values[name]:.9g}" for name in sweep.parameters)
+        rows.append((*values, *found, "yes" if row.certified else "no", row.reason))
+    return f"<div>{heading(_listed('Sweep', len(sweep.rows), 'row'))}{table(rows, head)}</div>"
+
+
+def optima_html(optima: Optima) -> str:
+    """Parameter, cost and period of each controlled orbit."""
+    found = zip(optima.points, optima.values, optima.costs, strict=True)
+    rows = [(f"{value:.9g}", f"{cost:.9g}", f"{one.period:.10g}", one.stability) for one, value, cost in found]
+    head = (optima.parameter, "cost", "period (s)", "stability")
+    return f"<div>{heading(_listed('Optima', len(rows), 'orbit'), optima.end)}{table(rows[:LISTED], head)}</div>"
+
+
+def tori_html(tori: Tori) -> str:
+    """Rotation, period and energy of each torus."""
+    rows = [(f"{one.rotation:.9g}", f"{one.period:.9g}", f"{one.energy:.9g}") for one in tori.tori[:LISTED]]
+    head = ("rotation (turns)", "period (s)", "energy (J)")
+    return f"<div>{heading(_listed(f'Tori {tori.name}', len(tori.tori), 'torus'), tori.end)}{table(rows, head)}</div>"
+
+
+def _listed(what: str, count: int, noun: str) -> str:
+    """How many there are, and how many of them a table shows."""
+    many = f"{count} tori" if noun == "torus" and count != 1 else plural(count, noun)
+    return f"{what}: {many}" + (f", the first {LISTED}" if count > LISTED else "")
 
 
 def table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
@@ -59,6 +158,19 @@ def heading(title: str, below: str = "") -> str:
 
 def orbit_html(orbit: Orbit) -> str:
     """Mechanism and phase portrait moving in real time, multipliers, and the numbers."""
+    drawable = len(orbit.samples) > 1 or np.abs(orbit.floquet_multipliers).max(initial=0.0) < STEADY
+    pictures = "".join(motions(orbit)) if drawable else ""
+    body = f'<div style="{ROW}">{pictures}{circle(orbit)}{table(numbers(orbit))}</div>'
+    return f"<div>{heading(orbit.title or orbit.name, orbit.source)}{body}</div>"
+
+
+def circle(orbit: Orbit) -> str:
+    """The multipliers beside the unit circle."""
+    return unit_circle(orbit.floquet_multipliers, "Floquet multipliers and the unit circle")
+
+
+def numbers(orbit: Orbit) -> list[tuple[str, str]]:
+    """What an orbit's numbers are called, and they."""
     certificate = orbit.certificate
     verdict = "no certificate" if certificate is None else verdict_of(certificate)
     if certificate is not None and orbit.record is not None:
@@ -66,16 +178,11 @@ def orbit_html(orbit: Orbit) -> str:
     sizes = np.abs(orbit.floquet_multipliers)
     largest = f"{sizes.max():.6g}" if sizes.size else "none but the trivial ones"
     energy = f"{orbit.energy:.12g} J" if np.isfinite(orbit.energy) else "none is conserved"
-    rows = [
+    return [
         ("period", f"{orbit.period:.12g} s"), ("energy", energy),
         ("closure", f"{orbit.closure:.1e}"), ("stability", orbit.stability), ("symmetry", orbit.symmetry),
         ("largest multiplier", largest), ("certificate", verdict),
     ]  # fmt: skip
-    circle = unit_circle(orbit.floquet_multipliers, "Floquet multipliers and the unit circle")
-    drawable = len(orbit.samples) > 1 or sizes.max(initial=0.0) < STEADY
-    pictures = "".join(motions(orbit)) if drawable else ""
-    body = f'<div style="{ROW}">{pictures}{circle}{table(rows)}</div>'
-    return f"<div>{heading(orbit.title or orbit.name, orbit.source)}{body}</div>"
 
 
 def motions(orbit: Orbit) -> list[str]:
@@ -85,23 +192,76 @@ def motions(orbit: Orbit) -> list[str]:
         seen = course(model, *_period(orbit, model), orbit.winding)
     except OrbitfinderError:
         return []
-    moments = np.linspace(0.0, seen.period, EVENLY)[:-1]
-    states = seen.states(moments) if seen.jumps else seen.samples
-    moved, period = np.ptp(states, axis=0), orbit.period
-    jumping = seen.jumps and model.rates is not None  # a clock among the states would turn most
-    across, up = model.planes[0] if jumping else max(model.planes, key=lambda pair: moved[pair[0]])
-    name = model.state_names[across]
-    against = f"rate of {name}" if model.rates is None else model.state_names[up]
-    after = np.searchsorted(moments, [at for at, _ in seen.events])
-    most = len(moments) - bool(seen.turned[[across, up]].any())  # after a turn the first is somewhere else
-    cuts = [int(k) for k in dict.fromkeys(after) if 0 < k <= most]
-    parts = [moving_portrait(states[:, across], states[:, up], period, f"{against} against {name}", cuts)]
+    moments = evenly(seen)
+    parts = [Portrait(model, seen).svg()]
     if model.points is not None:
-        shown = seen.positions(moments) if seen.jumps else positions(model, states)
+        shown = seen.positions(moments) if seen.jumps else positions(model, seen.samples)
         lines = seen.grounds(moments[:1])
         ground = None if lines is None else lines[0]
-        parts.insert(0, moving_mechanism(shown, period, f"the mechanism over {period:.4g} s", ground))
+        parts.insert(0, moving_mechanism(shown, orbit.period, f"the mechanism over {orbit.period:.4g} s", ground))
     return parts
+
+
+def evenly(seen: Course) -> np.ndarray:
+    """Equal times (s) over a period, the end left out."""
+    return np.linspace(0.0, seen.period, EVENLY)[:-1]
+
+
+class Portrait:
+    """Two components of a period against each other: those given, or the coordinate that moves most and its rate."""
+
+    def __init__(self, model: Model, seen: Course, plane: tuple[int, int] | None = None) -> None:
+        states = seen.states(evenly(seen)) if seen.jumps else _smooth(seen)
+        moved = np.ptp(states, axis=0)
+        jumping = seen.jumps and model.rates is not None  # a clock among the states would turn most
+        most = model.planes[0] if jumping else max(model.planes, key=lambda pair: moved[pair[0]])
+        self.plane = across, up = plane or most
+        self.period, self.places = seen.period, states[:, [across, up]]
+        after = np.searchsorted(evenly(seen), [at for at, _ in seen.events])
+        last = len(states) - bool(seen.turned[[across, up]].any())  # after a turn the first is somewhere else
+        self.cuts = [int(k) for k in dict.fromkeys(after) if 0 < k <= last]
+        named = [_component(model, k) for k in self.plane]
+        self.names = named[0], named[1]
+
+    @property
+    def extent(self) -> float:
+        """What its component across changes by."""
+        return float(np.ptp(self.places[:, 0]))
+
+    def svg(self, around: tuple[np.ndarray, np.ndarray] | None = None) -> str:
+        """The picture, with a dot that moves."""
+        return moving_portrait(self.places, self.period, self.names, self.cuts, around)
+
+
+def _smooth(seen: Course) -> np.ndarray:
+    """States over a period without jumps, its end included, at as many times as curves need."""
+    (piece,) = seen.pieces
+    if len(piece.times) >= EVENLY // 2:
+        return piece.states
+    return between(piece.times, piece.states, piece.model.degrees_of_freedom, np.linspace(0.0, seen.period, EVENLY))
+
+
+def range_of(portraits: Sequence[Portrait]) -> tuple[np.ndarray, np.ndarray]:
+    """The axes that several portraits share."""
+    return ranged(np.vstack([one.places for one in portraits]))
+
+
+def _component(model: Model, k: int) -> str:
+    """What a component of the state is called on an axis, with its unit where that is known."""
+    units = unit_names(model)
+    name, unit = _greek(model.state_names[k]), units[k % len(units)]
+    if model.rates is None and k >= len(units):
+        return f"rate of {_greek(model.state_names[k - len(units)])} ({unit}/s)"
+    return f"{name} ({unit})" if unit else name
+
+
+def _greek(name: str) -> str:
+    """theta3 with its letter and subscript, other names as they are."""
+    found = re.fullmatch(r"theta(\d*)", name)
+    return "\N{GREEK SMALL LETTER THETA}" + found.group(1).translate(LOWERED) if found else name
+
+
+LOWERED = {ord("0") + k: 0x2080 + k for k in range(10)}
 
 
 def _period(orbit: Orbit, model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -158,7 +318,7 @@ def _member(point: FamilyPoint) -> str:
 def atlas_html(atlas: Atlas) -> str:
     """How many orbits, the first of them in a table, the first three moving."""
     rows = atlas.rows()
-    numbers = [
+    listed = [
         (str(row.id), f"{row.energy:.8g}", f"{row.period:.10g}", row.symmetry, row.stability, f"{row.instability:.4g}")
         for row in rows[:ROWS]
     ]
@@ -167,4 +327,12 @@ def atlas_html(atlas: Atlas) -> str:
     head = ("id", "energy (J)", "period (s)", "symmetry", "stability", "largest multiplier")
     more = f"the first {ROWS} by energy and period" if len(rows) > ROWS else ""
     title = heading(f"Atlas {atlas.path.name}: {plural(len(rows), 'orbit')}", more)
-    return f'<div>{title}{table(numbers, head)}<div style="{ROW}">{moving}</div></div>'
+    return f'<div>{title}{table(listed, head)}<div style="{ROW}">{moving}</div></div>'
+
+
+MAKERS: dict[type, Callable[[Any], str]] = {
+    Orbit: orbit_html, Certificate: certificate_html, Family: family_html, Atlas: atlas_html, Model: model_html,
+    Problem: problem_html, Count: count_html, Simulation: simulation_html, Sweep: sweep_html,
+    Optima: optima_html, Tori: tori_html, Shown: plain_html,
+}  # fmt: skip
+"""By class: what draws it; the last takes what is none of the others"""

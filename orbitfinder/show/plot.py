@@ -22,6 +22,7 @@ from orbitfinder.families.members import Motion, amplitudes, motions, whole
 from orbitfinder.loops.control import history
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.mechanics.scales import unit_names
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
@@ -88,24 +89,15 @@ def label(name: str) -> str:
     return rf"$\theta_{{{found.group(1)}}}$" if found else name
 
 
-def units(model: Model) -> list[str]:
-    """Unit of each coordinate: rad for angles, m otherwise; none is known of a first-order system's components."""
-    n = model.degrees_of_freedom
-    if model.rates is not None:
-        return ["rad" if angle else "" for angle in model.angular]
-    angles = model.angles or (True,) * n
-    return ["rad" if angle else "m" for angle in angles]
-
-
 def _unit(model: Model, suffix: str = "") -> str:
-    known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(units(model)) if unit)
+    known = " or ".join(f"{unit}{suffix}" for unit in dict.fromkeys(unit_names(model)) if unit)
     return f" ({known})" if known else ""
 
 
 def axis(model: Model, i: int) -> str:
     """A component's name for an axis, with its unit where that is known."""
     n = model.degrees_of_freedom
-    name, unit = label(model.state_names[i % n]), units(model)[i % n]
+    name, unit = label(model.state_names[i % n]), unit_names(model)[i % n]
     if i >= n:
         return f"rate of {name} ({unit}/s)"
     return f"{name} ({unit})" if unit else name

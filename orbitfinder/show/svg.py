@@ -6,11 +6,12 @@ Motion is declared (SMIL `animate`), so that a picture moves in a notebook, in a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
-from orbitfinder.records.family import Event, Family, FamilyPoint
+from orbitfinder.records.family import Family, FamilyPoint
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
@@ -21,8 +22,12 @@ FRAMES = 60
 LARGEST = 150_000
 """Bytes of motion in one picture; mechanisms of many joints get fewer frames."""
 BODY, TIP = COLOURS[0], COLOURS[1]
-WIDTH, HEIGHT, LEFT, BELOW, AROUND = 380, 240, 52, 38, 12
-"""Pixels of a family's diagram, and of its margins"""
+WIDTH, HEIGHT = 400, 250
+"""Pixels of a family's diagram"""
+LEFT, BELOW, AROUND = 58, 38, 12
+"""Pixels of the margins of what has axes"""
+LETTER = 6.2
+"""Pixels of a digit of the numbers on axes"""
 
 
 def picture(content: str, label: str, width: int = SIZE, height: int = SIZE) -> str:
@@ -41,11 +46,79 @@ def fitted(points: np.ndarray, size: int = SIZE, around: np.ndarray | None = Non
     return np.asarray(size / 2 + (points - (low + high) / 2) * scale * np.array([1.0, -1.0]))
 
 
-def stretched(points: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """The same with each axis filling the square."""
-    low, room = points.min(axis=0), size - 2 * MARGIN
-    share = (points - low) / np.maximum(np.ptp(points, axis=0), 1e-12)
-    return np.asarray([MARGIN, size - MARGIN] + room * share * [1, -1])
+@dataclass(frozen=True)
+class Axes:
+    """Two axes with numbers: the range (low and high, 2 each, across and up), what they are, and the picture's size."""
+
+    low: np.ndarray
+    high: np.ndarray
+    names: tuple[str, str]
+    width: int = SIZE + LEFT - 28
+    height: int = SIZE
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 2) of the plane as pixels."""
+        room = np.array([self.width - LEFT - AROUND, self.height - BELOW - AROUND])
+        share = (points - self.low) / np.maximum(self.high - self.low, 1e-300)
+        return np.asarray([LEFT, self.height - BELOW] + share * room * [1, -1])
+
+    @property
+    def frame(self) -> str:
+        """Both axes, their numbers as many as there is room for, and their names."""
+        bottom, right = self.height - BELOW, self.width - AROUND
+        marks, words = [f"M {LEFT} {AROUND} V {bottom} H {right}"], []
+        numbers = [ticks(self.low[k], self.high[k], most) for k, most in ((0, 6), (1, max(3, self.height // 36)))]
+        wide = LETTER * max(len(text) for _, text in numbers[0]) + 8
+        if wide * len(numbers[0]) > right - LEFT:
+            numbers[0] = ticks(self.low[0], self.high[0], max(2, int((right - LEFT) / wide)))
+        for at, text in numbers[0]:
+            x = self.place(np.array([at, self.low[1]]))[0]
+            marks.append(f"M {x:.1f} {bottom} v 4")
+            words.append(_word(min(x, self.width - LETTER * len(text) / 2), bottom + 15, text))
+        for at, text in numbers[1]:
+            y = self.place(np.array([self.low[0], at]))[1]
+            marks.append(f"M {LEFT} {y:.1f} h -4")
+            words.append(_word(LEFT - 7, y + 3.5, text, "end"))
+        lines = f'<path d="{" ".join(marks)}" fill="none" stroke="currentColor" stroke-opacity=".5"/>'
+        names = [_word((LEFT + right) / 2, bottom + 31, self.names[0])]
+        turned = f' transform="rotate(-90 11 {(bottom + AROUND) / 2:.1f})"'
+        return lines + "".join([*words, *names, _word(11, (bottom + AROUND) / 2, self.names[1], more=turned)])
+
+
+def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
+    """Round numbers from low to high, at most `most` and where possible two, and how they are written."""
+    span = max(float(high - low), 1e-300)
+    for power in (np.floor(np.log10(span)) + k for k in (-1, 0, 1)):
+        for step in (one * 10.0**power for one in (1, 2, 5)):
+            first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
+            if last - first + 1 <= most:
+                some = np.arange(first, last + 1) * step
+                said = [_rounded(float(one), step) for one in some]
+                return [(float(one), text.replace("-", "\N{MINUS SIGN}")) for one, text in zip(some, said, strict=True)]
+    return [(float(low), f"{low:.4g}")]
+
+
+def _rounded(number: float, step: float) -> str:
+    """A multiple of a step with the digits that tell it from the next."""
+    digits = int(-np.floor(np.log10(step) + 1e-9))
+    if abs(number) < 1e7 and digits <= 4:
+        return f"{number + 0.0:.{max(0, digits)}f}"
+    return f"{number:.{max(1, digits + 1 + int(np.floor(np.log10(max(abs(number), step)) + 1e-9)))}g}"
+
+
+def ranged(points: np.ndarray, share: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest (2 each) of points (k x 2), with some room; what does not change gets some."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = np.maximum(share * (high - low), np.where(high - low > 1e-9 * np.abs(points).max(), 0.0, 0.02))
+    return low - room, high + room
+
+
+def _word(x: float, y: float, said: str, anchor: str = "middle", more: str = "") -> str:
+    """A text in the size of axes."""
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="11" fill="currentColor"{more}>'
+        f"{escape(said)}</text>"
+    )
 
 
 def path(points: np.ndarray) -> str:
@@ -95,25 +168,42 @@ def moving_mechanism(positions: np.ndarray, duration: float, label: str, ground:
 
 
 def moving_portrait(
-    coordinate: np.ndarray, rate: np.ndarray, duration: float, label: str, cuts: Sequence[int] = ()
+    places: np.ndarray,
+    duration: float,
+    names: tuple[str, str],
+    cuts: Sequence[int] = (),
+    around: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> str:
-    """Rate against coordinate over one period (k each), with a dot that moves in time; dashed across the `cuts`, the
-    samples that come right after a jump (k: from the last to the first)."""
-    places = stretched(np.column_stack([coordinate, rate]))
+    """One component against another over one period (k x 2, `names` across and up), with a dot that moves in time.
+
+    Dashed across the `cuts`, the samples that come right after a jump (k: from the last to the first). `around`: the
+    range of the axes, where several portraits share it.
+    """
+    axes = Axes(*(around or ranged(places)), names)
+    drawn_at = axes.place(places)
     beside = [j % len(places) for k in cuts for j in (k - 1, k)]
     kept = np.unique([*np.linspace(0, len(places) - 1, 240).round().astype(int), *beside])
     whole = np.split(kept, np.searchsorted(kept, cuts))
-    drawn = [(places[one], "") for one in whole if one.size]
-    drawn += [(places[[k - 1, k % len(places)]], ' stroke-opacity=".6" stroke-dasharray="3 3"') for k in cuts]
-    words = f'<text x="{SIZE / 2}" y="{SIZE - 3}" text-anchor="middle" font-size="10" fill="currentColor">'
+    drawn = [(drawn_at[one], "") for one in whole if one.size]
+    drawn += [(drawn_at[[k - 1, k % len(places)]], ' stroke-opacity=".6" stroke-dasharray="3 3"') for k in cuts]
     lines = "".join(
         f'<polyline points="{path(line)}" fill="none" stroke="{BODY}" stroke-width="1.5"{dashed}/>'
         for line, dashed in drawn
     )
-    return picture(
-        f"{lines}{dot(places[frames_of(places, 1)], duration)}{words}{escape(label)}</text>",
-        label,
-    )
+    moving = dot(drawn_at[frames_of(drawn_at, 1)], duration)
+    return picture(f"{axes.frame}{lines}{moving}", f"{names[1]} against {names[0]}", axes.width, axes.height)
+
+
+def curves(lines: Sequence[tuple[str, np.ndarray]], across: str, up: str) -> str:
+    """Named curves (k x 2 each) in colours of their own, each with its name at the right."""
+    axes = Axes(*ranged(np.vstack([one for _, one in lines])), (across, up), WIDTH, HEIGHT)
+    drawn, colours = [axes.frame], (*COLOURS[:6], "currentColor")
+    for k, (name, points) in enumerate(lines):
+        colour = colours[k % len(colours)]
+        drawn.append(f'<polyline points="{path(axes.place(points))}" fill="none" stroke="{colour}"/>')
+        x, y = WIDTH - AROUND - 4, AROUND + 12 * (k + 1)
+        drawn.append(f'<text x="{x}" y="{y}" text-anchor="end" font-size="11" fill="{colour}">{escape(name)}</text>')
+    return picture("".join(drawn), f"{up} over {across}", WIDTH, HEIGHT)
 
 
 def unit_circle(multipliers: np.ndarray, label: str, size: int = 150) -> str:
@@ -146,59 +236,33 @@ def runs(points: Sequence[FamilyPoint]) -> list[tuple[bool, list[FamilyPoint]]]:
     return found
 
 
-def diagram(family: Family) -> str:
-    """Frequency against energy, or the second parameter of a curve of bifurcations against its first.
-
-    Solid where stable, dashed where not, a dot that names itself at each event.
-    """
-    if not family.points:
-        return ""
+def plane_of(family: Family) -> tuple[Axes, np.ndarray]:
+    """The axes of a family's diagram, and the places (pixels) of its points and then of its events: frequency against
+    energy, against the parameter where the energy hardly changes, or a curve's second parameter against its first."""
     names, places = family.parameters, family.places
     if len(names) < 2:
-        names = ("energy (J)", "frequency (1/s)")
-        places = np.column_stack([
-            [*family.values("energy"), *(one.energy for one in family.events)],
-            [*(1 / family.values("period")), *(1 / one.period for one in family.events)],
-        ])  # fmt: skip
+        members = [*family.points, *family.events]
+        along = np.nan_to_num([one.energy for one in members]) if family.by_energy else places[:, 0]
+        names = ("energy (J)" if family.by_energy else family.parameter, "frequency (1/s)")
+        places = np.column_stack([along, [1 / one.period for one in members]])
+    axes = Axes(*ranged(places[: len(family.points)]), (names[0], names[1]), WIDTH, HEIGHT)
+    return axes, axes.place(places)
+
+
+def diagram(family: Family) -> str:
+    """The curve of a family: solid where stable, dashed where not, a dot that names itself at each event."""
+    if not family.points:
+        return ""
+    axes, places = plane_of(family)
     at = dict(zip(map(id, (*family.points, *family.events)), places, strict=True))
-    low, span = (
-        places[: len(family.points)].min(axis=0),
-        np.maximum(np.ptp(places[: len(family.points)], axis=0), 1e-12),
-    )
-    room = np.array([WIDTH - LEFT - AROUND, HEIGHT - BELOW - AROUND])
-
-    def place(*some: FamilyPoint | Event) -> np.ndarray:
-        share = (np.array([at[id(one)] for one in some]) - low) / span
-        return np.asarray([LEFT, HEIGHT - BELOW] + share * room * [1, -1])
-
     lines = []
     for stable, run in runs(family.points):
         dash = "" if stable else ' stroke-dasharray="5 4"'
-        lines.append(
-            f'<polyline points="{path(place(*run))}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>'
-        )
+        line = path(np.array([at[id(one)] for one in run]))
+        lines.append(f'<polyline points="{line}" fill="none" stroke="{COLOURS[0]}" stroke-width="2"{dash}/>')
     for event in family.events:
-        ((x, y),) = place(event)
+        x, y = at[id(event)]
         name = escape(f"{event.kind.replace('_', ' ')} at {event.parameter:.6g} {event.detail}")
         lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{COLOURS[1]}"><title>{name}</title></circle>')
-    said = "frequency against energy of the family" if len(family.parameters) < 2 else " against ".join(names[::-1])
-    return picture("".join([_frame(low, span, names), *lines]), escape(said), WIDTH, HEIGHT)
-
-
-def _frame(low: object, span: object, names: Sequence[str]) -> str:
-    """Axes with the range at their ends and what they are."""
-    start, width = np.asarray(low, float), np.asarray(span, float)
-    bottom, right = HEIGHT - BELOW, WIDTH - AROUND
-
-    def text(x: float, y: float, said: str, anchor: str, more: str = "") -> str:
-        return f'<text x="{x}" y="{y}" text-anchor="{anchor}" font-size="11" fill="currentColor"{more}>{said}</text>'
-
-    return "".join([
-        f'<path d="M {LEFT} {AROUND} V {bottom} H {right}" fill="none" stroke="currentColor" stroke-opacity=".5"/>',
-        text(LEFT, bottom + 15, f"{start[0]:.4g}", "start"),
-        text(right, bottom + 15, f"{start[0] + width[0]:.4g}", "end"),
-        text((LEFT + right) / 2, bottom + 30, escape(names[0]), "middle"),
-        text(LEFT - 5, bottom, f"{start[1]:.3g}", "end"),
-        text(LEFT - 5, AROUND + 10, f"{start[1] + width[1]:.3g}", "end"),
-        text(12, bottom / 2, escape(names[1]), "middle", f' transform="rotate(-90 12 {bottom / 2})"'),
-    ])  # fmt: skip
+    said = " against ".join(axes.names[::-1]) + (" of the family" if len(family.parameters) < 2 else "")
+    return picture("".join([axes.frame, *lines]), said, WIDTH, HEIGHT)

@@ -17,7 +17,7 @@ import numpy as np
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, energies, positions, vector_field
 from orbitfinder.orbits.closure import alone, between
 from orbitfinder.orbits.course import Course, course, sampled
@@ -38,6 +38,8 @@ JUMPING = 240
 """Samples of a hybrid period, between whose events the page interpolates."""
 SMOOTH = 0.004
 LEVELS = 32767
+NOTHING = np.zeros(0)
+"""Values of the free parameters of a field that has none"""
 OFF, TURNS, TINY = 0.03, 3, 1e-5
 """How far from an orbit its neighbour starts, how many periods it is followed, and what is small, all relative."""
 ENERGIES = 121
@@ -104,13 +106,13 @@ class Simulator:
     def __init__(self) -> None:
         self._known: dict[str, tuple[Model, Any] | None] = {}
 
-    def model(self, system: Mapping[str, Any]) -> tuple[Model, Any] | None:
-        """The Model of a description and its field f(t, x, s, p), or None where no file describes it."""
-        key = repr(sorted(system.items()))
+    def model(self, system: Mapping[str, Any], free: tuple[str, ...] = ()) -> tuple[Model, Any] | None:
+        """The Model of a description and its field f(t, x, s, free), or None where no file describes it."""
+        key = repr((sorted(system.items()), free))
         if key not in self._known:
             try:
                 built = build_model(system)
-                self._known[key] = (built, vector_field(built, (), ()))
+                self._known[key] = (built, vector_field(built, [one for one in free if one in built.parameter_names]))
             except OrbitfinderError:
                 self._known[key] = None
         return self._known[key]
@@ -172,28 +174,38 @@ class Simulator:
         return found is None or found[0].conservative
 
     def member(self, system: Mapping[str, Any], one: FamilyPoint | Event) -> Motion | None:
-        """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry."""
-        found, period = self.model(system), one.period
+        """The motion of a point or event of a family from its nodes (or its state), completed by its symmetry.
+
+        `system` is the family's: its equations are built once, with what varies along it as their argument.
+        """
+        found, period = self.model(system, tuple(one.free)), one.period
         if found is None or len(one.state) != len(found[0].state_names):
             return None
         model, field = found
+        free = {name: float(value) for name, value in one.free.items() if name in model.parameter_names}
         if model.hybrid is not None:
-            return _jumping(model, one.state, period, None)
+            return _jumping(with_parameters(model, free), one.state, period, None)
         symmetry = symmetries_of(model).get(one.symmetry)
         if symmetry is None:
             return None
         nodes, edges = one.state[None], np.array([0.0, symmetry.fraction])
         if one.shooting_nodes.size:
             nodes, edges = one.shooting_nodes, one.mesh[:: (one.mesh.size - 1) // len(one.shooting_nodes)]
-        path = _pieces(field, nodes, edges * period)
+        path = _pieces(field, nodes, edges * period, np.array([*free.values()]))
         angles = np.array(model.angles or (True,) * model.degrees_of_freedom)
         if path is None or not symmetry.closes(path[1], angles) <= GAP:
             return None
-        return _motion(model, *symmetry.whole(*path), period)
+        numbers = [
+            free.get(name, value) for name, value in zip(model.parameter_names, model.parameter_values, strict=True)
+        ]
+        return _motion(replace(model, parameter_values=np.array(numbers)), *symmetry.whole(*path), period)
 
 
-def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) -> np.ndarray | None:
-    """States at equal times: steps are halved until the end moves by less than ENDS.
+def _path(
+    field: Any, state: np.ndarray, duration: float, start: float = 0.0, free: np.ndarray = NOTHING
+) -> np.ndarray | None:
+    """States at equal times, at the values of the field's free parameters: steps are halved until the
+    end moves by less than ENDS.
 
     Where it never does, because the motion amplifies round-off, those of the smallest steps; whether these are
     good enough shows where the pieces join. None when the motion cannot be integrated.
@@ -201,7 +213,7 @@ def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) ->
     states = before = None
     for steps in STEPS:
         try:
-            states = march(field, state, duration, steps, np.zeros(0), start)
+            states = march(field, state, duration, steps, free, start)
         except IntegrationError:
             states = before = None
             continue
@@ -211,14 +223,16 @@ def _path(field: Any, state: np.ndarray, duration: float, start: float = 0.0) ->
     return None if states is None else np.asarray(states)
 
 
-def _pieces(field: Any, nodes: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def _pieces(
+    field: Any, nodes: np.ndarray, edges: np.ndarray, free: np.ndarray = NOTHING
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Times and states from the first of the `edges` (N + 1 times, s) to the last.
 
     Each segment starts at its own node, so that instability does not show.
     """
     times, states = [edges[:1]], [nodes[:1]]
     for k, node in enumerate(nodes):
-        path = _path(field, node, edges[k + 1] - edges[k], edges[k])
+        path = _path(field, node, edges[k + 1] - edges[k], edges[k], free)
         if path is None:
             return None
         times.append(np.linspace(edges[k], edges[k + 1], len(path))[1:])

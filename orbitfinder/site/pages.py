@@ -15,7 +15,7 @@ from orbitfinder.families.members import amplitudes
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.orbit import asked, system_at
+from orbitfinder.records.orbit import asked
 from orbitfinder.site.gather import OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
@@ -238,25 +238,37 @@ MOST_POINTS = 60
 MOST_EVENTS = 60
 
 
-def family_items(family: Family, simulator: Simulator, reach: Mapping[int, float]) -> list[dict[str, Any]]:
-    """The points and events that can be picked, in order along the family; `reach` are their amplitudes by id."""
+def pickable(family: Family) -> list[tuple[str, int]]:
+    """The points and events that can be picked, "point" or "event" and their numbers, in order along the family."""
     points, events = family.points, family.events
-    found = [
-        (points[k].arclength, _item(points[k], points[k].system, points[k], simulator, reach) | {"key": f"point={k}"})
-        for k in spread(points, MOST_POINTS)
-    ]
+    found = [(points[k].arclength, "point", k) for k in spread(points, MOST_POINTS)]
     rare = [k for k, event in enumerate(events) if event.kind != "resonance"]
     common = [k for k, event in enumerate(events) if event.kind == "resonance"]
     kept = [rare[k] for k in evenly(len(rare), MOST_EVENTS)]
     kept += [common[k] for k in evenly(len(common), max(0, MOST_EVENTS - len(kept)))]
-    for k in kept:
-        event = events[k]
-        before = points[min(max(event.index, 0), len(points) - 1)]
-        item = _item(event, system_at(family.system, event.free), before, simulator, reach)
+    found += [(events[k].arclength, "event", k) for k in kept]
+    return [(kind, k) for _, kind, k in sorted(found, key=lambda one: one[0])]
+
+
+def before(family: Family, event: Event) -> FamilyPoint:
+    """The point before an event, which says what the event does not carry."""
+    return family.points[min(max(event.index, 0), len(family.points) - 1)]
+
+
+def family_items(family: Family, simulator: Simulator, reach: Mapping[int, float]) -> list[dict[str, Any]]:
+    """What can be picked, in order along the family; `reach` are the amplitudes by id."""
+    found = []
+    for kind, k in pickable(family):
+        key = {"key": f"{kind}={k}"}
+        if kind == "point":
+            point = family.points[k]
+            found.append(_item(point, family.system, point, simulator, reach) | key)
+            continue
+        event = family.events[k]
+        item = _item(event, family.system, before(family, event), simulator, reach)
         command = f"orbitfinder continue families/{family.name}/family.json --switch {k}"
-        more = {"key": f"event={k}", "number": k, "command": command if event.kind in SWITCHABLE else ""}
-        found.append((event.arclength, item | more))
-    return [item for _, item in sorted(found, key=lambda pair: pair[0])]
+        found.append(item | key | {"number": k, "command": command if event.kind in SWITCHABLE else ""})
+    return found
 
 
 def spread(points: Sequence[FamilyPoint], most: int) -> list[int]:
@@ -383,14 +395,8 @@ def family_values(family: Family, items: Sequence[Mapping[str, Any]]) -> dict[st
 
 def _useful(family: Family) -> list[str]:
     """What may be plotted across, the most telling first: the parameter where the energy hardly changes."""
-    energies = family.values("energy")
-    still = np.ptp(energies) <= ALIKE * max(float(np.abs(energies).max()), 1e-300) or not np.isfinite(energies).all()
-    order = ["value", "energy"] if still and not family.unit else ["energy", *([] if family.unit else ["value"])]
+    order = ["value", "energy"] if not family.by_energy else ["energy", *([] if family.unit else ["value"])]
     return [*order, "below", "arclength", "action"]
-
-
-ALIKE = 1e-6
-"""Change of the energies of a family, relative to them, below which they are no axis"""
 
 
 def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Model | None) -> dict[str, Any]:

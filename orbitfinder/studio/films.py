@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.mechanics.model import Model, positions
+from orbitfinder.mechanics.pose import movable
 from orbitfinder.site.motion import Motion, in_plane, packed
 
 FRAMES = 40
@@ -50,7 +51,14 @@ def view(model: Model, states: np.ndarray) -> dict[str, list[float]]:
 
 
 def draggable(model: Model) -> list[float]:
-    """The lengths (m) of the links of a chain whose joints can be dragged; [] of what has sliders only."""
+    """The lengths (m) of the links of a chain whose joints can be dragged; [] of anything else."""
     system = model.system
     plain = system.get("kind") == "chain" and model.constraint is None
     return [float(one) for one in system["length"]] if plain else []
+
+
+def pullable(model: Model, state: np.ndarray) -> list[int]:
+    """The points of a mechanism with a picture that can be pulled, as far as its joints allow; [] of a chain."""
+    if draggable(model) or model.hybrid is not None or model.rates is not None:
+        return []
+    return movable(model, state)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,12 @@ from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.html import certificate_html
 from orbitfinder.studio import plots
-from orbitfinder.studio.films import draggable
+from orbitfinder.studio.beside import SearchPanel, SectionPanel
+from orbitfinder.studio.desk import Desk, Source
+from orbitfinder.studio.films import draggable, pullable
 from orbitfinder.studio.session import Item, Session, leaving, parameters
 from orbitfinder.studio.tasks import Film, Found, Return, Simulated, Step
-from orbitfinder.studio.worker import RefusedError, StoppedError, Worker
+from orbitfinder.studio.worker import RefusedError, StoppedError
 
 ASSETS = Path(__file__).parent / "assets"
 SITE = Path(site.__path__[0]) / "assets"
@@ -37,12 +39,23 @@ REDRAWN = 0.25
 MOST_SLIDERS = 24
 
 
-class Page:
+@dataclass
+class Grip:
+    """A point that is held: since which time (s) of the motion, to where it is pulled, how fast it is let go of."""
+
+    point: int
+    time: float
+    place: list[float] | None = None
+    velocity: list[float] | None = None
+    state: list[float] | None = None
+
+
+class Page(Desk):
     """One tab: a quick process for what the stage shows, another one for searches, which can be cancelled."""
 
     def __init__(self, session: Session, taken: set[str], assets: str) -> None:
-        self.session, self.taken, self.assets = session, taken, assets
-        self.quick, self.long = Worker(), Worker()
+        super().__init__(session, taken)
+        self.assets = assets
         self.state = [float(one) for one in session.opened.state]
         self.returns: tuple[Return, ...] = ()
         self.picked: int | None = None
@@ -51,7 +64,8 @@ class Page:
         self.points: list[FamilyPoint] = []
         self.films: dict[bytes, Film | None] = {}
         self.wanted: dict[str, Any] = {}
-        self.dark = False
+        self.inputs: list[Any] = []
+        self.grip: Grip | None = None
         self.shown = False
 
     async def built(self) -> None:
@@ -66,6 +80,8 @@ class Page:
             with ui.element("div"):
                 self._stage()
                 self._sliders()
+                self.section = SectionPanel(self, self._start_from)
+                self.background = SearchPanel(self, self._load_member, self._list)
             with ui.element("div"):
                 self._returns()
                 self._family()
@@ -73,12 +89,13 @@ class Page:
         self.timer = ui.timer(REDRAWN, self._redraw)
         ui.on("held", self._held)
         ui.on("released", self._released)
+        ui.on("gripped", self._gripped)
         client = ui.context.client
         client.on_delete(self.close)
         await client.connected()
         self.dark = bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches", timeout=10))
         self._recoloured(self.dark)
-        ui.run_javascript(f"stage.mount('stage', {json.dumps(draggable(self.session.model))})")
+        ui.run_javascript(f"stage.mount('stage', {self._holds()})")
         await self._first()
 
     def close(self) -> None:
@@ -86,6 +103,7 @@ class Page:
         self.timer.deactivate()
         self.quick.close()
         self.long.close()
+        self.background.close()
 
     # ------------------------------------------------------------------ what the page is made of
 
@@ -99,10 +117,11 @@ class Page:
                 'flat dense round aria-label="Light or dark"'
             )
             self.save = ui.button("Save", on_click=self._save).props('dense no-caps id="save" padding="4px 16px"')
-        self._free()
+        self.free()
 
     def _stage(self) -> None:
-        drags = bool(draggable(self.session.model))
+        model, opened = self.session.model, self.session.opened
+        drags = bool(draggable(model) or pullable(model, opened.state))
         with ui.card().classes("panel stage"):
             _title("1. Drag a joint, or flick it, and let go" if drags else "1. Where it starts")
             ui.html(
@@ -150,7 +169,7 @@ class Page:
             shown.props("aria-hidden=true")
 
         async def moved(event: Any) -> None:
-            await self._told(lambda: then(_finite(event.args)))
+            await self.told(lambda: then(plots.finite(event.args)))
 
         slider.on("update:model-value", moved, throttle=0.03)
         return slider
@@ -207,40 +226,11 @@ class Page:
 
     # ------------------------------------------------------------------ what happens on it
 
-    async def _told(self, work: Callable[[], Awaitable[Any] | None]) -> None:
-        """Do something; what is refused is a sentence on the page."""
-        try:
-            found = work()
-            if found is not None:
-                await found
-        except StoppedError as error:
-            self._say(str(error).capitalize())
-        except (OrbitfinderError, OSError) as error:
-            self._say(f"{error}")
-            ui.notify(str(error), type="warning", multi_line=True, timeout=8000)
-
-    def _say(self, sentence: str) -> None:
-        self.status.set_text(sentence)
-
-    def _free(self, busy: bool = False) -> None:
-        self.busy.set_visibility(busy)
-        self.cancel.set_visibility(busy)
-
-    async def _searched(self, task: str, *arguments: Any) -> Any:
-        """The answer of the process for searches, one at a time."""
-        if self.long.busy:
-            raise InputError("a search is under way; cancel it first")
-        self._free(busy=True)
-        try:
-            return await self.long.do(task, *arguments, said=self._heard)
-        finally:
-            self._free()
-
     def _heard(self, what: Any) -> None:
         if isinstance(what, Step):
             self._grown(what)
         else:
-            self._say(str(what))
+            self.say(str(what))
 
     async def _first(self) -> None:
         given = self.session.opened
@@ -250,9 +240,14 @@ class Page:
             self._show_orbit(found)
         elif given.family is not None:
             self._show_family(self.session.keep_opened())
+        elif given.atlas is not None:
+            self.item = self.session.keep_atlas(given.name)
+            self.background.show(self.item)
         self._list()
-        await self._told(lambda: self._simulate(stay=given.orbit is not None or given.family is not None))
-        await self._told(self.long.start)
+        await self.told(lambda: self._simulate(stay=given.orbit is not None or given.family is not None))
+        if not self.shown:  # the motion was refused
+            await self.told(self._posed)
+        await self.told(self.long.start)
 
     def _held(self, event: Any) -> None:
         """A joint is being dragged: its energy."""
@@ -263,10 +258,50 @@ class Page:
         self._state(event.args["state"])
         await self._run()
 
+    async def _gripped(self, event: Any) -> None:
+        """A point of a mechanism is taken hold of, pulled and let go of."""
+        what = event.args
+        if "time" in what:
+            self.grip = Grip(int(what["point"]), plots.finite(what["time"]))
+        if self.grip is not None and "place" in what:
+            self.grip.place = [plots.finite(one) for one in what["place"]]
+        if self.grip is not None and "velocity" in what:
+            self.grip.velocity = [plots.finite(one) for one in what["velocity"]]
+        await self.told(lambda: self._latest("grip", self._pull))
+
+    async def _pull(self) -> None:
+        """Bring the mechanism to where its point is pulled; let it run once it is let go of."""
+        grip, source = self.grip, self.source
+        if grip is None:
+            return
+        system = dict(self.session.model.system)
+        if grip.state is None:
+            grip.state = await self.quick.do("later", source.system, source.state, grip.time)
+        last = grip.velocity is not None
+        if grip.place is not None:
+            place, grip.place = grip.place, None
+            grip.state, film = await self.quick.do("pulled", system, grip.state, grip.point, place)
+            self._state(grip.state)
+            self.readout.set_text(self._energy())
+            if not last:
+                self._show(film)
+        if last and grip.place is None:
+            self.grip = None
+            self._state(await self.quick.do("thrown", system, grip.state, grip.point, grip.velocity))
+            await self._simulate()
+
+    async def _start_from(self, state: Sequence[float]) -> None:
+        """Let the mechanism run from a state (d)."""
+        self._state(state)
+        await self._run()
+
+    async def _posed(self) -> None:
+        self._show(await self.quick.do("posed", dict(self.session.model.system), self.state))
+
     def _state(self, given: Sequence[Any]) -> None:
         """The numbers of a page, which may be anything, as the state."""
         if len(given) == len(self.state):
-            self.state = [_finite(one) for one in given]
+            self.state = [plots.finite(one) for one in given]
             for slider, value in zip(self.inputs, self.state, strict=False):
                 slider.set_value(value)
 
@@ -281,7 +316,7 @@ class Page:
         await self._latest("state", self._simulate)
 
     async def _run(self) -> None:
-        await self._told(lambda: self._latest("state", self._simulate))
+        await self.told(lambda: self._latest("state", self._simulate))
 
     async def _latest(self, what: str, work: Callable[[], Awaitable[None]]) -> None:
         """Do some work again until nothing new was asked for meanwhile."""
@@ -297,7 +332,7 @@ class Page:
             del self.wanted[what]
 
     async def _simulate(self, stay: bool = False) -> None:
-        duration = _finite(self.duration.value or 0.0)
+        duration = plots.finite(self.duration.value or 0.0)
         found: Simulated = await self.quick.do("simulated", dict(self.session.model.system), self.state, duration)
         self.session.energy, self.returns, self.picked = found.energy, found.returns, None
         self.readout.set_text(_readout(found, duration))
@@ -305,6 +340,7 @@ class Page:
         self.find.set_enabled(bool(self.returns))
         if stay and self.shown:
             return
+        self.source = Source(dict(self.session.model.system), list(self.state), found.energy)
         self._show(found.film, found.view)
 
     def _show(self, film: Film | None, view: Mapping[str, Any] | None = None, keep: bool = False) -> None:
@@ -319,7 +355,7 @@ class Page:
 
     async def _find(self, number: int) -> None:
         """Find the orbit that a close return belongs to."""
-        await self._told(lambda: self._found_near(number))
+        await self.told(lambda: self._found_near(number))
 
     async def _find_first(self) -> None:
         """Find the orbit of the most promising close return that has one."""
@@ -334,7 +370,7 @@ class Page:
                     said = str(error)
             raise InputError(said)
 
-        await self._told(tried)
+        await self.told(tried)
 
     async def _found_near(self, number: int) -> bool:
         """Whether the orbit that a close return belongs to is certified."""
@@ -343,21 +379,23 @@ class Page:
         return await self._found(self.session.problem(one.state, one.period, self.taken))
 
     async def _find_own(self) -> None:
-        await self._told(lambda: self._found(self.session.own_problem(self.taken)))
+        await self.told(lambda: self._found(self.session.own_problem(self.taken)))
 
     async def _found(self, wanted: tuple[str, Path]) -> bool:
         name, file = wanted
-        self._say(f"{name}: searching")
-        found: Found = await self._searched("found", file, self.session.folder)
+        self.say(f"{name}: searching")
+        found: Found = await self.searched("found", file, self.session.folder, said=self._heard)
         if found.file is not None:
             self.item = self.session.keep_orbit(found.orbit)
             self._list()
         self._show_orbit(found)
-        self._say(f"{name}: {'certified' if found.file else 'not an orbit'}")
+        self.say(f"{name}: {'certified' if found.file else 'not an orbit'}")
         return found.file is not None
 
     def _show_orbit(self, found: Found, keep: bool = False) -> None:
         orbit = self.orbit = found.orbit
+        level_ = orbit.energy if math.isfinite(orbit.energy) else None
+        self.source = Source(dict(orbit.system), [float(one) for one in orbit.state], level_, orbit)
         sure = orbit.certificate is not None and orbit.certificate.passed
         self.badge.set_text("Certified" if sure else "Rejected")
         self.badge.props(f"color={'good' if sure else 'bad'} icon={'verified' if sure else 'dangerous'}")
@@ -384,43 +422,52 @@ class Page:
         while item is not None and item.orbit is None:
             item = self.session.items.get(item.parent or "")
         if item is None or not self.along.value:
-            return self._say("find an orbit first; then its family can be followed")
+            return self.say("find an orbit first; then its family can be followed")
         name, parameter, points = f"{item.name}-{self.along.value}", str(self.along.value), self._points()
-        await self._told(lambda: self._followed(item, name, parameter, points))
+        await self.told(lambda: self._followed(item, name, parameter, points))
 
     async def _followed(self, item: Item, name: str, parameter: str, points: int) -> None:
         self._begin(name, parameter)
         try:
-            family = await self._searched("followed", item.file, parameter, points, name, self.session.folder)
+            family = await self.searched(
+                "followed", item.file, parameter, points, name, self.session.folder, said=self._heard
+            )
         except StoppedError:
             family = self.session.rescued(name)
             if family is None:
                 raise
         self._show_family(self.session.keep_family(family, item.name, points))
-        self._say(f"{name}: {family.counts}")
+        self.say(f"{name}: {family.counts}")
 
     async def _branch(self) -> None:
         if self.events.value is None or self.item is None or self.item.family is None:
-            return self._say("choose an event of a family that was followed; branches leave there")
+            known = self.item.family if self.item is not None else None
+            return self.say(
+                "choose an event of a family that was followed; branches leave there"
+                if known is None or leaving(known)
+                else f"no branch leaves {known.name}: its multipliers meet no root of 1; follow it further"
+            )
         item, event, points = self.item, int(self.events.value), self._points()
-        await self._told(lambda: self._branched(item, event, points))
+        await self.told(lambda: self._branched(item, event, points))
 
     async def _branched(self, item: Item, event: int, points: int) -> None:
-        self._say(f"{item.name}: looking for what leaves at event {event}")
+        self.say(f"{item.name}: looking for what leaves at event {event}")
         assert item.family is not None
         self._begin("", item.family.parameter)
         try:
-            families: list[Family] = await self._searched("branched", item.file, event, points, self.session.folder)
+            families: list[Family] = await self.searched(
+                "branched", item.file, event, points, self.session.folder, said=self._heard
+            )
         except OrbitfinderError:
             self._show_family(item)
             raise
         for number, family in enumerate(families, 1):
             self.session.keep_family(family, item.name, points, event, number)
         self._show_family(self.session.items[families[0].name])
-        self._say(f"{plural(len(families), 'family')} found at event {event} of {item.name}")
+        self.say(f"{plural(len(families), 'family')} found at event {event} of {item.name}")
 
     def _points(self) -> int:
-        return max(1, int(_finite(self.count.value or 1)))
+        return max(1, int(plots.finite(self.count.value or 1)))
 
     def _begin(self, name: str, parameter: str) -> None:
         """Forget the family that is shown, for one that grows."""
@@ -434,7 +481,7 @@ class Page:
             self.films[point.state.tobytes()] = film
             self.points.insert(len(self.points) if step.batch.direction > 0 else 0, point)
         self.stale = True
-        self._say(f"{step.family}: {plural(len(self.points), 'orbit')}")
+        self.say(f"{step.family}: {plural(len(self.points), 'orbit')}")
 
     growing = ""
     parameter = "energy"
@@ -469,7 +516,7 @@ class Page:
         self._list()
 
     async def _slid(self, event: Any) -> None:
-        await self._told(lambda: self._slide_to(int(_finite(event.args))))
+        await self.told(lambda: self._slide_to(int(plots.finite(event.args))))
 
     async def _slide_to(self, number: int) -> None:
         if not 0 <= number < len(self.points):
@@ -481,6 +528,8 @@ class Page:
         )
         self.badge.set_visibility(False)  # what it says is of another orbit
         self.about.set_text("")
+        level = point.energy if math.isfinite(point.energy) else None
+        self.source = Source(dict(point.system), [float(one) for one in point.state], level)
         self.plot.run_plot_method("restyle", {"x": [[point.value]], "y": [[1 / point.period]]}, [plots.HERE])
         key = point.state.tobytes()
         if self.films.get(key) is None:
@@ -495,13 +544,13 @@ class Page:
         if trace == plots.POINTS and 0 <= number < len(self.points):
             self.slide.set_value(number)
             ui.run_javascript(f"stage.turn({number})")
-            await self._told(lambda: self._slide_to(number))
+            await self.told(lambda: self._slide_to(number))
         elif trace == plots.EVENTS:
             if number in (self.events.options or {}):
                 self.events.set_value(number)
                 await self._branch()
             else:
-                self._say(f"no branch leaves at event {number}")
+                self.say(f"no branch leaves at event {number}")
 
     async def _keep_member(self) -> None:
         async def kept() -> None:
@@ -511,7 +560,7 @@ class Page:
             orbit: Orbit = await self.quick.do("own", self.points[number])
             await self._found(self.session.problem_of(orbit, self.taken))
 
-        await self._told(kept)
+        await self.told(kept)
 
     # ------------------------------------------------------------------ parameters, saving, looks
 
@@ -530,10 +579,15 @@ class Page:
         self._show_orbit(found, keep=True)
         self.session.model = build_model(found.orbit.system)
         self._remount()
-        self._say(f"{name} = {value:.6g}: the orbit follows")
+        self.say(f"{name} = {value:.6g}: the orbit follows")
 
     def _remount(self) -> None:
-        ui.run_javascript(f"stage.links({json.dumps(draggable(self.session.model))})")
+        ui.run_javascript(f"stage.links({self._holds()})")
+
+    def _holds(self) -> str:
+        """What of the mechanism can be taken hold of, for the stage: links of a chain, or points."""
+        model = self.session.model
+        return f"{json.dumps(draggable(model))}, {json.dumps(pullable(model, np.asarray(self.state)))}"
 
     async def _keep(self) -> None:
         async def kept() -> None:
@@ -541,17 +595,17 @@ class Page:
                 raise InputError("find an orbit first; then it follows the parameters and can be kept")
             await self._found(self.session.problem_of(replace(self.orbit, expected={}), self.taken))
 
-        await self._told(kept)
+        await self.told(kept)
 
     async def _save(self) -> None:
         async def saved() -> None:
             written = self.session.save()
             self._list()
-            self._say(
+            self.say(
                 f"{plural(len(written), 'file')} saved in {self.session.out}" if written else "nothing new to save"
             )
 
-        await self._told(saved)
+        await self.told(saved)
 
     def _list(self) -> None:
         """The tree of what was found and the command lines."""
@@ -568,19 +622,32 @@ class Page:
         if item.family is not None:
             self._show_family(item)
             ui.run_javascript(f"stage.turn({int(self.slide.value)})")
-            await self._told(lambda: self._slide_to(int(self.slide.value)))
+            await self.told(lambda: self._slide_to(int(self.slide.value)))
             return
         self.item = item
-        await self._told(lambda: self._reopened(item))
+        if item.atlas is not None:
+            self.background.show(item)
+            return
+        await self.told(lambda: self._reopened(item))
 
     async def _reopened(self, item: Item) -> None:
         self._show_orbit(await self.quick.do("opened", item.file))
+
+    async def _load_member(self, name: str, number: int) -> None:
+        """Show an orbit of an atlas by its id, to go on from."""
+        atlas = self.session.items[name]
+        found: Found = await self.quick.do("opened", Path(f"{atlas.file}#{number}"))
+        self.item = self.session.keep_member(atlas, number, found.orbit)
+        self._list()
+        self._show_orbit(found)
+        self.say(f"orbit {number} of {name}")
 
     def _recoloured(self, dark: bool) -> None:
         self.dark = dark
         self.theme.set_value(dark)
         self.near.update_figure(plots.returns_figure(self.returns, self.picked, dark))
         self.plot.update_figure(self._figure())
+        self.section.recolour()
         ui.run_javascript("setTimeout(stage.recolour, 50)")
 
 
@@ -595,13 +662,6 @@ def _safe(text: str) -> str:
 
 def _js(value: Any) -> str:
     return json.dumps(bool(value))
-
-
-def _finite(value: Any) -> float:
-    """A number that a page sent. Raises `InputError`."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"number: {str(value)[:40]!r} is not finite; move the slider again")
-    return float(value)
 
 
 def _range(value: float, angle: bool) -> tuple[float, float]:

@@ -1,15 +1,21 @@
-"""The plots of the studio, as Plotly takes them: close returns, and families with their events."""
+"""The plots of the studio, as Plotly takes them: close returns, families with their events, Poincare sections."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from orbitfinder.errors import InputError
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.studio.tasks import Return
+from orbitfinder.site.text import coordinate
+from orbitfinder.studio.tasks import Cut, Return
 
 STABLE, UNSTABLE, MARK, OTHER = "#0072b2", "#d55e00", "#008060", "#8a94a0"
-DARK = {STABLE: "#56b4e9", UNSTABLE: "#f0a35e", MARK: "#3fc79a"}
+MOTIONS = (STABLE, UNSTABLE, "#7a3e9d", "#8a6d00")
+DARK = {STABLE: "#56b4e9", UNSTABLE: "#f0a35e", MARK: "#3fc79a", MOTIONS[2]: "#cc99e0", MOTIONS[3]: "#d8bf4a"}
 CALM = ("elliptic", "asymptotically stable")
 POINTS, EVENTS, HERE = 0, 1, 2
 """The traces of a plot of families: the first two can be clicked, the third is where one is"""
@@ -69,6 +75,24 @@ def family_figure(
     return _figure(data, f"{parameter}{f', {unit}' if unit else ''}", "frequency 1/T, 1/s", dark)
 
 
+def section_figure(cut: Cut | None, dark: bool) -> dict[str, Any]:
+    """A Poincare section: regular motions in colours, chaotic ones grey, the orbit as rings."""
+    across, up = ("", "") if cut is None else map(coordinate, cut.section.axes)
+    if cut is None:
+        return _figure([{"x": [], "y": [], "mode": "markers"}], across, up, dark)
+    found, told = cut.section, bool(np.isfinite(cut.section.growth).any())
+    colours = [MOTIONS[k % len(MOTIONS)] if calm or not told else OTHER for k, calm in enumerate(found.regular)]
+    points = found.points
+    hover = [f"motion {k + 1}: start here" for k in found.seeds.tolist()]
+    data: list[dict[str, Any]] = [
+        {"x": points[:, 0].tolist(), "y": points[:, 1].tolist(), "mode": "markers", "hovertext": hover,
+         "marker": {"size": 4, "color": [colours[k] for k in found.seeds.tolist()]}, "hoverinfo": "text"},
+        {"x": cut.crossings[:, 0].tolist(), "y": cut.crossings[:, 1].tolist(), "mode": "markers", "hoverinfo": "skip",
+         "marker": {"size": 15, "color": "rgba(0,0,0,0)", "line": {"color": MARK, "width": 3}}},
+    ]  # fmt: skip
+    return _figure(data, across, up, dark)
+
+
 def _said(event: Event) -> str:
     return f"{event.kind.replace('_', ' ')} {event.detail}".strip()
 
@@ -80,3 +104,10 @@ def clicked(event: Mapping[str, Any]) -> tuple[int, int] | None:
         return int(one.get("curveNumber", 0)), int(one.get("pointIndex", one.get("pointNumber")))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
         return None
+
+
+def finite(value: Any) -> float:
+    """A number that a page sent. Raises `InputError`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"number: {str(value)[:40]!r} is not finite; give another one")
+    return float(value)

@@ -15,19 +15,25 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder.errors import InputError
+from orbitfinder.atlas.report import summarise
+from orbitfinder.atlas.store import Atlas, Row, load_orbit
+from orbitfinder.errors import InputError, plural
 from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.minimal import minimal_problem
 from orbitfinder.guesses.modes import normal_modes
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.linkage import assemble, linkage_state
+from orbitfinder.mechanics.mechanism import mechanism_state
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.read import load_problem_file
-from orbitfinder.problemfile.write import orbit_text
-from orbitfinder.records.family import JOURNAL, Family, assemble, load_family, read_journal, save_family
+from orbitfinder.problemfile.write import entries, orbit_text, toml
+from orbitfinder.records.family import JOURNAL, Family, load_family, read_journal, save_family
+from orbitfinder.records.family import assemble as assembled
 from orbitfinder.records.orbit import Orbit, orbit_to_document
 from orbitfinder.records.reading import file_bytes, write_atomically
-from orbitfinder.records.store import kind_of, load_orbit
+from orbitfinder.records.store import kind_of, member
 from orbitfinder.site.text import mechanism
 
 SWINGS = 8.0
@@ -38,6 +44,8 @@ AGAIN = "again"
 """Folder that the command lines which repeat the work write to"""
 START = 1.0
 """rad by which the last link of a chain is turned where no file says how it starts"""
+REFERENCE = re.compile(r'(?m)^(\s*(?:file|csv)\s*=\s*)"([^"\n]+)"')
+"""Files that a problem file names: a robot's description, a trajectory"""
 
 
 @dataclass(frozen=True)
@@ -52,15 +60,16 @@ class Opened:
     """the period (s) that a problem file guesses, and its text"""
     orbit: Path | None = None
     family: Path | None = None
+    atlas: Path | None = None
 
 
 def opened(file: Path | None) -> Opened:
-    """A problem file, orbit.json or family.json; without one a double pendulum. Raises `InputError`."""
+    """A problem file, orbit.json, family.json, atlas or FILE#K; without one a double pendulum. Raises `InputError`."""
     if file is None:
         return _hanging(chain(2), "double-pendulum", None)
     if file.suffix == ".py":
         raise InputError(f"{file}: the studio runs no Python files; give a TOML file, an orbit.json or a family.json")
-    if file.suffix == ".json":
+    if file.suffix == ".json" or kind_of(member(file)[0]) == "atlas":
         return _recorded(file)
     loaded = load_problem_file(file)
     build_model(loaded.model.system)  # as every process of the studio does; it says why where that cannot be
@@ -68,24 +77,48 @@ def opened(file: Path | None) -> Opened:
         start = None if loaded.start is None else np.asarray(loaded.start, float)
         return _hanging(loaded.model, loaded.name, start)
     problem = minimal_problem(loaded.problem) if loaded.model.constraint is not None else loaded.problem
-    text = file_bytes(file).decode("utf-8-sig")
+    text = REFERENCE.sub(lambda at: f"{at[1]}{_path(file, at[2])}", file_bytes(file).decode("utf-8-sig"))
     period = float(problem.guess.period)
     return Opened(problem.model, np.asarray(problem.guess.state, float), SWINGS * period, loaded.name, (period, text))
 
 
+def _path(file: Path, named: str) -> str:
+    """A file that a problem file names beside itself, in TOML, for a copy of the problem file elsewhere."""
+    return toml(str((file.parent / named).resolve()))
+
+
 def _recorded(file: Path) -> Opened:
-    """The first orbit of an orbit.json or a family.json."""
-    kind = kind_of(file)
-    if kind not in ("orbit", "family"):
-        raise InputError(f"{file}: the studio opens a problem file, an orbit.json or a family.json")
-    orbit: Orbit = load_orbit(file) if kind == "orbit" else load_family(file).points[0]
-    place = {"orbit": file} if kind == "orbit" else {"family": file}
-    name = orbit.name if kind == "orbit" else load_family(file).name
+    """An orbit, or the first one of a family.json or an atlas."""
+    kind, number = kind_of(member(file)[0]), member(file)[1]
+    if kind not in ("orbit", "family", "atlas"):
+        raise InputError(f"{file}: the studio opens a problem file, an orbit.json, a family.json or an atlas")
+    if kind == "family" and number is None:
+        family = load_family(file)
+        orbit: Orbit = family.points[0]
+        name, place = family.name, {"family": file}
+    elif kind == "atlas" and number is None:
+        orbit, name, place = load_orbit(f"{file}#{_rows(file)[0].id}"), file.stem, {"atlas": file}
+    else:
+        orbit = load_orbit(file)
+        name, place = orbit.name, {"orbit": file}
     return Opened(build_model(orbit.system), orbit.state, SWINGS * orbit.period, name, **place)  # type: ignore[arg-type]
+
+
+def _rows(atlas: Path) -> list[Row]:
+    """The orbits of an atlas, in the order in which they were found. Raises `InputError` where there are none."""
+    with Atlas(atlas) as book:
+        rows = book.rows(order="id")
+    if not rows:
+        raise InputError(f"{atlas}: the atlas is empty; search into it first")
+    return rows
 
 
 def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
     """A system without a guess: from a state, or somewhere near where it starts by itself."""
+    if model.constraint is not None:
+        start = _together(model) if state is None else state
+        problem = minimal_problem(Problem(model, Guess(start, 1.0)))
+        return Opened(problem.model, np.asarray(problem.guess.state, float), DURATION, name)
     n, size = model.degrees_of_freedom, len(model.state_names)
     if state is None:
         state = np.zeros(size)
@@ -94,6 +127,16 @@ def _hanging(model: Model, name: str, state: np.ndarray | None) -> Opened:
     if model.system.get("kind") == "chain" and model.constraint is None:
         duration = SWINGS * 2 * np.pi / float(np.sqrt(normal_modes(model)[0].min()))
     return Opened(model, state, round(duration, 1), name)
+
+
+def _together(model: Model) -> np.ndarray:
+    """The state (2n) at rest of a system with loops, put together somewhere. Raises `InputError`."""
+    if model.system.get("kind") == "mechanism":
+        return mechanism_state(model)
+    if model.system.get("kind") != "linkage":
+        raise InputError("system: has loops and says not how it starts; add [simulate] with a state")
+    bars = len(model.system["length"])
+    return linkage_state(model, assemble(model, {}, guess=np.linspace(START, -START, bars)))
 
 
 @dataclass
@@ -110,6 +153,7 @@ class Item:
     parent: str | None = None
     family: Family | None = None
     orbit: Orbit | None = None
+    atlas: tuple[Row, ...] | None = None
     saved: bool = False
 
 
@@ -122,6 +166,8 @@ class Session:
     out: Path
     model: Model = field(init=False)
     items: dict[str, Item] = field(default_factory=dict)
+    searches: dict[Any, str] = field(default_factory=dict)
+    """names of the atlases by what was searched for"""
     own: set[str] = field(default_factory=set)
     """names that were saved from here"""
     energy: float | None = None
@@ -146,6 +192,49 @@ class Session:
         }  # fmt: skip
         return name, self._written(name, orbit_text(document, expected=False))
 
+    def search(
+        self, state: Any, periods: tuple[float, float], energy: float | None, taken: set[str]
+    ) -> tuple[str, Path]:
+        """The name and the atlas of a search, the same ones for the same search; its problem file is beside it.
+
+        Both are in `out` at once: what a search finds is never only in a folder that ends with the page. Raises
+        `InputError`.
+        """
+        asked = (repr(sorted(self.model.system.items())), periods, energy)
+        if asked not in self.searches:
+            name = self.unused(taken)
+            document: dict[str, Any] = {
+                "name": name, "source": "orbitfinder studio", "system": dict(self.model.system), "energy": energy,
+                "state": [float(one) for one in state], "period": periods[0], "provenance": {"invariants": []},
+            }  # fmt: skip
+            wanted = {"period": list(periods)} | ({} if energy is None else {"energy": energy})
+            text = self._text(orbit_text(document, expected=False)) + "\n".join(["", "[search]", *entries(wanted), ""])
+            self.out.mkdir(parents=True, exist_ok=True)
+            write_atomically(self.out / f"{name}.toml", text.encode())
+            self.searches[asked] = name
+        name = self.searches[asked]
+        return name, self.out / f"{name}.sqlite"
+
+    def keep_atlas(self, name: str) -> Item:
+        """Remember what a search has found so far; an atlas that was opened has its own file."""
+        if self.opened.atlas is not None and name == self.opened.name:
+            rows, file = _rows(self.opened.atlas), self.opened.atlas
+            return self._kept(Item(name, file, str(file), atlas=tuple(rows), saved=True))
+        file, again = self.out / f"{name}.sqlite", f"{AGAIN}-{name}.sqlite"
+        with Atlas(file) as book:
+            rows, starts = book.rows(order="id"), summarise(book).starts
+        how = ("--starts", str(starts), "--workers", "1", "--atlas", again)
+        command = ("search", str(self.out / f"{name}.toml"), *how)
+        return self._kept(Item(name, file, again, command, atlas=tuple(rows), saved=True))
+
+    def keep_member(self, atlas: Item, number: int, orbit: Orbit) -> Item:
+        """Remember an orbit of an atlas by its id."""
+        place = f"{atlas.place}#{number}"
+        return self._kept(
+            Item(f"{atlas.name}-{number}", Path(f"{atlas.file}#{number}"), place, parent=atlas.name, orbit=orbit,
+                 saved=True)
+        )  # fmt: skip
+
     def problem_of(self, orbit: Orbit, taken: set[str]) -> tuple[str, Path]:
         """A problem file that finds an orbit that is known."""
         name = self.unused(taken)
@@ -159,11 +248,15 @@ class Session:
         return name, self._written(name, found if count else f'name = "{name}"\n{text}')
 
     def _written(self, name: str, text: str | None) -> Path:
+        file = self.folder / f"{name}.toml"
+        write_atomically(file, self._text(text).encode())
+        return file
+
+    @staticmethod
+    def _text(text: str | None) -> str:
         if text is None:
             raise InputError("system: no problem file describes it; use `continue` on an orbit.json")
-        file = self.folder / f"{name}.toml"
-        write_atomically(file, text.encode())
-        return file
+        return text
 
     def unused(self, taken: set[str]) -> str:
         """A name that no tab and no file in the folder has; it joins those `taken`."""
@@ -201,7 +294,7 @@ class Session:
         journal = read_journal(self.folder / name)
         if journal is None or not journal.batches:
             return None
-        family = assemble(journal)
+        family = assembled(journal)
         save_family(family, self.folder / name)
         return family
 
@@ -245,6 +338,8 @@ def _label(item: Item) -> str:
     if item.family is not None:
         family = item.family
         return f"{item.name}: {len(family.points)} orbits, {len(family.events)} events{mark}"
+    if item.atlas is not None:
+        return f"{item.name}: an atlas of {plural(len(item.atlas), 'orbit')}{mark}"
     assert item.orbit is not None
     return f"{item.name}: T = {item.orbit.period:.6g} s, {item.orbit.stability}{mark}"
 

@@ -1,7 +1,9 @@
-"""What the studio's processes compute: simulate, find, follow, branch, show, turn a parameter."""
+"""What the studio's processes compute: simulate, pull, find, follow, branch, show, turn, cut, search."""
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from orbitfinder.atlas.choose import solve
-from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.atlas.search import Statistics, search
+from orbitfinder.atlas.store import load_orbit
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.branches import branches
 from orbitfinder.families.folder import follow_family
 from orbitfinder.families.members import whole
@@ -21,14 +25,16 @@ from orbitfinder.loops.ipopt import Progress
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.pose import pulled, thrown
 from orbitfinder.orbits.refine import Refiner
+from orbitfinder.orbits.section import named_surface, pierced, section
 from orbitfinder.orbits.simulate import SAMPLES_PER_SECOND, simulate
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.records.family import Batch, Event, Family, FamilyPoint, read_journal
 from orbitfinder.records.orbit import Orbit, orbit_to_document, save_orbit, system_at
-from orbitfinder.records.store import load_orbit
+from orbitfinder.records.section import Section
 from orbitfinder.site.motion import Simulator, packed
-from orbitfinder.studio.films import film, view
+from orbitfinder.studio.films import film, pose, view
 
 Say = Callable[[Any], None]
 Film = dict[str, Any]
@@ -38,6 +44,10 @@ RETURNS = 12
 LEAST_SAMPLES, MOST_SAMPLES = 400, 3000
 HALVINGS = 5
 """Times that a step of a parameter is halved until the orbit follows"""
+SEEDS, CROSSINGS = 24, 60
+"""Motions of a section, and how often each crosses it"""
+SPEAK_EVERY = 0.25
+"""s between two reports of a search"""
 
 
 @dataclass(frozen=True)
@@ -86,6 +96,22 @@ class Step:
     films: tuple[Film | None, ...]
 
 
+@dataclass(frozen=True)
+class Cut:
+    """A Poincare section and where an orbit crosses it (k x 2, in its axes)."""
+
+    section: Section
+    crossings: np.ndarray
+
+
+@dataclass(frozen=True)
+class Count:
+    """How far a search has come: starts made and orbits in its atlas."""
+
+    starts: int
+    orbits: int
+
+
 class Tasks:
     """The tasks of one process, which keeps what the next one may use again; `say` tells how a task gets on."""
 
@@ -113,6 +139,55 @@ class Tasks:
         change = run.change if energy is not None else float("nan")
         return Simulated(shown, view(model, run.states), energy, change, tuple(sorted(returns, key=lambda r: r.rank)))
 
+    def later(self, system: Mapping[str, Any], state: list[float], duration: float) -> list[float]:
+        """The state (d) that a motion has come to after a time (s)."""
+        if duration <= 0:
+            return list(state)
+        return [float(one) for one in simulate(self.model(system), np.asarray(state, float), duration, 2).states[-1]]
+
+    def pulled(
+        self, system: Mapping[str, Any], state: list[float], point: int, place: list[float]
+    ) -> tuple[list[float], Film]:
+        """The state at rest, and its picture, when a point is pulled to a place (down, right, m)."""
+        model = self.model(system)
+        found = pulled(model, np.asarray(state, float), point, np.asarray(place, float))
+        return [float(one) for one in found], pose(model, found)
+
+    def posed(self, system: Mapping[str, Any], state: list[float]) -> Film:
+        """The picture of a state that stands still."""
+        return pose(self.model(system), np.asarray(state, float))
+
+    def thrown(self, system: Mapping[str, Any], state: list[float], point: int, velocity: list[float]) -> list[float]:
+        """The state when a point is let go of with a velocity (down, right, m/s)."""
+        found = thrown(self.model(system), np.asarray(state, float), point, np.asarray(velocity, float))
+        return [float(one) for one in found]
+
+    def cut(self, system: Mapping[str, Any], energy: float | None, orbit: Orbit | None) -> Cut:
+        """The Poincare section at an energy (J, None where none is conserved), and where an orbit crosses it."""
+        model = self.model(system)
+        found = section(model, energy if model.conservative else None, seeds=SEEDS, returns=CROSSINGS)
+        crossings = np.zeros((0, 2))
+        if orbit is not None:
+            surface = named_surface(model, found.plane, found.axes, state=orbit.state)
+            with contextlib.suppress(InputError):  # it does not cross this plane
+                crossings = surface.chart(pierced(surface, orbit).states)
+        return Cut(found, crossings)
+
+    def searched(
+        self, system: Mapping[str, Any], energy: float | None, periods: tuple[float, float], budget: float, atlas: Path
+    ) -> int:
+        """Search for orbits for a time (s) and keep them in an atlas: what `orbitfinder search` does; its starts."""
+        last, starts = [0.0], [0]
+
+        def report(_: float, at: Statistics) -> None:
+            starts[0] = at.before + at.done
+            if time.monotonic() - last[0] > SPEAK_EVERY:
+                last[0] = time.monotonic()
+                self._say(Count(starts[0], at.orbits))
+
+        search(self.model(system), energy, periods, atlas, budget=budget, workers=0, progress=report)
+        return starts[0]
+
     def found(self, file: Path, out: Path) -> Found:
         """The orbit of a problem file, in OUT/NAME/orbit.json where it is certified: what `orbitfinder run` does."""
         orbit = solve(load_problem(file), progress=self._iterated)
@@ -121,7 +196,7 @@ class Tasks:
         return Found(orbit, self._film(orbit), saved)
 
     def opened(self, file: Path) -> Found:
-        """The orbit of an orbit.json."""
+        """The orbit of an orbit.json, or of ATLAS#K."""
         orbit = load_orbit(file)
         return Found(orbit, self._film(orbit), file)
 

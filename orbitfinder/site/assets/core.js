@@ -149,7 +149,7 @@ var orbitfinder = (function () {
     var pen = this.pen, wanted = this.width / 6 / this.scale, ten = Math.pow(10, Math.floor(Math.log10(wanted)));
     var long = [5, 2, 1].map(function (k) { return k * ten; }).find(function (x) { return x <= wanted; });
     var y = this.height - 10, x = 10;
-    pen.strokeStyle = pen.fillStyle = colours().muted;
+    pen.strokeStyle = pen.fillStyle = colours(this.canvas).muted;
     pen.lineWidth = 2;
     pen.beginPath();
     pen.moveTo(x, y);
@@ -161,7 +161,7 @@ var orbitfinder = (function () {
 
   Scene.prototype.draw = function (time) {
     if (this.canvas.clientWidth !== this.width) this.fit();
-    var pen = this.pen, m = this.motion, c = colours();
+    var pen = this.pen, m = this.motion, c = colours(this.canvas);
     pen.clearRect(0, 0, this.width, this.height);
     if (!m || !this.width) return;
     var small = Math.min(this.width, this.height), many = m.points > 20, line = Math.max(1.5, small / (many ? 130 : 75));
@@ -218,7 +218,7 @@ var orbitfinder = (function () {
     var pen = this.pen, scene = this, m = this.beside, now = m.at(time), all = [];
     for (var p = 0; p < m.points; p++) all.push(p);
     var lines = m.strokes ? m.strokes.map(function (stroke) { return stroke[0] === "disc" ? [] : stroke[1]; }) : [all];
-    pen.strokeStyle = pen.fillStyle = colours().muted;
+    pen.strokeStyle = pen.fillStyle = colours(this.canvas).muted;
     pen.lineWidth = line * 0.7;
     pen.globalAlpha = 0.6;
     lines.forEach(function (line) {
@@ -236,7 +236,7 @@ var orbitfinder = (function () {
 
   // Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled.
   Scene.prototype.mechanism = function (now, line) {
-    var pen = this.pen, scene = this, c = colours(), r = line * 0.9;
+    var pen = this.pen, scene = this, c = colours(this.canvas), r = line * 0.9;
     this.motion.strokes.forEach(function (stroke) {
       var kind = stroke[0], at = stroke[1].map(function (p) { return [scene.across(now, p), scene.down(now, p)]; });
       var x = at[0][0], y = at[0][1], far = at[at.length - 1], dx = far[0] - x, dy = far[1] - y;
@@ -269,7 +269,7 @@ var orbitfinder = (function () {
   Scene.prototype.floor = function (time, line) {
     var pen = this.pen, m = this.motion, all = m.ground, place = ((time / m.period) % 1 + 1) % 1;
     var one = all[Math.floor(place * all.length) % all.length];
-    pen.strokeStyle = colours().muted;
+    pen.strokeStyle = colours(this.canvas).muted;
     pen.lineWidth = line * 0.5;
     pen.beginPath();
     for (var k = 0; k < one[0].length; k++) {
@@ -282,7 +282,7 @@ var orbitfinder = (function () {
   // The last quarter period of the tip's path, fading away from it.
   Scene.prototype.tail = function (time, line) {
     var pen = this.pen, m = this.motion, parts = 4, steps = Math.max(12, Math.round(m.count / 12)), span = m.period / 4;
-    pen.strokeStyle = colours().trace;
+    pen.strokeStyle = colours(this.canvas).trace;
     pen.lineWidth = line * 0.6;
     for (var part = 0; part < parts; part++) {
       pen.globalAlpha = (part + 1) / parts;
@@ -298,15 +298,18 @@ var orbitfinder = (function () {
     pen.globalAlpha = 1;
   };
 
-  var known = null;
-  function colours() {
-    if (known) return known;
-    var style = getComputedStyle(document.documentElement);
+  // The palette of a page, or of what a scene stands in; read once a theme.
+  var known = new Map();
+  function colours(element) {
+    var from = element || document.documentElement;
+    if (known.has(from)) return known.get(from);
+    var style = getComputedStyle(from);
     function read(name) { return style.getPropertyValue("--" + name).trim(); }
-    known = { link: read("link"), joint: read("joint"), trace: read("trace"), ground: read("ground"), ink: read("ink"),
+    var found = { link: read("link"), joint: read("joint"), trace: read("trace"), ground: read("ground"), ink: read("ink"),
       muted: read("muted"), line: read("line"), surface: read("surface"),
       series: ["s1", "s2", "s3", "s4", "s5", "s6"].map(read) };
-    return known;
+    known.set(from, found);
+    return found;
   }
 
   // Only scenes on the screen are drawn; `follow` gets the time whenever it changes.
@@ -333,6 +336,7 @@ var orbitfinder = (function () {
     function tick(moment) {
       var passed = last === null ? 0 : Math.min(0.1, (moment - last) / 1000), began;
       last = moment;
+      if (self.closed) return;
       if (self.playing) self.time += passed * self.speed;
       if (self.playing || self.stale) {
         began = performance.now();
@@ -345,9 +349,16 @@ var orbitfinder = (function () {
       requestAnimationFrame(tick);
     }
     requestAnimationFrame(tick);
-    function refresh() { known = null; self.stale = true; self.scenes.forEach(function (scene) { scene.width = 0; }); }
+    function refresh() { known.clear(); self.stale = true; self.scenes.forEach(function (scene) { scene.width = 0; }); }
     document.addEventListener("orbitfinder-theme", refresh);
     window.addEventListener("resize", refresh);
+    this.close = function () {
+      self.closed = true;
+      self.watcher.disconnect();
+      document.removeEventListener("orbitfinder-theme", refresh);
+      window.removeEventListener("resize", refresh);
+      self.scenes.forEach(function (scene) { known.delete(scene.canvas); });
+    };
   }
 
   Player.prototype.add = function (canvas, motion) {
@@ -359,6 +370,9 @@ var orbitfinder = (function () {
   };
 
   Player.prototype.seek = function (time) { this.time = time; this.stale = true; };
+
+  // From a period to another: the same share of it goes on, so that along a family the shape changes and not the instant.
+  Player.prototype.turn = function (from, to) { this.seek(from ? (this.time / from - Math.floor(this.time / from)) * to : 0); };
 
   // The play button, speed and trace that every page has.
   Player.prototype.controls = function () {

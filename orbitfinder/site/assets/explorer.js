@@ -171,15 +171,14 @@
     return [-wide, wide];
   }
 
-  // The same share of the period goes on, so that along a family the shape changes and not the instant.
   function pick(k) {
     if (k === picked || k < 0 || k >= items.length) return;
-    var one = items[k], before = picked < 0 ? 0 : player.time / items[picked].period;
+    var one = items[k], before = picked < 0 ? 0 : items[picked].period;
     picked = k;
     scene.show(one.motion ? new orbitfinder.Motion(one.motion) : null);
     scene.landscape = it.landscape;
     scene.level = one.energy;
-    player.seek((before - Math.floor(before)) * one.period);
+    player.turn(before, one.period);
     part("still").hidden = !!one.motion;
     facts(one);
     slider.value = shown.indexOf(k);

@@ -1,8 +1,9 @@
-// The stage of the studio: a motion plays; the joints of a chain can be dragged, and flicked on release.
+// The stage of the studio: a motion plays; the joints of a chain can be dragged, and flicked on release. Points of other
+// mechanisms are pulled: the server says how the rest follows.
 var stage = (function () {
   "use strict";
   var REACH = 26, FLICK = 90, STILL = 40; // px, ms, px a second
-  var canvas, pen, player, scene, told, view, lengths, angles, rates, scale = 1, grabbed = -1, trail = [], reel = [];
+  var canvas, pen, player, scene, told, view, lengths, angles, rates, scale = 1, grabbed = -1, trail = [], reel = [], points = [], pulled = -1;
 
   function place(k) {
     var x = canvas.clientWidth / 2 - view.centre[1] * scale, y = canvas.clientHeight / 2 - view.centre[0] * scale;
@@ -46,7 +47,49 @@ var stage = (function () {
     }
   }
 
+  // Where a point of what plays is, in px; where px are, in m down and right.
+  function spot(k, time) { var now = scene.motion.at(time); return [scene.across(now, k), scene.down(now, k)]; }
+  function metres(p) {
+    return [scene.centre[0] + (p[1] - scene.height / 2) / scene.scale, scene.centre[1] + (p[0] - scene.width / 2) / scene.scale];
+  }
+
+  function grip(event) {
+    var p = at(event), best = REACH, time = player.time % scene.motion.period;
+    points.forEach(function (k) {
+      var q = spot(k, time), far = Math.hypot(q[0] - p[0], q[1] - p[1]);
+      if (far <= best) { best = far; pulled = k; }
+    });
+    if (pulled < 0) return;
+    canvas.setPointerCapture(event.pointerId);
+    player.playing = false;
+    trail = [[performance.now(), metres(p)]];
+    emitEvent("gripped", { point: pulled, time: time });
+  }
+
+  function pull(event) {
+    var now = performance.now(), place = metres(at(event));
+    trail.push([now, place]);
+    while (trail.length > 2 && now - trail[0][0] > FLICK) trail.shift();
+    if (now - told < 30) return;
+    told = now;
+    emitEvent("gripped", { place: place });
+  }
+
+  function let_go() {
+    var now = performance.now(), recent = trail.filter(function (one) { return now - one[0] <= FLICK; });
+    var last = trail[trail.length - 1], velocity = [0, 0];
+    if (recent.length > 1) {
+      var first = recent[0], passed = (last[0] - first[0]) / 1000;
+      var found = [0, 1].map(function (c) { return passed > 0.01 ? (last[1][c] - first[1][c]) / passed : 0; });
+      if (Math.hypot(found[0], found[1]) * scene.scale > STILL) velocity = found;
+    }
+    pulled = -1;
+    player.playing = !orbitfinder.calm;
+    emitEvent("gripped", { place: last[1], velocity: velocity });
+  }
+
   function down(event) {
+    if (points.length && scene && scene.motion) return grip(event);
     if (!lengths.length) return;
     fit();
     caught();
@@ -71,6 +114,7 @@ var stage = (function () {
   }
 
   function move(event) {
+    if (pulled >= 0) return pull(event);
     if (grabbed < 0) return;
     var p = at(event), q = place(grabbed);
     angles[grabbed] = Math.atan2(p[0] - q[0], p[1] - q[1]);
@@ -83,6 +127,7 @@ var stage = (function () {
 
   // A joint that is let go of while it moves keeps the rate of its last moments.
   function up() {
+    if (pulled >= 0) return let_go();
     if (grabbed < 0) return;
     var now = performance.now(), recent = trail.filter(function (one) { return now - one[0] <= FLICK; });
     if (recent.length > 1) {
@@ -103,12 +148,13 @@ var stage = (function () {
     emitEvent(what, { state: angles.concat(rates) });
   }
 
-  function mount(id, links) {
+  function mount(id, links, others) {
     canvas = document.getElementById(id);
     pen = canvas.getContext("2d");
     player = orbitfinder.player = new orbitfinder.Player();
     told = 0;
     lengths = links;
+    points = others;
     angles = links.map(function () { return 0; });
     rates = angles.slice();
     canvas.addEventListener("pointerdown", down);
@@ -123,9 +169,8 @@ var stage = (function () {
     if (window_) view = window_;
     motion.centre = view.centre;
     motion.spans = view.spans;
-    var share = before && keep ? player.time / before.period % 1 : 0;
     if (scene) scene.show(motion); else scene = player.add(canvas, motion);
-    if (grabbed < 0) player.seek(share * motion.period);
+    if (grabbed < 0) player.turn(before && keep ? before.period : 0, motion.period);
     stage.shown++;
   }
 
@@ -133,11 +178,17 @@ var stage = (function () {
   function put(films) { reel = films; }
   function turn(k) { if (reel[k]) show(reel[k], null, true); }
   function add(k, film) { reel[k] = film; turn(k); }
-  function links(found) { lengths = found; }
+  function links(found, others) { lengths = found; points = others; }
   function play(on) { player.playing = on; player.stale = true; }
   function recolour() { document.dispatchEvent(new Event("orbitfinder-theme")); }
-  function joint(k) { caught(); fit(); return place(k); }
+  function joint(k) {
+    if (points.length) return spot(k, player.time);
+    caught();
+    fit();
+    return place(k);
+  }
+  function rewind() { player.speed = 0; player.seek(0); }
 
-  return { mount: mount, links: links, put: put, turn: turn, add: add, show: show, play: play, recolour: recolour, joint: joint, shown: 0, rates: function () { return rates; },
+  return { mount: mount, links: links, put: put, turn: turn, add: add, show: show, play: play, recolour: recolour, joint: joint, rewind: rewind, shown: 0, rates: function () { return rates; },
     speed: function (value) { player.speed = value; } };
 })();

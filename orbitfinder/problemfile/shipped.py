@@ -1,0 +1,121 @@
+"""The problem files that come with orbitfinder, in a wheel as in a clone: which there are, and copies of them."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from orbitfinder.errors import InputError, closest
+from orbitfinder.problemfile.read import read_toml
+
+KINDS = {
+    "report": "the four orbits of the report that this began with",
+    "examples": "small chains: modes, pins, symmetries, objectives",
+    "gallery": "an orbit of most built-in systems",
+    "linkages": "four-, five- and six-bars in any pose",
+    "mechanisms": "mechanisms as drawn, in the plane and in space",
+    "robots": "robots read from URDF files",
+    "hybrid": "machines that step, hop and bounce",
+    "control": "motions of least cost",
+    "published": "orbits that others have published to many digits",
+    "families": "starts of families, for orbitfinder continue",
+    "search": "systems to search, for orbitfinder search",
+    "chains": "twenty to a hundred links",
+}
+"""Folder -> what is in it, in the order in which they are listed"""
+COMMANDS = {"families": "continue", "search": "search"}
+"""Folder -> the command that its files are for, where that is not `run`"""
+
+
+@dataclass(frozen=True)
+class Shipped:
+    """A problem file that comes with orbitfinder."""
+
+    kind: str
+    name: str
+    path: Path
+
+    @property
+    def title(self) -> str:
+        """What its orbit is, in a line."""
+        return str(read_toml(self.path).get("title", self.name))
+
+    @property
+    def command(self) -> str:
+        """The command that it is for."""
+        return COMMANDS.get(self.kind, "run")
+
+    def files(self) -> Iterator[Path]:
+        """The file itself, then those beside it that it names, such as the description of a robot."""
+        yield self.path
+        for word in sorted(set(_strings(read_toml(self.path)))):
+            if Path(word).name == word and (beside := self.path.with_name(word)).is_file():
+                yield beside
+
+
+def _strings(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _strings(part)
+
+
+def folder() -> Path:
+    """Where they lie: in the installed package, or beside it in a clone."""
+    inside = Path(str(resources.files("orbitfinder"))) / "problems"
+    found = inside if inside.is_dir() else inside.parents[1] / "problems"
+    if not (found / "report").is_dir():
+        raise InputError(f"{inside}: the problem files are missing from this installation; install orbitfinder again")
+    return found
+
+
+def shipped() -> list[Shipped]:
+    """All of them, by kind."""
+    return [Shipped(kind, path.stem, path) for kind in KINDS for path in sorted((folder() / kind).glob("*.toml"))]
+
+
+def chosen(words: Sequence[str]) -> list[Shipped]:
+    """Those of the names, kinds or `all`, each once. Raises `InputError` for a word that is none or means two."""
+    every = shipped()
+    return list(dict.fromkeys(one for word in words for one in _meant(word, every)))
+
+
+def _meant(word: str, every: Sequence[Shipped]) -> list[Shipped]:
+    plain = word.removesuffix(".toml").removeprefix("problems/").strip("/")
+    if plain == "all" or plain in KINDS:
+        return [one for one in every if plain in ("all", one.kind)]
+    found = [one for one in every if plain in (one.name, f"{one.kind}/{one.name}")]
+    if len(found) > 1:
+        both = " and ".join(f"{one.kind}/{one.name}" for one in found)
+        raise InputError(f"NAME: {word!r} means {both}; say which")
+    if not found:
+        names = [*KINDS, *(one.name for one in every), *(f"{one.kind}/{one.name}" for one in every)]
+        hint = closest(plain, names) or "; see `orbitfinder problems list`"
+        raise InputError(f"NAME: no problem file {word!r} is shipped{hint}")
+    return found
+
+
+def copy(problems: Sequence[Shipped], out: Path, force: bool = False) -> list[Path]:
+    """Write them to `out`/KIND/, with what they name; the paths of the problem files.
+
+    A file that is there already and differs is left alone, with all the others, unless `force`.
+    """
+    pairs = {out / one.kind / file.name: file for one in problems for file in one.files()}
+    differing = [to for to, file in pairs.items() if to.exists() and _differs(to, file)]
+    if differing and not force:
+        more = f" and {len(differing) - 1} more" if len(differing) > 1 else ""
+        raise InputError(
+            f"--out: {differing[0]}{more} exists already and differs; choose another folder, or --force to overwrite"
+        )
+    for to, file in pairs.items():
+        to.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, to)
+    return [to for to in pairs if to.suffix == ".toml"]
+
+
+def _differs(path: Path, file: Path) -> bool:
+    return not path.is_file() or path.read_bytes() != file.read_bytes()

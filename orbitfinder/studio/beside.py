@@ -1,0 +1,165 @@
+"""What stands beside the stage: a Poincare section to start from, and a search that fills an atlas meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from orbitfinder.atlas.store import Row
+from orbitfinder.errors import InputError, plural
+from orbitfinder.studio import plots
+from orbitfinder.studio.desk import Desk
+from orbitfinder.studio.session import SWINGS, Item
+from orbitfinder.studio.tasks import Count, Cut
+from orbitfinder.studio.worker import StoppedError, Worker
+
+BUDGET = 60.0
+"""s of a search, unless another time is asked for"""
+SHORTEST, LONGEST = 0.3, 3.0
+"""Periods that are searched for, in swings"""
+MOST_LISTED = 300
+"""Orbits of an atlas in the list, the last ones"""
+
+
+class SectionPanel:
+    """The section of the motion or orbit on the stage; a click on one of its points starts there."""
+
+    def __init__(self, page: Desk, start: Callable[[Sequence[float]], Awaitable[None]]) -> None:
+        self._page, self._start = page, start
+        self._cut: Cut | None = None
+        with ui.expansion("Poincaré section").classes("panel").props('dense id="beside"') as self._panel:
+            with ui.row().classes("items-center gap-3"):
+                ui.button(
+                    "Section at this energy" if page.session.model.conservative else "Section", on_click=self._made
+                ).props('no-caps dense padding="4px 16px" id="cut"')
+                self._about = ui.label("Motions of this energy where they cross a plane. Click a point to start there.")
+                self._about.classes("quiet").props('id="cut-about"')
+            self._plot = ui.plotly(plots.section_figure(None, page.dark)).classes("w-full").props('id="section"')
+            self._plot.on("plotly_click", self._clicked)
+
+    def recolour(self) -> None:
+        """Draw it for the theme of the page."""
+        self._plot.update_figure(plots.section_figure(self._cut, self._page.dark))
+
+    async def _made(self) -> None:
+        await self._page.told(self._make)
+
+    async def _make(self) -> None:
+        page = self._page
+        page.say("making the section")
+        self._cut = await page.searched("cut", page.source.system, page.source.energy, page.source.orbit)
+        found = self._cut.section
+        level = "" if found.energy != found.energy else f" at E = {found.energy:.6g} J"
+        regular = f"{int(found.regular.sum())} of {plural(len(found.starts), 'motion')} regular"
+        self._about.set_text(f"{found.plane}{level}: {regular}. Click a point to start there.")
+        self.recolour()
+        page.say(f"section: {plural(found.returns, 'crossing')}")
+
+    async def _clicked(self, event: Any) -> None:
+        at = plots.clicked(event.args)
+        if at is None or self._cut is None or at[0] != plots.POINTS or not 0 <= at[1] < self._cut.section.returns:
+            return
+        await self._start(self._cut.section.states[at[1]].tolist())
+
+
+class SearchPanel:
+    """A search in a process of its own, and the list of what it has found; a click loads an orbit."""
+
+    def __init__(
+        self, page: Desk, load: Callable[[str, int], Awaitable[None]], listed: Callable[[], None]
+    ) -> None:  # fmt: skip
+        self._load, self._changed = load, listed
+        self._page, self._worker, self._listed = page, Worker(), ""
+        self._count = 0
+        swing = page.session.opened.duration / SWINGS
+        with ui.expansion("Search in the background").classes("panel").props('dense id="background"'):
+            with ui.row().classes("items-center gap-3"):
+                self._low, self._high, self._budget = (
+                    ui.number(label, value=round(value, 3), min=1e-6, max=1e6).props("dense").classes("w-28")
+                    for label, value in (("periods from, s", SHORTEST * swing), ("to, s", LONGEST * swing),
+                                         ("search for, s", BUDGET))
+                )  # fmt: skip
+                self._go = ui.button("Search", on_click=self._asked).props(
+                    'no-caps dense padding="4px 16px" id="search"'
+                )
+                self._stop = ui.button("Cancel", on_click=self._worker.stop).props('outline dense no-caps id="stop"')
+            self._about = ui.label("Fills an atlas with the orbits of this energy, while you go on.").classes("quiet")
+            self._about.props('id="search-about" role="status"')
+            with ui.scroll_area().classes("found").props('id="found" tabindex=0'):
+                self._list = ui.column().classes("gap-0 w-full")
+        self._running(False)
+
+    def close(self) -> None:
+        """End the process; the atlas keeps what it has."""
+        self._worker.close()
+
+    def show(self, item: Item) -> None:
+        """List what an atlas holds."""
+        assert item.atlas is not None
+        if item.name != self._listed:
+            self._listed, self._count = item.name, 0
+            self._list.clear()
+        with self._list:
+            for row in item.atlas[max(self._count, len(item.atlas) - MOST_LISTED) :]:
+                label = f"{row.id}: T = {row.period:.6g} s, {row.stability}{_named(row)}"
+                ui.button(label, on_click=partial(self._clicked, item.name, row.id)).props(
+                    "flat dense no-caps align=left"
+                )
+        self._count = len(item.atlas)
+
+    def _running(self, running: bool) -> None:
+        self._go.set_visibility(not running)
+        self._stop.set_visibility(running)
+
+    async def _asked(self) -> None:
+        await self._page.told(self._searched)
+
+    async def _searched(self) -> None:
+        page, source = self._page, self._page.source
+        periods, budget = (_positive(self._low, "from"), _positive(self._high, "to")), _positive(self._budget, "for")
+        if not periods[0] < periods[1]:
+            raise InputError(f"periods: from {periods[0]:g} to {periods[1]:g} s holds none; give a larger second one")
+        energy = source.energy if page.session.model.conservative else None
+        name, atlas = page.session.search(source.state, periods, energy, page.taken)
+        self._running(True)
+        self._about.set_text(f"{name}: starting")
+        said = f"{name}: done"
+        try:
+            await self._worker.do("searched", source.system, energy, periods, budget, atlas,
+                                  said=partial(self._counted, name, atlas))  # fmt: skip
+        except StoppedError:
+            said = f"{name}: stopped; the same search goes on from there"
+        finally:
+            self._running(False)
+            self._refresh(name, atlas)
+        if (item := page.session.items.get(name)) is not None and item.atlas is not None:
+            said += f"; {plural(len(item.atlas), 'orbit')} in {atlas}"
+        self._about.set_text(said)
+
+    def _counted(self, name: str, atlas: Path, at: Count) -> None:
+        self._about.set_text(f"{name}: {plural(at.starts, 'start')}, {plural(at.orbits, 'orbit')}")
+        if at.orbits != self._count or name != self._listed:
+            self._refresh(name, atlas)
+
+    def _refresh(self, name: str, atlas: Path) -> None:
+        if atlas.is_file():
+            self.show(self._page.session.keep_atlas(name))
+            self._changed()
+
+    async def _clicked(self, name: str, number: int) -> None:
+        await self._page.told(lambda: self._load(name, number))
+
+
+def _named(row: Row) -> str:
+    return "" if row.symmetry == "none" else f", {row.symmetry.replace('+', ' and ')}"
+
+
+def _positive(field: Any, name: str) -> float:
+    value = plots.finite(field.value or 0.0)
+    if value <= 0:
+        raise InputError(f"{name}: must be positive, got {value:g}; give a time in s")
+    return value

@@ -1,0 +1,70 @@
+"""What all parts of the studio's page share: the session, its processes, what is on the stage, and the line that says
+what happens."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any
+
+from nicegui import ui
+
+from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.records.orbit import Orbit
+from orbitfinder.studio.session import Session
+from orbitfinder.studio.worker import StoppedError, Worker
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is on the stage: a system, its state at t = 0, its energy (J, None without one), the orbit if it is one."""
+
+    system: dict[str, Any]
+    state: list[float]
+    energy: float | None
+    orbit: Orbit | None = None
+
+
+class Desk:
+    """One tab: a quick process for what the stage shows, another one for searches, which can be cancelled."""
+
+    status: Any
+    busy: Any
+    cancel: Any
+
+    def __init__(self, session: Session, taken: set[str]) -> None:
+        self.session, self.taken = session, taken
+        self.quick, self.long = Worker(), Worker()
+        self.source = Source(dict(session.model.system), [float(one) for one in session.opened.state], None)
+        self.dark = False
+
+    async def told(self, work: Callable[[], Awaitable[Any] | None]) -> None:
+        """Do something; what is refused is a sentence on the page."""
+        try:
+            found = work()
+            if found is not None:
+                await found
+        except StoppedError as error:
+            self.say(str(error).capitalize())
+        except (OrbitfinderError, OSError) as error:
+            self.say(f"{error}")
+            ui.notify(str(error), type="warning", multi_line=True, timeout=8000)
+
+    def say(self, sentence: str) -> None:
+        """Put a sentence on the line of what happens."""
+        self.status.set_text(sentence)
+
+    def free(self, busy: bool = False) -> None:
+        """Show whether a search can be cancelled."""
+        self.busy.set_visibility(busy)
+        self.cancel.set_visibility(busy)
+
+    async def searched(self, task: str, *arguments: Any, said: Callable[[Any], None] | None = None) -> Any:
+        """The answer of the process for searches, one at a time."""
+        if self.long.busy:
+            raise InputError("a search is under way; cancel it first")
+        self.free(busy=True)
+        try:
+            return await self.long.do(task, *arguments, said=said)
+        finally:
+            self.free()

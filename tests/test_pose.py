@@ -1,0 +1,60 @@
+"""Mechanisms that are pulled by a point, and thrown."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orbitfinder.errors import InputError
+from orbitfinder.families.minimal import minimal_problem
+from orbitfinder.mechanics.chain import chain
+from orbitfinder.mechanics.model import constraint_of, positions
+from orbitfinder.mechanics.pose import movable, pulled, thrown
+from orbitfinder.problemfile.read import load_problem
+
+PROBLEMS = Path(__file__).parents[1] / "problems"
+
+
+def at(model, state, point):
+    return positions(model, state[None])[0, :, point]
+
+
+def test_a_tip_goes_where_it_is_pulled_and_no_further_than_its_links():
+    model, start = chain(3), np.array([0.3, 0.5, 0.2, 1.0, 0.0, 0.0])
+    near = pulled(model, start, 3, np.array([1.0, 1.6]))
+    assert at(model, near, 3) == pytest.approx([1.0, 1.6], abs=1e-9) and np.all(near[3:] == 0)
+    far = pulled(model, start, 3, np.array([5.0, 5.0]))  # all links in line towards it
+    assert at(model, far, 3) == pytest.approx(3.0 * np.sqrt([0.5, 0.5]), abs=2e-3)
+
+
+@pytest.mark.parametrize("file, point", [("linkages/five-bar-saddle", 2), ("mechanisms/delta", 3)])
+def test_both_descriptions_of_a_mechanism_follow_the_hand_alike(file, point):
+    native = load_problem(PROBLEMS / f"{file}.toml")
+    least = minimal_problem(native)
+    first, second = (np.asarray(one.guess.state, float) for one in (native, least))
+    place = at(native.model, first, point) + 0.05 * np.abs(positions(native.model, first[None])).max() * np.array(
+        [1, -1]
+    )
+    first, second = pulled(native.model, first, point, place), pulled(least.model, second, point, place)
+    q = first[: native.model.degrees_of_freedom]
+    assert np.abs(constraint_of(native.model).phi(q, native.model.parameter_values).full()).max() < 1e-14
+    assert at(native.model, first, point) == pytest.approx(place, abs=1e-9)
+    assert at(least.model, second, point) == pytest.approx(place, abs=1e-9)
+    velocity = np.array([0.3, -0.2])
+    for model, state in ((native.model, first), (least.model, second)):
+        state, n = thrown(model, state, point, velocity), model.degrees_of_freedom
+        later, before = (np.concatenate([state[:n] + s * 1e-6 * state[n:], state[n:]]) for s in (1, -1))
+        assert (at(model, later, point) - at(model, before, point)) / 2e-6 == pytest.approx(velocity, abs=1e-5)
+    assert point in movable(native.model, first)
+    assert movable(native.model, first) == movable(least.model, second)
+
+
+def test_points_without_picture_and_dead_points():
+    model, straight = chain(2), np.zeros(4)
+    assert movable(model, straight) == [1, 2] and movable(replace(model, points=None), straight) == []
+    lifted = thrown(model, straight, 2, np.array([-1.0, 0.0]))  # along the links: nothing follows
+    assert np.abs(lifted[2:]).max() < 10.0
+    for function in (pulled, thrown):
+        with pytest.raises(InputError, match="point: 3 is none; this system draws points 0 to 2"):
+            function(model, straight, 3, np.zeros(2))
