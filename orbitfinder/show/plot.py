@@ -686,10 +686,8 @@ def discovery_curves(atlas: Atlas) -> Figure:
         if not len(seconds):
             continue
         colour = COLOURS[k % len(COLOURS)]
-        name = (
-            f"{energy:g}".replace("-", "\N{MINUS SIGN}")
-            + f" J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
-        )
+        level = f"{energy:g}".replace("-", "\N{MINUS SIGN}")
+        name = f"{level} J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
         axes.plot(seconds, distinct, color=colour, label=name)
         settled = np.arange(len(seconds)) >= min(50, len(seconds) // 4)  # earlier it is mostly noise
         axes.plot(seconds[settled], estimate[settled], color=colour, linestyle=":", linewidth=1.2)
