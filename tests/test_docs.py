@@ -16,8 +16,6 @@ and the figures that a page's commands drew (`<!-- picture: FILE -->` before an 
 missing; pages in `PARSED_ONLY` are checked without being run. Lines of shell that are not ours are in `NOT_RUN`.
 """
 
-import inspect
-import fnmatch
 import os
 import re
 import shlex
