@@ -71,13 +71,11 @@ ENTRIES = (
     Entry("cart-chain", "Fermi-Pasta-Ulam chain of three carts", "search/cart-chain-atlas", 200, FREE),
     Entry("henon-heiles", "Hénon-Heiles system", "search/henon-heiles-atlas", 60, FREE),
     Entry("spring-pendulum", "swinging spring", "search/spring-pendulum-atlas", 150, SI),
-    Entry("earth-moon", "spatial restricted three-body problem, Earth and Moon", "search/earth-moon-atlas", 50, FREE),
     Entry("lorenz", "Lorenz attractor (first order)", "search/lorenz-atlas", 1500, FREE),
     Entry("rossler", "Rössler's attractor (first order)", "search/rossler-atlas", 150, FREE),
     Entry("impact-oscillator", "forced oscillator with a stop (hybrid)", "search/impact-oscillator-atlas", 60, FREE),
-    Entry("compass-gait", "compass gait (hybrid)", "search/compass-gait-atlas", 40, SI),
 )
-HYBRID = ("impact-oscillator", "compass-gait")
+HYBRID = ("impact-oscillator",)
 """Of hybrid systems nothing is proved."""
 PAGES = {"README.md": ("counts", "commands", "twelve"), "DATASHEET.md": ("counts", "shells", "fields", "checks")}
 """Pages, and the marks in them between which tables are written."""
