@@ -288,8 +288,8 @@ def tables(atlases: dict[str, of.Atlas]) -> dict[str, str]:
 def filled(text: str, parts: dict[str, str]) -> str:
     """A page with the text between `<!-- NAME -->` and `<!-- end -->` replaced."""
     for name, part in parts.items():
-        pattern = rf"(<!-- {name} -->\n).*?(\n<!-- end -->)"
-        text, count = re.subn(pattern, lambda found, part=part: found[1] + part + found[2], text, flags=re.DOTALL)
+        pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
+        text, count = re.subn(pattern, lambda found, part=part: found[1] + part + "\n" + found[2], text, flags=re.DOTALL)
         assert count == 1, name
     return text
 
