@@ -329,7 +329,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "units": units(family.system),
         "conserved": simulator.conserves(family.system),
         "frame": frame,
-        "landscape": landscape(known, frame),
+        "landscape": landscape(known, frame, many=True),
         "curve": len(family.parameters) > 1,
         "columns": columns
         | {
@@ -426,7 +426,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Mod
     return {
         "page": "atlas", "name": name, "items": items, "conserved": all(entry.conserved for entry in entries),
         "units": entries[0].units if alike else SI, "frame": frame,
-        "landscape": landscape(model, frame),
+        "landscape": landscape(model, frame, many=True),
     }  # fmt: skip
 
 
