@@ -13,6 +13,7 @@ from orbitfinder.errors import plural
 from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.members import amplitudes
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import asked
@@ -20,14 +21,12 @@ from orbitfinder.site.gather import OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
 from orbitfinder.site.text import (
-    SI,
     article,
     coordinate,
     mechanism,
     number,
     plain_words,
     symmetry_words,
-    units,
     with_unit,
 )
 

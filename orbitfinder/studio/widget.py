@@ -13,6 +13,7 @@ import numpy as np
 
 from orbitfinder import site
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.scales import units
 from orbitfinder.orbits.course import course
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
@@ -21,7 +22,6 @@ from orbitfinder.show import html
 from orbitfinder.show.svg import diagram, plane_of
 from orbitfinder.site.motion import Motion, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
-from orbitfinder.site.text import units
 
 try:
     import anywidget
