@@ -56,10 +56,25 @@ MOST_IN_LEGEND = 12
 
 
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
-    """Write the four figures of an orbit (no energy or links where it has none), or those of a family, as PNG files.
+    """Write the four figures of an orbit, or those of a family, as PNG files.
 
-    What moves in a plane or in space has its path from every side in place of links. Returns their paths. `model` is
-    needed only for systems that no file describes. An orbit without samples is integrated again.
+    Without energy or links there are fewer; what moves in a plane or in space has its path from every side in place
+    of links. An orbit without samples is integrated again.
+
+    Args:
+        orbit: an Orbit or a Family.
+        folder: where.
+        model: needed only for systems that no file describes.
+
+    Returns:
+        The paths.
+
+    Raises:
+        InputError: where they cannot be written.
+
+    Examples:
+        >>> [path.name for path in of.save_figures(orbit, ".")]
+        ['time_histories.png', 'phase_portraits.png', 'energy_error.png', 'swept_configuration.png']
     """
     model = model or build_model(orbit.system)
     if isinstance(orbit, Family):

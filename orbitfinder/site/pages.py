@@ -11,7 +11,7 @@ import numpy as np
 
 from orbitfinder.errors import plural
 from orbitfinder.families.branches import SWITCHABLE
-from orbitfinder.families.members import amplitudes
+from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
@@ -348,11 +348,8 @@ def _response(family: Family, simulator: Simulator) -> tuple[str, dict[int, floa
     if len(family.parameters) > 1:
         return family.parameters[1], dict(zip(members, family.places[:, 1].tolist(), strict=True))
     known = simulator.model(family.system)
-    if known is None or known[0].conservative or not family.curve:
-        return "", {}
-    sizes = amplitudes(family, known[0])
-    most = int(sizes.max(axis=0).argmax())
-    return known[0].state_names[most], dict(zip(members, sizes[:, most].tolist(), strict=True))
+    name, sizes = ("", np.zeros(0)) if known is None else response(family, known[0])
+    return name, dict(zip(members, sizes.tolist(), strict=True)) if name else {}
 
 
 def span(values: Sequence[float], digits: int = 6) -> str:
