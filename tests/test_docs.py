@@ -17,8 +17,6 @@ and the figures that a page's commands drew (`<!-- picture: FILE -->` before an 
 missing; pages in `PARSED_ONLY` are checked without being run. Lines of shell that are not ours are in `NOT_RUN`.
 """
 
-import inspect
-import fnmatch
 import os
 import re
 import shlex
@@ -45,6 +43,11 @@ NOT_RUN = (
     "python3 -m venv",  # makes an environment and installs
     ".venv/bin/pip install",
     "pip install",
+    "pip download",
+    "rattler-build ",
+    "python -m build",
+    "python -m pytest",  # would run this
+    "python benchmarks/",  # minutes
     "mkdocs ",  # test_the_site_builds
     "sbatch ",  # needs a cluster
     "srun ",

@@ -12,7 +12,6 @@ import numpy as np
 from orbitfinder.errors import plural
 from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.members import response
-from orbitfinder.families.members import amplitudes
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
