@@ -18,8 +18,10 @@ from sympy.printing.latex import LatexPrinter
 from orbitfinder.exports.source import expanded, operations
 from orbitfinder.mechanics.model import Model
 
-MOST_OPERATIONS = 90
+MOST_OPERATIONS = 120
 """Elementary operations of an expression that is typeset"""
+EASY = 40
+"""Operations up to which trigonometric identities are tried"""
 LONGEST = 420
 """Letters of TeX of one expression, beyond which it is not read by anybody"""
 GREEK = (
@@ -56,15 +58,18 @@ def expressions(function: ca.Function, arguments: Sequence[Sequence[str]], most:
     if not function.is_a("SXFunction"):
         raise TooLarge(function.name())
     scalar, names = expanded(function), operations()
-    if scalar.n_instructions() > most + 3 * sum(map(len, arguments)):
-        raise TooLarge(function.name())
     work: dict[int, Any] = {}
+    grown: dict[int, int] = {}
     found = [sympy.Integer(0)] * scalar.numel_out(0)
     read = [scalar.sparsity_in(k).find() for k in range(scalar.n_in())]
     written = scalar.sparsity_out(0).find()
     for step in range(scalar.n_instructions()):
         name, left = names[scalar.instruction_id(step)], scalar.instruction_output(step)
         used = scalar.instruction_input(step)
+        if name != "OUTPUT":  # what is shared counts each time that it is written out
+            grown[left[0]] = 0 if name in ("INPUT", "CONST") else 1 + sum(grown[place] for place in used)
+            if grown[left[0]] > most:
+                raise TooLarge(function.name())
         if name == "INPUT":
             work[left[0]] = sympy.Symbol(arguments[used[0]][read[used[0]][used[1]]], real=True)
         elif name == "OUTPUT":
@@ -122,7 +127,8 @@ def letter(name: str) -> str:
 def tidy(expression: Any) -> Any:
     """The shorter of an expression and its usual simplifications."""
     tried = [expression]
-    for how in (sympy.trigsimp, sympy.expand, lambda one: sympy.collect_const(sympy.factor_terms(one))):
+    ways = [sympy.trigsimp] if expression.count_ops() <= EASY else []
+    for how in (*ways, sympy.expand, lambda one: sympy.collect_const(sympy.factor_terms(one))):
         try:
             tried.append(how(tried[0]))
         except (ValueError, TypeError, NotImplementedError, AttributeError):
@@ -138,8 +144,6 @@ def signed(expression: Any) -> Any:
 
 def typeset(expression: Any, letters: Mapping[str, str] | None = None) -> str:
     """TeX of a SymPy expression. Raises `TooLarge`."""
-    if expression.count_ops() > MOST_OPERATIONS:
-        raise TooLarge("operations")
     found = Printer(letters or {}).doprint(signed(tidy(expression)))
     if len(found) > LONGEST:
         raise TooLarge("letters")

@@ -95,7 +95,7 @@ class Entry:
     def record(self) -> Path | None:
         """Its orbit.json; None of a search, and of a file that a family begins with."""
         folder, stem = self.path.parent.name, self.path.stem
-        if folder in ("families", "search"):
+        if folder == "families" or "guess" not in self.document:
             return None
         shipped = ROOT / "results" / RESULTS.get(folder, "none") / stem / "orbit.json"
         return shipped if shipped.is_file() else RECORDS / f"{self.name}.json"

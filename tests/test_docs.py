@@ -239,7 +239,10 @@ def test_the_site_builds(tmp_path):
     pytest.importorskip("material")
     pytest.importorskip("mkdocstrings")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
-    few = {**os.environ, "ORBITFINDER_DOCS": "few"}  # two systems of each kind; tests/test_gallery.py has them all
+    few = {
+        **os.environ,
+        "ORBITFINDER_DOCS": "few",
+    }  # two systems of each kind; tests/test_systems_gallery.py sees them all
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=few)
     assert result.returncode == 0, result.stderr
     pages = list((tmp_path / "site").rglob("*.html"))
