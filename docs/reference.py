@@ -34,7 +34,9 @@ def homes() -> dict[str, str]:
             found[door + name] = f"{door}{home}.{name}"
     for door in ("linkages", "flows", "sections"):
         text = (ROOT / "orbitfinder" / f"{door}.py").read_text(encoding="utf-8")
-        for home, names in re.findall(r"^from orbitfinder\.(\S+) import ([\w, ]+)$", text, re.MULTILINE):
+        for home, names in re.findall(
+            r"^from orbitfinder\.(\S+) import ([\w, ]+)$", text, re.MULTILINE
+        ):
             found |= {f"{door}.{name}": f"{home}.{name}" for name in names.split(", ")}
     return found
 

@@ -254,9 +254,8 @@ class Atlas(Shown):
         if not set(words) <= {*COLUMNS, "DESC"}:
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
-        question = f"{LINES} WHERE {condition} ORDER BY {order}, id"
         told = re.sub(r"\benergy\b", ALIKE_ENERGY, order)
-        question = f"SELECT {', '.join(COLUMNS)} FROM orbits WHERE {condition} ORDER BY {told}, id"
+        question = f"{LINES} WHERE {condition} ORDER BY {told}, id"
         return [Row(*entry) for entry in self.select(list(get_type_hints(Row).values()), question, values)]
 
     def row(self, number: int) -> Row:

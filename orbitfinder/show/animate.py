@@ -39,6 +39,8 @@ class AnimationSettings:
     shortest: float = 2.0
     """s of motion at least, by repeating the period"""
     most_periods: int = 6
+    periods: int | None = None
+    """so many, where it is asked for"""
     steps: int = 4
     """footholds at least of what walks"""
     trace: float = 1.0
@@ -81,6 +83,8 @@ class Clip:
 
 def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
     """Periods and frames of a seamless loop: few periods whose rate is near to real time (0.2 % buys one less)."""
+    if settings.periods is not None:
+        return settings.periods, max(2, round(settings.periods * period * settings.rate))
     least = max(1, int(np.ceil(settings.shortest / period)))
     candidates = range(least, max(least, settings.most_periods) + 1)
 
@@ -121,7 +125,7 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
     course = course_of(orbit, model)
     lasts = settings.slow * orbit.period
     periods, frames = loop_frames(lasts, settings)
-    if course.walks:
+    if course.walks and settings.periods is None:
         landed = sum(np.any(one.origin != other.origin) for one, other in pairwise([*course.pieces, course.pieces[0]]))
         periods = max(periods, -(-settings.steps // max(int(landed), 1)))
         frames = round(periods * lasts * settings.rate)

@@ -436,7 +436,7 @@ def frequency_energy(
     _curves(figure, axes, families, [[*map(place, each.points), *map(place, each.events)] for each in families])
     labels = [(name, away(energy), 1.0 / period) for name, (energy, period) in (marks or {}).items()]
     for _, energy, frequency in labels:
-        axes.plot(energy, frequency, "*", color="black", markersize=10)
+        axes.plot(energy, frequency, "*", color="black", markersize=10, zorder=5)
     if level is not None and not freed:
         axes.set_xscale("log")
     distance = "energy (J)" if level is None else f"distance of the energy from {level:g} J (J)"
@@ -516,7 +516,7 @@ def _curves(
     shown: dict[str, Any] = {}
     for k, (family, found) in enumerate(zip(families, places, strict=True)):
         at = dict(zip(map(id, (*family.points, *family.events)), found, strict=True))
-        wider = min(3.0, 0.7 * (len(families) - 1 - k))
+        wider = min(3.6, 0.9 * (len(families) - 1 - k))
         for stable, path in _stretches(family, at):
             colour = COLOURS[k % len(COLOURS)] if len(families) > 1 else (STABLE if stable else UNSTABLE)
             style = {"linestyle": "-" if stable else "--", "linewidth": (1.8 if stable else 1.2) + wider}
@@ -701,7 +701,8 @@ def discovery_curves(atlas: Atlas) -> Figure:
         if not len(seconds):
             continue
         colour = COLOURS[k % len(COLOURS)]
-        name = f"{energy:g} J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
+        level = f"{energy:g}".replace("-", "\N{MINUS SIGN}")
+        name = f"{level} J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
         axes.plot(seconds, distinct, color=colour, label=name)
         settled = np.arange(len(seconds)) >= min(50, len(seconds) // 4)  # earlier it is mostly noise
         axes.plot(seconds[settled], estimate[settled], color=colour, linestyle=":", linewidth=1.2)
