@@ -26,7 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from equations import display, equations, letter
+from equations import display, equations, letters_of
 from python_form import python_form
 
 ROOT = Path(__file__).parents[1]
@@ -40,6 +40,8 @@ SAMPLES, LARGE = 240, 20
 """Moments of a period that are kept of a smooth orbit with controls or with so many states"""
 STIFF = ("published-steinmetz_larter",)
 """What our integrators are not made for: shown without an orbit, its failure is on the validation page"""
+MEASURED = ("chains", "pendulums", "linkages", "mechanisms", "robots")
+"""Pages on which everything is in SI units; elsewhere systems have units of their own"""
 PENDULA = ("pendulum", "pendula", "hoop", "swing")
 KINDS = {
     "chains": "Pendulum chains",
@@ -303,10 +305,11 @@ def written_equations(entry: Entry, fresh: bool) -> Iterator[str]:
     from orbitfinder.records.orbit import SHARE
 
     values = dict(zip(model.parameter_names, model.parameter_values, strict=True))
+    letters = letters_of([*model.state_names, *model.parameter_names, "t"])
     few = {name: value for name, value in values.items() if not name.startswith(SHARE)}
     if 0 < len(few) <= 12:
         told = ", ".join(
-            f"{name} <span class='arithmatex'>\\({letter(name)}={value:.6g}\\)</span>"
+            f"{name} <span class='arithmatex'>\\({letters[name]}={value:.6g}\\)</span>"
             for name, value in few.items()
         )
         yield f"<p class='values'>{told}</p>\n"
@@ -315,13 +318,15 @@ def written_equations(entry: Entry, fresh: bool) -> Iterator[str]:
 def numbers(entry: Entry) -> str:
     """What is certified of an orbit, as a small table."""
     orbit = record(entry)
-    sizes = np.abs(orbit.floquet_multipliers)
+    sizes, measured = np.abs(orbit.floquet_multipliers), kind_of(entry) in MEASURED
     verdict = (
         "none" if orbit.certificate is None else "passed" if orbit.certificate.passed else "FAILED"
     )
     rows = {
-        "period": f"{orbit.period:.12g}",
-        "energy": f"{orbit.energy:.10g}" if np.isfinite(orbit.energy) else "none conserved",
+        "period": f"{orbit.period:.12g}{' s' * measured}",
+        "energy": f"{orbit.energy:.10g}{' J' * measured}"
+        if np.isfinite(orbit.energy)
+        else "none conserved",
         "stability": orbit.stability,
         "largest multiplier": f"{sizes.max():.5g}" if sizes.size else "only trivial ones",
         "symmetry": orbit.symmetry,
