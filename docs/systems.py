@@ -189,6 +189,7 @@ STYLE = """<style>
 .orbit th { font-weight: 400; opacity: .75 }
 .arithmatex { overflow-x: auto; overflow-y: hidden }
 .values { font-size: .7rem }
+details pre code { white-space: pre-wrap; overflow-wrap: anywhere }
 </style>
 """
 
