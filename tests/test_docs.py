@@ -427,8 +427,8 @@ def test_the_site_builds(tmp_path):
         assert not loaded, page
     reference = (tmp_path / "site" / "reference" / "python" / "find.html").read_text(encoding="utf-8")
     assert all(name in reference for name in ("find_orbit", "certify", "growth_per_segment", "ConvergenceError"))
-    assert 'href="find.html#orbitfinder.orbits.certify.certify"' in reference or "families.html#" in reference
+    assert 'href="search.html#orbitfinder.atlas.search.search"><code>of.search</code>' in reference
     gallery = (tmp_path / "site" / "gallery" / "chains.html").read_text(encoding="utf-8")
-    assert "<animate" in gallery and "aligned" in gallery and "of.chain(" in gallery
+    assert "<animate" in gallery and "aligned" in gallery and "The same in Python" in gallery
     commands = (tmp_path / "site" / "reference" / "commands.html").read_text(encoding="utf-8")
     assert "Recompute the certificate of each ORBIT.json" in commands
