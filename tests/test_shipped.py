@@ -76,7 +76,7 @@ def test_nothing_is_overwritten_unless_told(tmp_path):
 @pytest.mark.parametrize(("words", "said"), [
     (("copy", "tripel-1"), "NAME: no problem file 'tripel-1' is shipped, did you mean 'triple-1'?"),
     (("copy", "xyzzy"), "NAME: no problem file 'xyzzy' is shipped; see `orbitfinder problems list`"),
-    (("copy", "lorenz"), "NAME: 'lorenz' means gallery/lorenz and search/lorenz; say which"),
+    (("copy", "spherical-pendulum"), "means gallery/spherical-pendulum and mechanisms/spherical-pendulum; say which"),
     (("show", "report"), "NAME: 'report' is more than one file; see `orbitfinder problems list`"),
     (("list", "hybird"), "KIND: 'hybird' is unknown, did you mean 'hybrid'?"),
     (("list", "xyzzy"), "KIND: 'xyzzy' is unknown; there are report, examples, "),

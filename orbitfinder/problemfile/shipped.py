@@ -24,10 +24,11 @@ KINDS = {
     "published": "orbits that others have published to many digits",
     "families": "starts of families, for orbitfinder continue",
     "search": "systems to search, for orbitfinder search",
+    "atlas": "the searches of the shipped atlas, for orbitfinder search",
     "chains": "twenty to a hundred links",
 }
 """Folder -> what is in it, in the order in which they are listed"""
-COMMANDS = {"families": "continue", "search": "search"}
+COMMANDS = {"families": "continue", "search": "search", "atlas": "search"}
 """Folder -> the command that its files are for, where that is not `run`"""
 
 
