@@ -25,7 +25,7 @@ FRAMES = 60
 LARGEST = 150_000
 """Bytes of motion in one picture; mechanisms of many joints get fewer frames."""
 BODY, TIP = COLOURS[0], COLOURS[1]
-WIDTH, HEIGHT = 400, 250
+WIDTH, HEIGHT = 380, 250
 """Pixels of a family's diagram"""
 LEFT, BELOW, AROUND = 58, 38, 12
 """Pixels of the margins of what has axes"""
