@@ -5,18 +5,19 @@ import json
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
 import time
 import urllib.error
 import urllib.request
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from studio_browser import BROWSER, Server, Tab, children, shared
 
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import ConvergenceError, InputError
@@ -328,33 +329,8 @@ def test_a_linkage_without_a_guess_is_put_together(tmp_path):
 
 # ---------------------------------------------------------------------- in a browser
 
-nicegui = pytest.mark.skipif(
-    __import__("importlib.util").util.find_spec("nicegui") is None, reason="no NiceGUI; pip install '.[studio]'"
-)
-
-
-class Server:
-    """`orbitfinder studio` in a folder of its own."""
-
-    def __init__(self, folder, *arguments):
-        command = [sys.executable, "-m", "orbitfinder", "studio", "--no-browser", *arguments]
-        environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
-        environment["PYTHONPATH"] = str(ROOT)  # and NiceGUI must not think that it is tested
-        self.log = (folder / "log.txt").open("w+")
-        self.process = subprocess.Popen(
-            command, cwd=folder, stdout=subprocess.PIPE, stderr=self.log, text=True, env=environment
-        )
-        self.address = self.process.stdout.readline().strip().partition(": ")[2]
-
-    def end(self, number=signal.SIGINT):
-        self.process.send_signal(number)
-        self.process.wait(20)
-        self.process.stdout.close()
-
-    def words(self):
-        """What it wrote to standard error."""
-        self.log.seek(0)
-        return self.log.read()
+nicegui = pytest.mark.skipif(find_spec("nicegui") is None, reason="no NiceGUI; pip install '.[studio]'")
+browsing = pytest.mark.skipif(not BROWSER, reason="no browser, or no selenium; pip install '.[browser]'")
 
 
 @pytest.fixture
@@ -390,74 +366,6 @@ def test_the_page_is_served_to_whoever_knows_the_address_here_only(server, tmp_p
     other.log.close()
 
 
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed; pip install '.[browser]'")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-DRIVER = shutil.which("chromedriver")
-browsing = pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="no browser")
-FLAGS = (
-    "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars", "--disable-sync",
-    "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
-)  # fmt: skip
-
-
-class Tab:
-    """A browser with the studio open."""
-
-    def __init__(self, address, folder):
-        options = webdriver.ChromeOptions()
-        options.binary_location = CHROMIUM
-        for flag in (*FLAGS, f"--user-data-dir={folder}"):
-            options.add_argument(flag)
-        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-        self.driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-        self.size(1440)
-        self.open(address)
-
-    def size(self, width, dark=False):
-        size = {"width": width, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
-        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        theme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
-        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": theme})
-
-    def open(self, address):
-        self.driver.get(address)
-        self.until("return window.stage && stage.shown > 0 && document.getElementById('readout').innerText")
-
-    def ask(self, script, *arguments):
-        return self.driver.execute_script(script, *arguments)
-
-    def until(self, script, patience=90.0):
-        end = time.monotonic() + patience
-        while not (found := self.ask(script)):
-            assert time.monotonic() < end, f"never true: {script}; {self.text('status')}"
-            time.sleep(0.02)
-        return found
-
-    def text(self, name):
-        return self.ask("const e = document.getElementById(arguments[0]); return e ? e.innerText : ''", name)
-
-    def click(self, name):
-        self.ask("document.getElementById(arguments[0]).click()", name)
-
-    def said(self, pattern, patience=90.0):
-        self.until(f"return /{pattern}/.test(document.getElementById('status').innerText)", patience)
-
-    def drag(self, joint, across, down, flick=False):
-        """Take a joint and let it go elsewhere, at rest or moving."""
-        from selenium.webdriver.common.action_chains import ActionChains
-
-        place = self.ask("stage.speed(0); return stage.joint(arguments[0])", joint)
-        canvas, before = self.driver.find_element("id", "stage"), self.ask("return stage.shown")
-        size = canvas.rect
-        moves = ActionChains(self.driver, duration=20)
-        moves.move_to_element_with_offset(
-            canvas, round(place[0] - size["width"] / 2), round(place[1] - size["height"] / 2)
-        )
-        moves.click_and_hold().move_by_offset(across // 2, down // 2).move_by_offset(across // 2, down // 2)
-        (moves if flick else moves.pause(0.25)).release().perform()
-        self.until(f"return stage.shown > {before}")
-
-
 @pytest.fixture
 def tab(server, tmp_path):
     one = Tab(server.address, tmp_path / "profile")
@@ -469,23 +377,24 @@ def tab(server, tmp_path):
 @browsing
 @pytest.mark.slow
 def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_path):
+    """The slow mode's shape is released: along its family the multipliers turn, so that branches leave it."""
     began = time.monotonic()
-    tab.drag(2, 40, -30)
+    tab.turn(2, 0.5 * np.sqrt(2.0))
     assert re.match(r"E = -\d+\.\d+ J, kept to \S+ J, \d+ close returns in 18\.8 s", tab.text("readout"))
     tab.click("find")
     tab.said("certified")
-    assert time.monotonic() - began < 10.0 * _shared()
+    assert time.monotonic() - began < 10.0 * shared()
     assert "Certified" in tab.text("badge") and tab.text("about").startswith("T = ")
 
     tab.click("badge")
     tab.until("return [...document.querySelectorAll('.certificate td')].some(one => one.innerText === 'closure')")
-    _escaped(tab)
+    tab.escape()
     tab.click("follow")
     tab.said(r": \d+ orbits?$")  # points come in
     tab.said("closed orbits")
-    times = _slid(tab)
+    times = tab.slid()
     print(f"sliding: median {np.median(times):.0f} ms, worst {max(times):.0f} ms")
-    assert np.median(times) < 50.0 * _shared()
+    assert np.median(times) < 50.0 * shared()
     assert "orbit " in tab.text("where")
 
     tab.click("branch")
@@ -494,7 +403,7 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
     began = time.monotonic()
     tab.click("cancel")
     tab.said("Stopped", 5.0)
-    assert time.monotonic() - began < 0.5 * _shared()
+    assert time.monotonic() - began < 0.5 * shared()
     tab.click("branch")
     tab.said("famil(y|ies) found at event")
     tab.click("save")
@@ -519,37 +428,6 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
         theirs = json.loads(one.read_text())
         for a, b in zip(mine.get("points", [mine]), theirs.get("points", [theirs]), strict=True):
             assert abs(a["period"] / b["period"] - 1) < 1e-12
-
-
-def _shared():
-    """How much longer things take than on a quiet machine, for which the limits are."""
-    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
-
-
-def _escaped(tab):
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.keys import Keys
-
-    ActionChains(tab.driver).send_keys(Keys.ESCAPE).perform()
-    tab.until("return !document.querySelector('.certificate')")
-
-
-def _slid(tab):
-    """Milliseconds from a key on the slider to the next orbit on the stage."""
-    from selenium.webdriver.common.action_chains import ActionChains
-    from selenium.webdriver.common.keys import Keys
-
-    tab.ask("document.querySelector('#slide [tabindex]').focus()")
-    watch = """const n = stage.shown; window.took = 0;
-    document.addEventListener('keydown', () => { const t = performance.now();
-      const look = () => stage.shown > n ? window.took = performance.now() - t : requestAnimationFrame(look);
-      requestAnimationFrame(look); }, { once: true, capture: true });"""
-    times = []
-    for key in [Keys.ARROW_RIGHT] * 6 + [Keys.ARROW_LEFT] * 12:
-        tab.ask(watch)
-        ActionChains(tab.driver, duration=1).send_keys(key).perform()
-        times.append(tab.until("return window.took", 10.0))
-    return times
 
 
 @nicegui
@@ -578,6 +456,78 @@ def test_a_click_on_a_return_finds_it_and_two_tabs_do_not_meet(server, tab, tmp_
         second.driver.quit()
     names = {one.parent.name for one in (tmp_path / "studio").glob("*/orbit.json")}
     assert "double-pendulum-3" in names and "double-pendulum-2" not in names
+
+
+@nicegui
+@browsing
+@pytest.mark.slow
+def test_a_section_to_start_from_and_a_search_beside_that_loses_nothing_when_it_is_killed(server, tab, tmp_path):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    from orbitfinder.atlas.store import Atlas
+
+    for panel in ("beside", "background"):
+        tab.open_panel(panel)
+    before = set(children(server.process.pid))
+    tab.click("search")
+    tab.until("return /starts?, [1-9]\\d* orbit/.test(document.getElementById('search-about').innerText)")
+    (searcher,) = [one for one in set(children(server.process.pid)) - before if "spawn" in _command(one)]
+    tab.click("cut")  # and the page goes on meanwhile
+    tab.said("section: \\d+ crossings")
+    level = re.search(r"E = (-\d+\.\d+) J", tab.text("readout"))[1]
+    assert f"at E = {level} J" in tab.text("cut-about")
+    shown = tab.ask("return stage.shown")
+    dots = tab.driver.find_elements("css selector", "#section .points path")
+    ActionChains(tab.driver).move_to_element(dots[3]).click().perform()
+    tab.until(f"return stage.shown > {shown}")
+    assert f"E = {level} J" in tab.text("readout")
+
+    os.kill(searcher, signal.SIGKILL)
+    tab.until("return /stopped; the same search goes on/.test(document.getElementById('search-about').innerText)", 5.0)
+    (file,) = (tmp_path / "studio").glob("*.sqlite")
+    with Atlas(file) as book:
+        kept = book.rows()
+    assert kept and file.with_suffix(".toml").is_file()
+    tab.ask("document.querySelector('#found button').click()")
+    tab.said("orbit 1 of double-pendulum-")
+    assert "Certified" in tab.text("badge")
+    tab.click("follow")
+    tab.said(r": \d+ orbits?$")
+    tab.click("cancel")
+    began = time.monotonic()
+    tab.said("closed orbits|Stopped", 5.0)
+    assert time.monotonic() - began < 0.5 * shared()
+    assert tab.driver.get_log("browser") == []
+    server.end(signal.SIGKILL)
+    with Atlas(file) as book:
+        assert book.rows()[: len(kept)] == kept or set(kept) <= set(book.rows())
+
+
+def _command(process):
+    return Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+
+
+@nicegui
+@browsing
+@pytest.mark.slow
+def test_joints_of_a_linkage_are_pulled_as_far_as_its_bars_reach(tmp_path):
+    server = Server(tmp_path, str(ROOT / "problems" / "linkages" / "four-bar-rocking.toml"))
+    tab = Tab(server.address, tmp_path / "profile")
+    try:
+        before, place = tab.text("readout"), tab.ask("stage.rewind(); return stage.joint(1)")
+        tab.drag(1, 20, 10)
+        words = "document.getElementById('readout').innerText"
+        tab.until(f"return /close return/.test({words}) && {words} !== {json.dumps(before)}")
+        moved = tab.ask("stage.rewind(); return stage.joint(1)")
+        assert 8 < np.hypot(*(np.array(moved) - place)) < 30
+        tab.drag(1, 20, -20, flick=True)
+        assert tab.driver.get_log("browser") == []
+        tab.click("own")
+        tab.said("certified", 150.0)
+    finally:
+        tab.driver.quit()
+        server.end(signal.SIGKILL)
+        server.log.close()
 
 
 @nicegui

@@ -31,7 +31,7 @@ class SectionPanel:
     def __init__(self, page: Desk, start: Callable[[Sequence[float]], Awaitable[None]]) -> None:
         self._page, self._start = page, start
         self._cut: Cut | None = None
-        with ui.expansion("Poincaré section").classes("panel").props('dense id="beside"') as self._panel:
+        with ui.expansion("Poincaré section").classes("panel later").props('dense id="beside"') as self._panel:
             with ui.row().classes("items-center gap-3"):
                 ui.button(
                     "Section at this energy" if page.session.model.conservative else "Section", on_click=self._made
@@ -76,7 +76,7 @@ class SearchPanel:
         self._page, self._worker, self._listed = page, Worker(), ""
         self._count = 0
         swing = page.session.opened.duration / SWINGS
-        with ui.expansion("Search in the background").classes("panel").props('dense id="background"'):
+        with ui.expansion("Search in the background").classes("panel later").props('dense id="background"'):
             with ui.row().classes("items-center gap-3"):
                 self._low, self._high, self._budget = (
                     ui.number(label, value=round(value, 3), min=1e-6, max=1e6).props("dense").classes("w-28")
@@ -108,7 +108,7 @@ class SearchPanel:
                 label = f"{row.id}: T = {row.period:.6g} s, {row.stability}{_named(row)}"
                 ui.button(label, on_click=partial(self._clicked, item.name, row.id)).props(
                     "flat dense no-caps align=left"
-                )
+                ).classes("text-left")
         self._count = len(item.atlas)
 
     def _running(self, running: bool) -> None:

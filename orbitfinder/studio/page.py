@@ -76,7 +76,7 @@ class Page(Desk):
         ui.colors(primary="#005f99", good="#0a6847", bad="#9a3412")
         self.theme = ui.dark_mode()
         self._head()
-        with ui.element("main").classes("studio"):
+        with ui.element("div").classes("studio"):
             with ui.element("div"):
                 self._stage()
                 self._sliders()
@@ -162,10 +162,14 @@ class Page(Desk):
 
     def _slider(self, name: str, value: float, low: float, high: float, then: Callable[[float], Any]) -> Any:
         with ui.row().classes("w-full items-center no-wrap gap-3"):
-            ui.label(name).classes("quiet w-24")
+            ui.label(name).classes("quiet w-24 shrink-0")
             slider = ui.slider(min=low, max=high, value=value, step=(high - low) / 1000)
             slider.props(f'aria-label="{_safe(name)}"').classes("grow")
-            shown = ui.label().classes("number w-20 text-right").bind_text_from(slider, "value", lambda x: f"{x:.5g}")
+            shown = (
+                ui.label()
+                .classes("number w-20 shrink-0 text-right")
+                .bind_text_from(slider, "value", lambda x: f"{x:.5g}")
+            )
             shown.props("aria-hidden=true")
 
         async def moved(event: Any) -> None:
@@ -218,10 +222,11 @@ class Page(Desk):
                 ui.button("Keep this orbit", on_click=self._keep_member).props('flat dense no-caps id="keep-member"')
 
     def _kept(self) -> None:
-        with ui.card().classes("panel"):
+        with ui.card().classes("panel last"):
             _title("4. What was found, and how to find it again")
             self.tree = ui.tree([], label_key="label", on_select=self._selected).props('id="tree"')
             self.commands = ui.code("", language="bash").classes("commands")
+            self.commands.copy_button.props('aria-label="Copy the command lines"')
             self.commands.set_visibility(False)
 
     # ------------------------------------------------------------------ what happens on it
@@ -410,7 +415,7 @@ class Page(Desk):
     def _certificate(self) -> None:
         if self.orbit is None or self.orbit.certificate is None:
             return
-        with ui.dialog() as dialog, ui.card().classes("panel certificate max-w-5xl"):
+        with ui.dialog().props('aria-label="Certificate"') as dialog, ui.card().classes("panel certificate max-w-5xl"):
             ui.html(certificate_html(self.orbit.certificate), sanitize=False)
             ui.button("Close", on_click=dialog.close).props("flat no-caps")
         dialog.open()

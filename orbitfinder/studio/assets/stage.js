@@ -48,7 +48,11 @@ var stage = (function () {
   }
 
   // Where a point of what plays is, in px; where px are, in m down and right.
-  function spot(k, time) { var now = scene.motion.at(time); return [scene.across(now, k), scene.down(now, k)]; }
+  function spot(k, time) {
+    if (scene.width !== canvas.clientWidth) scene.fit();
+    var now = scene.motion.at(time);
+    return [scene.across(now, k), scene.down(now, k)];
+  }
   function metres(p) {
     return [scene.centre[0] + (p[1] - scene.height / 2) / scene.scale, scene.centre[1] + (p[0] - scene.width / 2) / scene.scale];
   }
