@@ -19,9 +19,12 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def notebook(name: str) -> str:
-    """The cells of a stored notebook as Markdown: text, code, and below it what it showed."""
+    """The cells of a stored notebook but its title as Markdown: text, code, and below it what it showed."""
     cells = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", 4).cells
-    return "\n\n".join(cell.source if cell.cell_type == "markdown" else "\n\n".join(code(cell)) for cell in cells)
+    cells[0].source = cells[0].source.partition("\n")[2]
+    return "\n\n".join(
+        cell.source if cell.cell_type == "markdown" else "\n\n".join(code(cell)) for cell in cells
+    )
 
 
 def code(cell: Any) -> list[str]:
@@ -47,10 +50,17 @@ def stage(file: str) -> str:
         shown = family.widget()
     except InputError:
         return str(family._repr_html_())
-    state = json.dumps({name: getattr(shown, name) for name in ("shown", "index", "playing", "speed")})
-    script = MOUNTED % (shown._esm.replace("export default { render };", ""), state.replace("</", "<\\/"))
+    state = json.dumps(
+        {name: getattr(shown, name) for name in ("shown", "index", "playing", "speed")}
+    )
+    script = MOUNTED % (
+        shown._esm.replace("export default { render };", ""),
+        state.replace("</", "<\\/"),
+    )
     whole = f'<style>{shown._css}</style><script type="module">\n{script}\n</script>'
-    return '<div id="stage"></div>' + re.sub(r"\n+", "\n", whole)  # Markdown ends a block at an empty line
+    return '<div id="stage"></div>' + re.sub(
+        r"\n+", "\n", whole
+    )  # Markdown ends a block at an empty line
 
 
 MOUNTED = """%s
