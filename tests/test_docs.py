@@ -370,7 +370,7 @@ def test_pages_are_readable(page):
 def test_pages_that_show_how_have_a_picture(folder_name):
     """Every tutorial and every how-to page shows what comes of it."""
     for page in (DOCS / folder_name).glob("*.md"):
-        assert re.search(r"<!-- made: (orbit|family) |!\[", page.read_text(encoding="utf-8")), page
+        assert re.search(r"<!-- (made: (orbit|family)|stage:) |!\[", page.read_text(encoding="utf-8")), page
 
 
 def anchors(page):
