@@ -23,6 +23,7 @@ from scipy.integrate import solve_ivp
 import orbitfinder as of
 
 STEP = 0.02
+SIDE, LETTERS = 160, 9
 NEWTON, MOVE, CLOSED = 12, 1e-6, 1e-9
 SHIFTS = ((MOVE, 0.0), (-MOVE, 0.0), (0.0, MOVE), (0.0, -MOVE))
 SAME = 2e-5
@@ -209,19 +210,25 @@ COUPLED = Plane(
 PLANES = (("henon-heiles", HENON_HEILES, 30.0), ("coupled-oscillators", COUPLED, 12.0))
 
 
+def report(folder: Path, side: int) -> Iterator[str]:
+    """What the comparisons come to, line by line."""
+    for name, plane, longest in PLANES:
+        both, missed, unseen = compared(folder / f"{name}.sqlite", plane, longest, side)
+        found = f"{both} in both, {len(missed)} in the scan alone, {len(unseen)} in the atlas alone"
+        yield f"{name}, energy {plane.energy:g}, periods to {longest:g}: {found}"
+        for what, those in (("scan", missed), ("atlas", unseen)):
+            yield from (f"  in the {what} alone: period {one:.6f}, action {two:.6f}" for one, two in those)
+    for n, (known, orbits, words) in lorenz(folder / "lorenz.sqlite", LETTERS).items():
+        yield f"lorenz, {n} letters: {known} words, {orbits} orbits in the atlas with {words} of them"
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--side", type=int, default=160, help="points along each side of the grid")
+    parser.add_argument("--side", type=int, default=SIDE, help="points along each side of the grid")
     arguments = parser.parse_args()
-    for name, plane, longest in PLANES:
-        both, missed, unseen = compared(arguments.folder / f"{name}.sqlite", plane, longest, arguments.side)
-        print(f"{name}, energy {plane.energy:g}, periods to {longest:g}: {both} in both, {len(missed)} in the scan "
-              f"alone, {len(unseen)} in the atlas alone")  # fmt: skip
-        for what, those in (("scan alone", missed), ("atlas alone", unseen)):
-            print(*(f"  {what}: period {period:.6f}, action {action:.6f}" for period, action in those), sep="\n")
-    for n, (known, orbits, words) in lorenz(arguments.folder / "lorenz.sqlite", 10).items():
-        print(f"lorenz, {n} letters: {known} words, {orbits} orbits in the atlas with {words} of them")
+    for line in report(arguments.folder, arguments.side):
+        print(line, flush=True)
     return 0
 
 

@@ -32,7 +32,7 @@ REPORT = {
 }  # fmt: skip
 """Each orbit of the report: the family that it is on, its energy (J) and roughly its period (s), which tells it from
 the orbit of equal energy beyond the family's fold."""
-COLOURS = 48
+COLOURS = 255
 
 
 @dataclass(frozen=True)

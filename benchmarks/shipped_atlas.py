@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import atlas_checks
 import numpy as np
 from matplotlib.figure import Figure
 from prove_atlas import cost
@@ -64,20 +65,20 @@ class Entry:
 ENTRIES = (
     Entry("triple", "triple pendulum", "search/triple-three-energies", 4600, SI, ("--workers", "2")),
     Entry("quadruple", "quadruple pendulum", "search/quadruple", 4000, SI, ("--workers", "2")),
-    Entry("double", "double pendulum", "atlas/double", 150, SI),
-    Entry("coupled-oscillators", "two springs coupled at fourth order", "atlas/coupled-oscillators", 400, FREE),
-    Entry("cart-chain", "Fermi-Pasta-Ulam chain of three carts", "atlas/cart-chain", 200, FREE),
-    Entry("henon-heiles", "Hénon-Heiles system", "atlas/henon-heiles", 150, FREE),
-    Entry("spring-pendulum", "swinging spring", "atlas/spring-pendulum", 150, SI),
-    Entry("earth-moon", "spatial restricted three-body problem, Earth and Moon", "atlas/earth-moon", 120, FREE),
-    Entry("lorenz", "Lorenz attractor (first order)", "atlas/lorenz", 1500, FREE),
-    Entry("rossler", "Rössler's attractor (first order)", "atlas/rossler", 300, FREE),
-    Entry("impact-oscillator", "forced oscillator with a stop (hybrid)", "atlas/impact-oscillator", 120, FREE),
-    Entry("compass-gait", "compass gait (hybrid)", "atlas/compass-gait", 80, SI),
+    Entry("double", "double pendulum", "search/double-atlas", 150, SI),
+    Entry("coupled-oscillators", "two springs coupled at fourth order", "search/coupled-oscillators-atlas", 400, FREE),
+    Entry("cart-chain", "Fermi-Pasta-Ulam chain of three carts", "search/cart-chain-atlas", 200, FREE),
+    Entry("henon-heiles", "Hénon-Heiles system", "search/henon-heiles-atlas", 100, FREE),
+    Entry("spring-pendulum", "swinging spring", "search/spring-pendulum-atlas", 150, SI),
+    Entry("earth-moon", "spatial restricted three-body problem, Earth and Moon", "search/earth-moon-atlas", 100, FREE),
+    Entry("lorenz", "Lorenz attractor (first order)", "search/lorenz-atlas", 1500, FREE),
+    Entry("rossler", "Rössler's attractor (first order)", "search/rossler-atlas", 200, FREE),
+    Entry("impact-oscillator", "forced oscillator with a stop (hybrid)", "search/impact-oscillator-atlas", 120, FREE),
+    Entry("compass-gait", "compass gait (hybrid)", "search/compass-gait-atlas", 80, SI),
 )
 HYBRID = ("impact-oscillator", "compass-gait")
 """Of hybrid systems nothing is proved."""
-PAGES = {"README.md": ("counts", "commands", "twelve"), "DATASHEET.md": ("counts", "shells", "fields")}
+PAGES = {"README.md": ("counts", "commands", "twelve"), "DATASHEET.md": ("counts", "shells", "fields", "checks")}
 """Pages, and the marks in them between which tables are written."""
 PICTURED = ("triple", "quadruple")
 MARGIN = 2.0
@@ -333,7 +334,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--finished", type=Path, help="folder with atlases that the searches have made")
     parser.add_argument("--only", nargs="*", help="these atlases alone; the pages count all that are there")
-    parser.add_argument("--proofs", type=int, default=20, help="orbits of each system to be proved")
+    parser.add_argument("--proofs", type=int, default=12, help="orbits of each system to be proved")
     arguments = parser.parse_args()
     PLACE.mkdir(parents=True, exist_ok=True)
     for one in ENTRIES:
@@ -350,6 +351,7 @@ def main() -> int:
         sheet(name, atlases[name], [pick for pick in picks if pick.name == name], PLACE)
         save_atlas_figures(atlases[name], PLACE / name)
     parts = tables(atlases) | {"twelve": pictures(atlases, picks)}
+    parts["checks"] = "\n".join(["```text", *atlas_checks.report(PLACE, atlas_checks.SIDE), "```"])
     for page, names in PAGES.items():
         (PLACE / page).write_text(filled((PLACE / page).read_text(), {name: parts[name] for name in names}))
     count = sum(len(atlas) for atlas in atlases.values())

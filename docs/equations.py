@@ -51,7 +51,9 @@ class TooLarge(Exception):
     """An expression that no page holds."""
 
 
-def expressions(function: ca.Function, arguments: Sequence[Sequence[str]], most: int = MOST_OPERATIONS) -> list[Any]:
+def expressions(
+    function: ca.Function, arguments: Sequence[Sequence[str]], most: int = MOST_OPERATIONS
+) -> list[Any]:
     """The entries of the first output in SymPy, its inputs under these names. Raises `TooLarge`."""
     if not function.is_a("SXFunction"):
         raise TooLarge(function.name())
@@ -107,7 +109,11 @@ def letter(name: str) -> str:
     if owner and what in SHORT and name not in SHORT:
         return f"{SHORT[what]}_{{\\mathrm{{{owner.replace('_', ' ')}}}}}"
     found = re.fullmatch(r"([A-Za-z]\w*?)_?(\d+)|(\w+)_([xyz])|([A-Za-z])([xyz])", name)
-    stem, index = [one for one in found.groups() if one is not None] if found and name not in SHORT else (name, "")
+    stem, index = (
+        [one for one in found.groups() if one is not None]
+        if found and name not in SHORT
+        else (name, "")
+    )
     if stem in GREEK:
         base = f"\\{stem}"
     elif len(stem) == 1:
@@ -116,13 +122,19 @@ def letter(name: str) -> str:
         base = SHORT.get(stem) or f"\\mathrm{{{stem.replace('_', chr(92) + '_')}}}"
     if not index:
         return base
-    return f"{base[:-1]}{{{base[-1]},{index}}}" if re.search(r"_\d$", base) else f"{base}_{{{index}}}"
+    return (
+        f"{base[:-1]}{{{base[-1]},{index}}}" if re.search(r"_\d$", base) else f"{base}_{{{index}}}"
+    )
 
 
 def tidy(expression: Any) -> Any:
     """The shorter of an expression and its usual simplifications."""
     tried = [expression]
-    for how in (sympy.trigsimp, sympy.expand, lambda one: sympy.collect_const(sympy.factor_terms(one))):
+    for how in (
+        sympy.trigsimp,
+        sympy.expand,
+        lambda one: sympy.collect_const(sympy.factor_terms(one)),
+    ):
         try:
             tried.append(how(tried[0]))
         except (ValueError, TypeError, NotImplementedError, AttributeError):
@@ -194,7 +206,9 @@ BEGIN, END = r"\[\begin{aligned}", r"\end{aligned}\]"
 
 def equations(model: Model) -> tuple[list[Row], list[str]]:
     """The rows of a Model, and in sentences what is too large for rows."""
-    known = NAMED.get(str(model.system.get("function"))) or GENERAL.get(str(model.system.get("kind")))
+    known = NAMED.get(str(model.system.get("function"))) or GENERAL.get(
+        str(model.system.get("kind"))
+    )
     if known is not None:
         rows, said = list(known), []
         if model.system.get("kind") in ("mechanism", "robot") and model.constraint is None:
@@ -209,9 +223,16 @@ def equations(model: Model) -> tuple[list[Row], list[str]]:
 
 def size(model: Model) -> str:
     """How large the equations are."""
-    count, rows = len(model.state_names), 0 if model.constraint is None else len(model.constraint.force_names)
+    count, rows = (
+        len(model.state_names),
+        0 if model.constraint is None else len(model.constraint.force_names),
+    )
     graph = model.rates or model.acceleration
-    work = f", their rates {graph.n_instructions()} elementary operations" if graph.is_a("SXFunction") else ""
+    work = (
+        f", their rates {graph.n_instructions()} elementary operations"
+        if graph.is_a("SXFunction")
+        else ""
+    )
     held = f", {rows} constraint forces" if rows else ""
     return f"{count} states{held}, {len(model.parameter_names)} physical parameters{work}."
 
@@ -221,10 +242,17 @@ def smooth(model: Model, letters: Mapping[str, str] | None = None) -> tuple[list
     n = model.degrees_of_freedom
     q, v, p = model.state_names[:n], model.state_names[n:], model.parameter_names
     if model.rates is not None and not model.hamiltonian:
-        return listed([(f"\\dot{{{letter(name)}}}", k) for k, name in enumerate(q)], model.rates, [("t",), q, p])
+        return listed(
+            [(f"\\dot{{{letter(name)}}}", k) for k, name in enumerate(q)],
+            model.rates,
+            [("t",), q, p],
+        )
     if model.hamiltonian:
         rows, said = listed([("H", 0)], model.potential, [q, p])
-        return [*rows, ("\\dot q", r"\partial H/\partial p,\qquad \dot p=-\partial H/\partial q")], said
+        return [
+            *rows,
+            ("\\dot q", r"\partial H/\partial p,\qquad \dot p=-\partial H/\partial q"),
+        ], said
     rows, said = listed([("T", 0)], model.kinetic, [q, v, p])
     if model.gyroscopic is not None:
         more, missing = listed([("G", 0)], model.gyroscopic, [q, v, p])
@@ -262,7 +290,10 @@ def hybrid(model: Model) -> tuple[list[Row], list[str]]:
     for mode in parts.modes:
         found, missing = smooth(mode.model)
         if several and found:
-            found[0] = (f"\\text{{{mode.name.replace('_', ' ')}:}}\\quad {found[0][0]}", found[0][1])
+            found[0] = (
+                f"\\text{{{mode.name.replace('_', ' ')}:}}\\quad {found[0][0]}",
+                found[0][1],
+            )
         rows += found
         if missing:
             said.append(f"{mode.name.replace('_', ' ').capitalize()}: {size(mode.model)}")
@@ -271,7 +302,11 @@ def hybrid(model: Model) -> tuple[list[Row], list[str]]:
         words = f"{one.name.replace('_', ' ')} (from {one.source} to {one.target})"
         reset = after(one, x, p)
         if reset is None:
-            impact = "an impact, M (v⁺ − v⁻) = Jᵀ P with J v⁺ = −e J v⁻" if one.impulse is not None else "a map"
+            impact = (
+                "an impact, M (v⁺ − v⁻) = Jᵀ P with J v⁺ = −e J v⁻"
+                if one.impulse is not None
+                else "a map"
+            )
             said.append(f"At {words} the state goes through {impact}.")
         rows += reset or []
         if one.ignored:

@@ -91,7 +91,7 @@ problem = of.Problem(
     symmetry="brake",
     free=("length2", "length3"),
     constraints=(limit,),
-    objective=lambda v: (v.start[0] + 0.5) ** 2 + (v.start[2] - 1.0) ** 2 + (v["length2"] - 1.0) ** 2,
+    objective=lambda v: (v.start[0] + 0.5) ** 2 + (v.start[2] - 1) ** 2 + (v["length2"] - 1) ** 2,
 )
 orbit = of.find_orbit(problem)
 print(orbit.period, orbit.provenance["free"])
@@ -129,13 +129,17 @@ def _tables() -> set[str]:
     return {"system", "guess", "find", "control", "search", "simulate", "expected"}
 
 
-def _section(title: str, table: type[BaseModel], skip: set[str] | None = None, note: str = "") -> str:
+def _section(
+    title: str, table: type[BaseModel], skip: set[str] | None = None, note: str = ""
+) -> str:
     said = " ".join((table.__doc__ or "").split())
     lines = [f"## {title}", "", " ".join(filter(None, [said, note])), ""]
     lines += ["| key | default | meaning |", "|---|---|---|"]
     for name, entry in table.model_fields.items():
         if name not in (skip or set()):
-            lines.append(f"| `{name}` | {_default(entry.default)} | {_cell(entry.description or '')} |")
+            lines.append(
+                f"| `{name}` | {_default(entry.default)} | {_cell(entry.description or '')} |"
+            )
     return "\n".join(lines) + "\n"
 
 

@@ -10,7 +10,12 @@ from orbitfinder.mechanics.catalogue import BUILT_IN
 from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.read import ProblemFile
 
-FIRST = {"chain": ("links",), "linkage": ("length",), "mechanism": ("bodies", "joints"), "robot": ("file",)}
+FIRST = {
+    "chain": ("links",),
+    "linkage": ("length",),
+    "mechanism": ("bodies", "joints"),
+    "robot": ("file",),
+}
 """What each function that makes a system takes first; the rest is given by name"""
 BEYOND = ("controls", "limits", "cycle", "scales")
 """What a file says of a built-in system that its function does not take"""
@@ -30,7 +35,10 @@ def python_form(loaded: ProblemFile) -> str:
         lines.append("from orbitfinder.mechanics.catalogue import build_model")
     lines += ["", f"model = {system_call(system)}"]
     if loaded.problem is not None:
-        lines += [*guess_lines(loaded.document["guess"], loaded.model), *problem_lines(loaded.document)]
+        lines += [
+            *guess_lines(loaded.document["guess"], loaded.model),
+            *problem_lines(loaded.document),
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -46,7 +54,11 @@ def system_call(system: Mapping[str, Any]) -> str:
         return call("build_model", [{"module": BUILT_IN, **system}])
     if kind == "python":
         return call(f"of.systems.{system['function']}", [], system.get("arguments", {}))
-    rest = {key: value for key, value in system.items() if key not in ("kind", "independent", *FIRST[kind])}
+    rest = {
+        key: value
+        for key, value in system.items()
+        if key not in ("kind", "independent", *FIRST[kind])
+    }
     made = call(f"of.{kind}", [system[key] for key in FIRST[kind]], rest)
     if "independent" in system:
         return call(f"of.linkages.minimal_{kind}", [Code(made), system["independent"]])
@@ -83,15 +95,30 @@ def closed_guess(given: Mapping[str, Any], model: Model, drawn: bool) -> list[st
     """The same of a linkage, or of a mechanism (`drawn`): by a mode, or assembled."""
     if "mode" in given:
         near = given.get("equilibrium")
-        rest = [Code(call("of.linkages.linkage_equilibrium", [Code("model"), near]))] if near is not None else []
+        rest = (
+            [Code(call("of.linkages.linkage_equilibrium", [Code("model"), near]))]
+            if near is not None
+            else []
+        )
         if near is not None and drawn:
             half = model.degrees_of_freedom
-            near = Code(f"{call('of.linkages.mechanism_state', [Code('model')], {'near': near})}[:{half}]")
+            near = Code(
+                f"{call('of.linkages.mechanism_state', [Code('model')], {'near': near})}[:{half}]"
+            )
             rest = [Code(call("of.linkages.linkage_equilibrium", [Code("model"), near]))]
-        found = call("of.linkages.linkage_mode", [Code("model"), given["mode"], given["amplitude"], *rest])
+        found = call(
+            "of.linkages.linkage_mode", [Code("model"), given["mode"], given["amplitude"], *rest]
+        )
         lines = [f"guess = {found}"]
-        return [*lines, f"guess = of.Guess(guess.state, {given['period']})"] if "period" in given else lines
-    return [*assembled(given, drawn), f"guess = {call('of.Guess', [Code('state'), returned(given, model)])}"]
+        return (
+            [*lines, f"guess = of.Guess(guess.state, {given['period']})"]
+            if "period" in given
+            else lines
+        )
+    return [
+        *assembled(given, drawn),
+        f"guess = {call('of.Guess', [Code('state'), returned(given, model)])}",
+    ]
 
 
 def assembled(given: Mapping[str, Any], drawn: bool) -> list[str]:
@@ -106,7 +133,9 @@ def assembled(given: Mapping[str, Any], drawn: bool) -> list[str]:
     lines = [f"angles = {call('of.linkages.assemble', [Code('model'), angles], branch)}"]
     moving = [Code("angles")]
     if rates:
-        lines.append(f"rates = {call('of.linkages.linkage_rates', [Code('model'), Code('angles'), rates])}")
+        lines.append(
+            f"rates = {call('of.linkages.linkage_rates', [Code('model'), Code('angles'), rates])}"
+        )
         moving.append(Code("rates"))
     return [*lines, f"state = {call('of.linkages.linkage_state', [Code('model'), *moving])}"]
 
@@ -129,13 +158,19 @@ def problem_lines(document: Mapping[str, Any]) -> list[str]:
         named["pin"] = Code(call("of.pin", [], pins))
     starts = {key: find.pop(key) for key in ("starts", "seed") if key in find}
     for key, value in find.items():
-        named[key] = paired(value) if key == "bounds" else tuple(value) if isinstance(value, list) else value
+        named[key] = (
+            paired(value) if key == "bounds" else tuple(value) if isinstance(value, list) else value
+        )
     if "control" in document:
         named["control"] = Code(control(document["control"]))
     named["name"] = document["name"]
     lines = [f"problem = {call('of.Problem', [Code('model'), Code('guess')], named)}"]
     choosing = find.get("objective") == "min_instability" and "period" in find.get("bounds", {})
-    finder = call("of.least_unstable" if choosing else "of.find_orbit", [Code("problem")], starts if choosing else {})
+    finder = call(
+        "of.least_unstable" if choosing else "of.find_orbit",
+        [Code("problem")],
+        starts if choosing else {},
+    )
     return [*lines, f"orbit = {finder}", "print(orbit.period, orbit.certificate.passed)"]
 
 
@@ -158,7 +193,11 @@ def call(name: str, first: Iterable[Any] = (), named: Mapping[str, Any] | None =
     """A call with these arguments; numbers as they are in the file."""
     given = [written(one) for one in first]
     plain = all(key.isidentifier() for key in named or {})
-    more = [f"{key}={written(value)}" for key, value in (named or {}).items()] if plain else [f"**{written(named)}"]
+    more = (
+        [f"{key}={written(value)}" for key, value in (named or {}).items()]
+        if plain
+        else [f"**{written(named)}"]
+    )
     return f"{name}({', '.join(given + more)})"
 
 
@@ -167,7 +206,9 @@ def written(value: Any) -> str:
     if isinstance(value, Code):
         return str(value)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{written(key)}: {written(one)}" for key, one in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{written(key)}: {written(one)}" for key, one in value.items()) + "}"
+        )
     if isinstance(value, tuple):
         return f"({', '.join(map(written, value))}{',' if len(value) == 1 else ''})"
     if isinstance(value, list):

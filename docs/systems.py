@@ -79,7 +79,10 @@ class Entry:
     def head(self) -> list[str]:
         """The comment lines at its top."""
         lines = self.text.splitlines()
-        return [line[1:].strip() for line in lines[: next(k for k, one in enumerate(lines) if one[:1] != "#")]]
+        return [
+            line[1:].strip()
+            for line in lines[: next(k for k, one in enumerate(lines) if one[:1] != "#")]
+        ]
 
     @property
     def said(self) -> str:
@@ -95,7 +98,7 @@ class Entry:
     def record(self) -> Path | None:
         """Its orbit.json; None of a search, and of a file that a family begins with."""
         folder, stem = self.path.parent.name, self.path.stem
-        if folder in ("families", "search"):
+        if folder in ("families", "search", "atlas"):
             return None
         shipped = ROOT / "results" / RESULTS.get(folder, "none") / stem / "orbit.json"
         return shipped if shipped.is_file() else RECORDS / f"{self.name}.json"
@@ -175,7 +178,9 @@ def chosen(kind: str) -> list[Entry]:
 def group(entry: Entry) -> str:
     """What files of the same equations share."""
     kind = entry.system["kind"]
-    return str(entry.system.get("function") or (kind if kind in ("chain", "linkage") else entry.name))
+    return str(
+        entry.system.get("function") or (kind if kind in ("chain", "linkage") else entry.name)
+    )
 
 
 # --------------------------------------------------------------------------------------------------
@@ -271,7 +276,8 @@ def written_equations(entry: Entry, fresh: bool) -> Iterator[str]:
     few = {name: value for name, value in values.items() if not name.startswith(SHARE)}
     if 0 < len(few) <= 12:
         told = ", ".join(
-            f"{name} <span class='arithmatex'>\\({letter(name)}={value:.6g}\\)</span>" for name, value in few.items()
+            f"{name} <span class='arithmatex'>\\({letter(name)}={value:.6g}\\)</span>"
+            for name, value in few.items()
         )
         yield f"<p class='values'>{told}</p>\n"
 
@@ -280,7 +286,9 @@ def numbers(entry: Entry) -> str:
     """What is certified of an orbit, as a small table."""
     orbit = record(entry)
     sizes = np.abs(orbit.floquet_multipliers)
-    verdict = "none" if orbit.certificate is None else "passed" if orbit.certificate.passed else "FAILED"
+    verdict = (
+        "none" if orbit.certificate is None else "passed" if orbit.certificate.passed else "FAILED"
+    )
     rows = {
         "period": f"{orbit.period:.12g}",
         "energy": f"{orbit.energy:.10g}" if np.isfinite(orbit.energy) else "none conserved",
@@ -290,7 +298,9 @@ def numbers(entry: Entry) -> str:
         "closure": f"{orbit.closure:.1e}",
         "certificate": verdict,
     }
-    body = "".join(f"<tr><th>{name}</th><td>{escape(told)}</td></tr>" for name, told in rows.items())
+    body = "".join(
+        f"<tr><th>{name}</th><td>{escape(told)}</td></tr>" for name, told in rows.items()
+    )
     return f"<table>{body}</table>"
 
 
@@ -342,7 +352,9 @@ def found(entry: Entry) -> Any:
     names: dict[str, Any] = {}
     with contextlib.chdir(entry.path.parent):  # a robot's file lies there
         exec(python_form(loaded(entry)), names)
-    return replace(names["orbit"], title=entry.document["title"], source=entry.document.get("source", ""))
+    return replace(
+        names["orbit"], title=entry.document["title"], source=entry.document.get("source", "")
+    )
 
 
 def write_record(entry: Entry, orbit: Any) -> None:

@@ -33,6 +33,7 @@ def test_loops_are_whole_periods_in_real_time(period: float) -> None:
     assert periods == int(periods) and periods >= 1
     assert abs(frames / settings.rate - periods * period) <= 0.5 / settings.rate + 1e-12
     assert periods * period >= settings.shortest
+    assert loop_frames(period, AnimationSettings(periods=3)) == (3, round(3 * period * settings.rate))
 
 
 def test_gif_has_constant_frame_rate_and_loops(tmp_path) -> None:

@@ -178,11 +178,17 @@ def test_the_top_of_the_house_can_be_seen_at_once():
     assert len([path for path in PACKAGE.iterdir() if path.name != "__pycache__"]) <= 26
 
 
+def code_lines(node):
+    """The lines of a function without its docstring: tables of parameters may be long."""
+    said = node.body[0] if ast.get_docstring(node) else None
+    return node.end_lineno - node.lineno + 1 - (said.end_lineno - said.lineno + 1 if said else 0)
+
+
 def test_functions_are_short():
     long = [
-        f"{module}.{node.name}: {node.end_lineno - node.lineno + 1} lines"
+        f"{module}.{node.name}: {code_lines(node)} lines"
         for module, tree in MODULES.items()
         for node in ast.walk(tree)
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and node.end_lineno - node.lineno >= 60
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and code_lines(node) > 60
     ]
     assert not long

@@ -5,8 +5,10 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from importlib import metadata
+from pathlib import Path
 
 import click
 import numpy as np
@@ -97,6 +99,19 @@ def test_extras_say_what_is_missing(monkeypatch):
     assert found["extra test"].status == doctor.OK
     assert found["extra proof"].status == doctor.MISSING
     assert found["extra proof"].remedy == "pip install 'orbitfinder[proof]', for prove and refine"
+
+
+def test_every_extra_is_named_with_its_use_and_its_command(monkeypatch):
+    """Those that pyproject.toml declares; with nothing installed each says how, and no line is over 80."""
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    declared = project["optional-dependencies"]
+    assert set(declared) == set(doctor.EXTRAS)
+    monkeypatch.setattr(doctor, "declared_extras", lambda: declared)
+    monkeypatch.setattr(doctor, "_installed", lambda _: False)
+    said = [line for one in doctor.examine() for line in doctor.report(one)]
+    assert max(map(len, said)) <= 80
+    for extra, use in doctor.EXTRAS.items():
+        assert f"pip install 'orbitfinder[{extra}]', for {use}" in " ".join(" ".join(said).split())
 
 
 def test_known_defects_are_what_the_documentation_says():

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from conftest import pendulum_period
 from jinja2 import UndefinedError
 
+from orbitfinder import systems
 from orbitfinder._runtime import locks
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
@@ -35,6 +36,7 @@ from orbitfinder.records.store import load_orbit
 from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import evenly, gather
+from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Simulator, histories, packed, resampled, skeleton
 from orbitfinder.site.pages import span, spread
 from orbitfinder.site.text import PAGES, coordinate, mechanism, number, script_data, size, slug_maker
@@ -803,3 +805,18 @@ def test_a_family_at_one_energy_opens_on_its_parameter(tmp_path):
     page = made.files["families/five-bar-length.html"].decode()
     assert page.index('value="value">length3') < page.index('value="energy">energy')
     assert "length3 0.8 to 2.2" in made.files["index.html"].decode()
+
+
+def test_landscapes_are_the_potential_where_it_is_drawn():
+    """Values on the grid are those of the formula at the places drawn; what is no point in a potential has none."""
+    frame = {"centre": [0.1, -0.2], "spans": [0.6, 0.4]}
+    made = landscape(systems.henon_heiles(), frame)
+    assert made is not None
+    n, values = made["cells"], np.frombuffer(base64.b64decode(made["data"]), "<f4")
+    down, right = (corner + made["cell"] * np.arange(n + 1) for corner in made["corner"])
+    assert down[0] == pytest.approx(0.1 - 0.9) and right[-1] == pytest.approx(-0.2 + 0.9)
+    x, y = right[None, :], -down[:, None]
+    wanted = (x**2 + y**2) / 2 + x**2 * y - y**3 / 3
+    np.testing.assert_allclose(values.reshape(n + 1, n + 1), wanted, rtol=1e-6, atol=1e-7)
+    assert made["levels"] == sorted(made["levels"])
+    assert landscape(chain(2), frame) is None and landscape(None, frame) is None

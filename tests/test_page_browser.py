@@ -10,9 +10,14 @@ from pathlib import Path
 import pytest
 from test_page import NASTY, SHIPPED, material, site  # noqa: F401  (fixtures)
 
+import orbitfinder as of
 from orbitfinder.orbits.certify import certify
+from orbitfinder.orbits.section import section
 from orbitfinder.records.family import load_family
 from orbitfinder.records.store import load_orbit
+from orbitfinder.site.build import Settings, build_site
+from orbitfinder.site.gather import gather
+from orbitfinder.site.writing import write_site
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed; pip install '.[browser]'")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -456,6 +461,61 @@ def test_any_two_components_and_a_neighbour(browser, pages):
     find(browser, "#beside").click()
     assert before is None and browser.execute_script("return orbitfinder.player.scenes[0].beside.period > 4.9")
     assert find(browser, "#beside-note").is_displayed()
+
+
+def test_two_orbits_stand_beside_each_other_and_share_an_address(browser, pages):
+    """What is kept moves by the same clock, with its numbers beside the picked one's; the address brings both back."""
+    go(browser, pages["family"])
+    kept = browser.execute_script("return orbitfinder.picked().key")
+    find(browser, "#keep").click()
+    find(browser, "#next").click()
+    picked = browser.execute_script("return orbitfinder.picked().key")
+    wait(browser, f"return location.hash === '#{picked}&with={kept}'")
+    both = "return [...document.querySelectorAll('#picked > div')].map(one => one.querySelectorAll('dd').length)"
+    assert set(browser.execute_script(both)) == {2}
+    address = browser.execute_script("return location.href")
+    browser.get("about:blank")
+    browser.get(address)
+    wait(browser, f"return orbitfinder.picked && orbitfinder.picked() && orbitfinder.picked().key === '{picked}'")
+    periods = browser.execute_script("return orbitfinder.player.scenes.map(one => one.motion.period)")
+    assert len(periods) == 2 and periods[0] != periods[1] and find(browser, "#kept").is_displayed()
+    find(browser, "#keep").click()
+    wait(browser, f"return location.hash === '#{picked}'")
+    assert not find(browser, "#kept").is_displayed()
+
+
+@pytest.fixture(scope="module")
+def potential(tmp_path_factory):
+    """A section of the Henon-Heiles system with an orbit in it, as pages."""
+    out = tmp_path_factory.mktemp("potential")
+    orbit = load_orbit(SHIPPED.parent / "gallery" / "henon-heiles-loop" / "orbit.json")
+    of.sections.save_section(section(orbit, seeds=4, returns=12), out / "section.json")
+    of.save_orbit(orbit, out / "orbit.json")
+    made, _ = build_site(gather([out / "section.json", out / "orbit.json"]), Settings("HH", verify=False))
+    write_site(made.files, out / "site")
+    return out / "site"
+
+
+def test_motions_of_a_section_have_addresses_and_zoom(browser, potential):
+    page = next((potential / "sections").glob("*.html"))
+    go(browser, page)
+    find(browser, "#next").click()
+    wait(browser, "return location.hash === '#motion=2'")
+    width = "const r = document.getElementById('plot')._fullLayout.xaxis.range; return r[1] - r[0]"
+    whole = browser.execute_script(width)
+    find(browser, "#near").click()
+    wait(browser, f"{width} < {0.5 * whole}")
+    browser.get("about:blank")
+    browser.get(page.as_uri() + "#motion=3")
+    wait(browser, "return orbitfinder.picked && orbitfinder.picked().name === 'motion 3'")
+    assert find(browser, "#lock").text == "Held"
+
+
+def test_lines_of_equal_potential_lie_under_a_motion(browser, potential):
+    """One for each level, and the last for the motion's own energy."""
+    go(browser, next((potential / "orbits").glob("*.html")))
+    wait(browser, "return (orbitfinder.player.scenes[0].lines || []).length === 7")
+    assert browser.execute_script("return orbitfinder.player.scenes[0].level") == 0.125
 
 
 # --------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -29,9 +30,20 @@ def test_python_example_is_short():
 
 
 def test_links_lead_somewhere():
-    """Every relative link and picture is a file of the repository."""
+    """Every relative link and picture is a file of the repository; it is a landing page of less than 120 lines."""
     missing = [target for target in re.findall(r"\]\(([^)#:]+)\)", README) if not (ROOT / target).exists()]
-    assert not missing
+    assert not missing and README.count("\n") < 120
+
+
+def test_badges_are_true():
+    """What the badges say is what the package declares."""
+    with (ROOT / "pyproject.toml").open("rb") as stream:
+        project = tomllib.load(stream)["project"]
+    shown = {name: (ROOT / "docs" / "badges" / f"{name}.svg").read_text() for name in ("license", "python")}
+    versions = sorted(re.findall(r"Python :: (3\.\d+)", str(project["classifiers"])), key=lambda one: int(one[2:]))
+    assert f"license: {project['license']}<" in shown["license"]
+    assert f"python: {versions[0]} to {versions[-1]}<" in shown["python"]
+    assert project["requires-python"] == f">={versions[0]}"
 
 
 def test_benchmark_rows_are_the_measured_ones():

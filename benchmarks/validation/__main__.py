@@ -18,7 +18,7 @@ FOLDERS = click.Path(path_type=Path)
 @click.option("--data", default="tests/data", show_default=True, type=FOLDERS, help="Folder of the reference orbits.")
 @click.option("--families", default="results/families", show_default=True, type=FOLDERS, help="Folder of families.")
 def main(out: Path, data: Path, families: Path) -> None:
-    """Compare with every published number that we know of and write README.md. Takes about half a minute.
+    """Compare with every published number that we know of and write README.md. Takes about two minutes.
 
     \b
     Example:

@@ -23,13 +23,14 @@ with, ours, the difference, and what was allowed before it was computed. A row t
 
 def collect(data: Path, families: Path) -> list[Section]:
     """Every section, computed. Raises `InputError` when the reference files are not where told."""
-    from benchmarks.validation import closed_forms, literature, reach, reference_orbits, software
+    from benchmarks.validation import closed_forms, literature, peers, reach, reference_orbits, software
 
     return [
         *reference_orbits.sections(data),
         closed_forms.section(),
         *literature.sections(),
         *software.sections(),
+        *peers.sections(data),
         reach.section(data, families),
     ]
 

@@ -39,7 +39,21 @@ _deadline: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 @contextlib.contextmanager
 def limited(seconds: float | None) -> Iterator[None]:
-    """`LimitError` once the block has taken `seconds`; None is no limit, of nested ones the earliest holds."""
+    """A limit of time for a block: `with of.limited(60.0): ...`.
+
+    Args:
+        seconds: s; None is no limit, of nested ones the earliest holds.
+
+    Returns:
+        A context manager.
+
+    Raises:
+        LimitError: once the block has taken so long.
+
+    Examples:
+        >>> with of.limited(60.0):
+        ...     found = of.find_orbit(problem)
+    """
     if seconds is not None and not (seconds > 0 and not math.isnan(seconds)):
         raise InputError(f"limit: must be a positive number of seconds, got {seconds}")
     outer, end = _deadline.get(), math.inf if seconds is None else time.monotonic() + seconds

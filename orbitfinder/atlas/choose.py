@@ -54,10 +54,33 @@ def least_unstable(
 ) -> Orbit:  # fmt: skip
     """The least unstable orbit at the pinned energy with a minimal period in `bounds["period"]`, certified.
 
-    The guess and `starts` starts of the atlas's strategies are tried; the same seed gives the same answer.
-    Among orbits on whose multipliers nothing is outside the unit circle the one with the smallest |mu + 1/mu|
-    is taken. `provenance["choice"]` says how many orbits were found and how unstable the runner-up is. More
-    starts find more orbits: the answer is the best of those found. Raises `InputError`, `ConvergenceError`.
+    Among orbits on whose multipliers nothing is outside the unit circle the one with the smallest |mu + 1/mu| is
+    taken. `provenance["choice"]` says how many orbits were found and how unstable the runner-up is. More starts find
+    more orbits: the answer is the best of those found.
+
+    Args:
+        problem: with an energy pin and a range of the period in its bounds.
+        starts: of the atlas's strategies, tried beside the guess.
+        seed: the same gives the same answer.
+        progress: called with what is being done.
+        settings: how each is solved.
+
+    Returns:
+        An Orbit.
+
+    Raises:
+        InputError: for a problem without energy or range.
+        ConvergenceError: where none was found.
+
+    Examples:
+        >>> wanted = of.Problem(pendulum, guess, pin=of.pin(energy=-18.0), bounds={"period": (0.9, 2.0)},
+        ...                     objective="min_instability")
+        >>> chosen = of.least_unstable(wanted, starts=4)
+        >>> chosen.stability
+        'elliptic'
+
+    See Also:
+        `of.search` keeps all that are found.
     """
     check(problem)
     found = candidates(problem, starts, seed, progress)

@@ -10,6 +10,7 @@ from typing import Any
 from orbitfinder.atlas.signature import in_words
 from orbitfinder.atlas.store import Atlas, Filter, Row, named_state
 from orbitfinder.errors import InputError
+from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.records.orbit import orbit_from_document
 
 FIELDS = {
@@ -17,7 +18,7 @@ FIELDS = {
     "energy": ("J", "energy; of first-order systems their first invariant, empty where nothing is conserved"),
     "period": ("s", "minimal period"),
     "action": ("J s", "integral of momentum dq over a period; of first-order systems of |x'|^2"),
-    "symmetry": ("", "none, brake, reflection, reversal, brake+reflection, or one that the system declares"),
+    "symmetry": ("", f"one of {', '.join(SYMMETRIES)}, or the system's own"),
     "stability": ("", "elliptic, unstable, marginal or asymptotically stable, by the Floquet multipliers"),
     "instability": ("1", "largest magnitude of a non-trivial Floquet multiplier"),
     "closure": ("1", "gap round the loop by the certifying integrator, largest component, in the state's units"),
@@ -84,7 +85,7 @@ def as_parquet(names: list[str], rows: list[dict[str, Any]], system: str) -> byt
     table = pyarrow.table({name: [row[name] for row in rows] for name in names})
     told = {name: dict(zip(("unit", "meaning"), FIELDS.get(name, STATE), strict=True)) for name in names}
     fields = [table.schema.field(name).with_metadata(told[name]) for name in names]
-    fields = [one.with_type("float64") if pyarrow.types.is_null(one.type) else one for one in fields]
+    fields = [one.with_type(pyarrow.float64()) if pyarrow.types.is_null(one.type) else one for one in fields]
     sink = io.BytesIO()
     parquet.write_table(table.cast(pyarrow.schema(fields, {"system": system})), sink)
     return sink.getvalue()

@@ -77,9 +77,26 @@ def merge_atlases(
 ) -> Merged:  # fmt: skip
     """Put the orbits, searches and starts of several atlases of one system into one, beside what that holds already.
 
-    Merging is idempotent, commutative and associative. Atlases that share no search with another one are refused
-    unless `union` is true. The atlas is written whole or not at all. `model` and `trusted` as for `Atlas`.
-    Raises `InputError`.
+    Merging is idempotent, commutative and associative. The atlas is written whole or not at all.
+
+    Args:
+        files: the atlases.
+        atlas: the file to write.
+        union: whether atlases that share no search with another one are taken too.
+        model: for systems that no file describes.
+        trusted: folder of a module that makes the system.
+
+    Returns:
+        How many `orbits` and `starts` the atlas holds, and which `searches`.
+
+    Raises:
+        InputError: for atlases of other systems, and without `union` of other searches.
+
+    Examples:
+        >>> for shard in ("1/2", "2/2"):
+        ...     _ = of.search(pendulum, -18.0, (0.9, 2.5), f"{shard[0]}.sqlite", starts=4, workers=0, shard=shard)
+        >>> of.merge_atlases(["1.sqlite", "2.sqlite"], "both.sqlite").starts
+        4
     """
     if not files:
         raise InputError("files: none given; name the atlases to merge")

@@ -280,16 +280,43 @@ def search(
 ) -> Found:
     """Search for periodic orbits of a Model and keep the distinct certified ones in an atlas file.
 
-    `energies` in J, None of a system that conserves nothing, `periods` the range of minimal periods in s. Ends at
-    `starts` starts for each energy or after `budget` seconds (60 when neither is given), shared among the energies. The
-    result depends on the seed, not on the workers: 0 is this process, n are n spawned ones, `scheduler` the address of
-    a Dask cluster, `executor` any executor of concurrent.futures. `shard` (k, n), or "k/n", makes every n-th start
-    only, from the k-th, each shard in an atlas of its own for `merge_atlases`; "auto" takes k and n from the Slurm
-    array that runs it.
-    A search that was stopped, however, goes on when the same is asked again. `folder`: see `Request`.
-    Of a hybrid system orbits of at most `cycles` cycles are looked for, from states right after the event that ends its
-    cycle: `section` gives ranges of their components, by name.
-    Raises `InputError`.
+    Ends at `starts` starts for each energy or after `budget` seconds (60 when neither is given), shared among the
+    energies. The result depends on the seed, not on the workers. A search that was stopped, however, goes on when the
+    same is asked again.
+
+    Args:
+        model: the system.
+        energies: J; None of a system that conserves nothing.
+        periods: range of minimal periods, s.
+        atlas: the SQLite file.
+        starts: for each energy.
+        budget: s.
+        seed: of the starts.
+        workers: 0 is this process, n are n spawned ones.
+        scheduler: address of a Dask cluster.
+        executor: any executor of concurrent.futures.
+        shard: (k, n), or "k/n", makes every n-th start only, from the k-th, each shard in an atlas of its own for
+            `of.merge_atlases`; "auto" takes k and n from the Slurm array that runs it.
+        folder: of a trusted module that makes the system.
+        progress: called with each energy and what was done at it.
+        section: of a hybrid system, ranges of components right after the event that ends its cycle, by name: where
+            starts begin.
+        cycles: of a hybrid system, orbits of at most so many cycles are looked for.
+
+    Returns:
+        `summary` of these searches, `tallies` by energy, `atlas`.
+
+    Raises:
+        InputError: for energies that cannot be reached and settings that contradict each other.
+
+    Examples:
+        >>> found = of.search(pendulum, -18.0, (0.9, 2.5), "double.sqlite", starts=6, workers=0)
+        >>> with of.Atlas("double.sqlite") as atlas:
+        ...     [round(row.period, 6) for row in atlas.rows()]
+        [1.119341, 2.368714]
+
+    See Also:
+        `of.Atlas` to look into the file; `of.least_unstable` for one orbit only.
     """
     part = shard_from(shard)
     shells = levels(model, energies)

@@ -71,9 +71,22 @@ ALIKE_ENERGY = "CAST(printf('%.9g', energy) AS REAL)"
 
 @dataclass(frozen=True)
 class Filter:
-    """Which orbits: closed ranges of period (s) and energy (J), kinds of stability and symmetry; None and () are all.
+    """Which orbits of an atlas.
 
-    Raises `InputError` for a range or a kind that no orbit can have.
+    Args:
+        period: closed range in s; None for all.
+        energy: closed range in J; None for all.
+        stability: one kind or several; () for all.
+        symmetry: one kind or several; () for all.
+
+    Raises:
+        InputError: for a range or a kind that no orbit can have.
+
+    Examples:
+        >>> with of.Atlas("mine.sqlite", pendulum.system, write=True) as atlas:
+        ...     _ = atlas.add(orbit)
+        ...     len(atlas.rows(of.Filter(period=(1.0, 1.2), stability="elliptic")))
+        1
     """
 
     period: tuple[float, float] | None = None
@@ -124,11 +137,30 @@ def check_range(name: str, limits: Sequence[float]) -> None:
 
 
 class Atlas(Shown):
-    """Orbits in an SQLite file, at `path`. Open to read by default; a context manager.
+    """Orbits in an SQLite file. Open to read by default; a context manager.
 
-    `system` (the description in `Model.system`) must be given to write, and must be that of the
-    orbits already there. `model` is needed for systems that no file describes. `trusted` is the folder
-    of a Python module that makes the system, which the caller vouches for.
+    `rows(filter)` are those that pass a Filter, by energy and period; `orbit(id)` is one of them, certificate
+    included; `add(orbit)` gives its id, and True when it was new.
+
+    Args:
+        path: of the file.
+        system: the description in `Model.system`, to write; it must be that of the orbits already there.
+        write: whether orbits may be added.
+        model: for systems that no file describes.
+        trusted: folder of a Python module that makes the system, which the caller vouches for.
+
+    Raises:
+        InputError: for a file that is none, and another system.
+
+    Examples:
+        >>> with of.Atlas("mine.sqlite", pendulum.system, write=True) as atlas:
+        ...     atlas.add(orbit)
+        (1, True)
+        >>> of.Atlas("mine.sqlite").orbit(1).certificate.passed
+        True
+
+    See Also:
+        `of.search` fills one; `of.load_orbit("FILE.sqlite#3")`.
     """
 
     __repr__ = brief("path", "system")
@@ -222,9 +254,8 @@ class Atlas(Shown):
         if not set(words) <= {*COLUMNS, "DESC"}:
             raise InputError(f"order: unknown {order!r}; use columns among {', '.join(COLUMNS)}")
         condition, values = (chosen or Filter()).condition()
-        question = f"{LINES} WHERE {condition} ORDER BY {order}, id"
         told = re.sub(r"\benergy\b", ALIKE_ENERGY, order)
-        question = f"SELECT {', '.join(COLUMNS)} FROM orbits WHERE {condition} ORDER BY {told}, id"
+        question = f"{LINES} WHERE {condition} ORDER BY {told}, id"
         return [Row(*entry) for entry in self.select(list(get_type_hints(Row).values()), question, values)]
 
     def row(self, number: int) -> Row:
@@ -318,9 +349,22 @@ class Atlas(Shown):
 
 
 def load_orbit(path: str | Path) -> Orbit:
-    """Read an orbit.json (and orbit.npz if it is there), or FILE#K: point K of a family.json or orbit K of an atlas
-    export, counted from 0 as in the file's list, or orbit K of an atlas, by its id. A point of a family is an Orbit
-    too. Raises `InputError`.
+    """Read an orbit.json, or one of many orbits in a file.
+
+    Args:
+        path: an orbit.json (and orbit.npz if it is there), or FILE#K: point K of a family.json or orbit K of an atlas
+            export, counted from 0 as in the file's list, or orbit K of an atlas, by its id.
+
+    Returns:
+        An Orbit.
+
+    Raises:
+        InputError: on anything unreadable, edited or damaged.
+
+    Examples:
+        >>> _ = of.save_orbit(orbit, "orbit.json")
+        >>> of.load_orbit("orbit.json").period == orbit.period
+        True
     """
     file, number = member(path)
     if number is None or kind_of(file) != "atlas":

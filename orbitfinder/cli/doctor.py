@@ -7,6 +7,7 @@ import platform
 import shutil
 import sys
 import tempfile
+import textwrap
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,13 +17,16 @@ import click
 from orbitfinder._runtime import __version__
 from orbitfinder.cli.options import finish, json_option, text
 
+WIDTH, INDENT = 80, 31
+"""Columns of the report, and where what was found begins"""
 OK, NOTE, MISSING, BROKEN = "ok", "note", "missing", "BROKEN"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "firefox")
 PLUGINS = {"cvodes": "integrator", "idas": "integrator", "ipopt": "nlpsol"}
 EXTRAS = {
-    "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler",
-    "parquet": "atlas export --to parquet", "notebook": "the notebooks", "docs": "building the documentation",
-    "studio": "studio",
+    "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler (Dask)",
+    "parquet": "atlas export --to parquet", "robot": "URDF and MJCF files, SymPy's systems",
+    "studio": "studio: mechanisms dragged to orbits",
+    "notebook": "the notebooks", "docs": "building the documentation",
     "browser": "tests of pages in a browser", "test": "the tests",
 }  # fmt: skip
 """What each optional extra is for; one that a release does not declare is not asked about."""
@@ -112,7 +116,12 @@ def tools() -> Iterator[Finding]:
 
     found, reason = available()
     said = f"{reason or 'runs'} (mode {mode()})"
-    yield finding("C compiler", found, said, "install gcc or clang; without one everything runs interpreted")
+    yield finding(
+        "C compiler",
+        found,
+        said,
+        "install gcc or clang for compiled equations; without one everything runs interpreted",
+    )
     yield _cache()
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     remedy = "any browser opens the pages; headless Chromium is needed for their tests only"
@@ -134,7 +143,12 @@ def _cache() -> Finding:
         return Finding("cache", NOTE, f"not used, nothing is compiled: {error}", remedy)
     entries = list(place.glob("*.so"))
     size = sum(entry.stat().st_size for entry in entries)
-    return Finding("cache", OK, f"{place}: {len(entries)} compiled functions, {size / 1e6:.1f} MB")
+    return Finding("cache", OK, f"{_short(place)}: {len(entries)} compiled functions, {size / 1e6:.1f} MB")
+
+
+def _short(place: Path) -> Path:
+    """A path as it is said: the home folder is ~."""
+    return Path("~") / place.relative_to(Path.home()) if place.is_relative_to(Path.home()) else place
 
 
 def extras() -> Iterator[Finding]:
@@ -189,6 +203,14 @@ def defects() -> Iterator[Finding]:
         yield Finding(one.name, NOTE, f"CasADi: {one.seen} ({one.reference})", f"no action: here {one.instead}")
 
 
+def report(one: Finding) -> list[str]:
+    """A finding in lines of at most 80 columns: what was found, below it what to do."""
+    said = [line for what in (one.detail, one.remedy) for line in textwrap.wrap(
+        what, WIDTH - INDENT, break_long_words=False, break_on_hyphens=False)]  # fmt: skip
+    head = f"  {one.status:<8}{one.name}"
+    return [f"{head if not k else '':<{INDENT}}{line}" for k, line in enumerate(said)]
+
+
 @click.command()
 @json_option
 def doctor() -> None:
@@ -205,10 +227,8 @@ def doctor() -> None:
     findings = examine()
     usable = all(finding.status != BROKEN for finding in findings)
     text(f"orbitfinder {__version__} on {platform.platform()}")
-    for finding in findings:
-        text(f"  {finding.status:<8}{finding.name:<28}{finding.detail}")
-        if finding.remedy:
-            text(f"  {'':<36}{finding.remedy}")
+    for line in (line for finding in findings for line in report(finding)):
+        text(line)
     text("Usable." if usable else "Not usable: see what is marked BROKEN.")
     finish("doctor", {"version": __version__, "usable": usable, "findings": [asdict(one) for one in findings]}, usable)
 

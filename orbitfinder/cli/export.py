@@ -86,6 +86,7 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
 @out_option("A .gif or .mp4 file (one orbit), or a folder; default: beside each file.")
 @click.option("--size", "pixels", type=click.IntRange(64, 4320), help="Pixels on a side.  [default: 360, .mp4 1080]")
 @click.option("--fps", "rate", type=click.IntRange(1, 240), help="Frames a second.  [default: 25, .mp4 60]")
+@click.option("--periods", type=click.IntRange(1, 1000), help="Periods shown.  [default: few that loop in real time]")
 @click.option("--slow", type=click.FloatRange(0.01, 1000.0), help="How many times slower than real time.  [default: 1]")
 @click.option("--dark", is_flag=True, help="Light on dark.")
 @trust_option(SYSTEM_TRUST)

@@ -29,9 +29,22 @@ def law_of(controller: Controller) -> Law:
 
 
 def export_controller(controller: Controller, folder: str | Path, model: Model | None = None) -> list[Path]:
-    """Write NAME_gains.csv, NAME_controller.c and NAME_controller.py into a folder; returns the paths.
+    """Write a controller as gains and programs: NAME_gains.csv, NAME_controller.c and NAME_controller.py.
 
-    `model` is needed only for systems that no file describes. Raises `InputError`.
+    Args:
+        controller: what to write.
+        folder: where.
+        model: needed only for systems that no file describes.
+
+    Returns:
+        The paths.
+
+    Raises:
+        InputError: where they cannot be written.
+
+    Examples:
+        >>> [path.name for path in of.export_controller(controller, ".")]
+        ['swing_gains.csv', 'swing_controller.c', 'swing_controller.py']
     """
     model = model or build_model(controller.system)
     if not controller.stabilised:

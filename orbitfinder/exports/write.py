@@ -83,9 +83,23 @@ FORMATS: dict[str, Callable[[Orbit, Model], dict[str, str]]] = {
 
 
 def export_orbit(orbit: Orbit, to: str, folder: str | Path, model: Model | None = None) -> list[Path]:
-    """Write an orbit for `to` (csv | auto | julia | c) into a folder; returns the paths.
+    """Write an orbit for another program.
 
-    `model` is needed only for systems that no file describes. Raises `InputError`.
+    Args:
+        orbit: what to write.
+        to: csv | auto | julia | c.
+        folder: where.
+        model: needed only for systems that no file describes.
+
+    Returns:
+        The paths.
+
+    Raises:
+        InputError: for an unknown program and equations that it has no words for.
+
+    Examples:
+        >>> [path.name for path in of.export_orbit(orbit, "csv", ".")]
+        ['fast-swing.csv']
     """
     if to not in FORMATS:
         raise InputError(f"to: unknown format {to!r}; use one of {', '.join(FORMATS)}")

@@ -302,9 +302,32 @@ def switch_branch(
     settings: FamilySettings | None = None,
     model: Model | None = None,
 ) -> Branch:
-    """The `branch`-th of the branches that leave a family (or its family.json) at an event, or at that of a number.
+    """A branch that leaves a family at an event; `of.follow_family` follows it.
 
-    `follow_family` follows it. Raises what `branches` raises, and `InputError` where there are fewer branches.
+    Args:
+        family: a Family, or its family.json.
+        event: one of its events, or its number in order along the family, from 0.
+        branch: which of those that leave there, from 1.
+        settings: how it will be followed.
+        model: needed only for a system that no file describes.
+
+    Returns:
+        A Branch, an origin for `of.follow_family`.
+
+    Raises:
+        InputError: for an event that nothing leaves from (those that something does are named), and where there are
+            fewer branches.
+        ConvergenceError: when no branch was found.
+
+    Examples:
+        >>> near = of.Guess([0.0, 0.3, 0.0, 0.1], 6.5)
+        >>> line = of.find_orbit(of.Problem(of.systems.henon_heiles(), near, pin=of.pin(energy=0.16), name="line"))
+        >>> longer = of.follow_family(line, until=0.163, settings=of.FamilySettings(directions="forward", resonances=3))
+        >>> longer.events[0].kind, round(longer.events[0].parameter, 9)
+        ('branch_point', 0.161551515)
+        >>> branch = of.switch_branch(longer, 0)
+        >>> of.follow_family(branch, points=3).points[-1].symmetry
+        'none'
     """
     if isinstance(event, Event):
         family = family if isinstance(family, Family) else load_family(family)

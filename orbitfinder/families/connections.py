@@ -102,12 +102,33 @@ def connect(
     settings: ManifoldSettings | None = None,
     model: Model | None = None,
 ) -> tuple[Connection, ...]:
-    """Connections from an orbit to another (or back to itself), certified, at most so many, those of few returns first
-    or those nearest to a point `near` of the axes.
+    """Connections from an orbit to another, or back to itself, certified.
 
-    Both orbits have the same energy; `plane`, `axes` and `direction` as in `section`, which both orbits cross.
-    `returns` fundamental domains of each manifold are grown beyond the orbit's own size. Raises `InputError`; finds
-    none where the curves do not cross.
+    Args:
+        orbit: whose unstable manifold is followed.
+        other: whose stable manifold is met, of the same energy; the orbit itself if None.
+        plane: which both cross, as in `of.section`.
+        axes: the two components that are drawn.
+        direction: how the plane is crossed.
+        returns: fundamental domains of each manifold that are grown beyond the orbit's own size.
+        most: how many are found at most, those of few returns first.
+        near: a point of the axes near which they are looked for.
+        settings: how finely manifolds are grown.
+        model: needed only for systems that no file describes.
+
+    Returns:
+        Connections; none where the curves do not cross.
+
+    Raises:
+        InputError: for orbits of different energies and a plane that they do not cross.
+
+    Examples:
+        >>> found = of.connect(saddle, plane="theta1=0", most=1)
+        >>> [one.certificate.passed for one in found]
+        []
+
+    See Also:
+        `of.sections.follow_connection` follows one in the energy.
     """
     goal, chosen = other or orbit, settings or COARSE
     found = surface_of(orbit, model, plane, axes, direction)

@@ -67,10 +67,38 @@ def follow_curve(
     model: Model | None = None,
     progress: Progress | None = None,
 ) -> Family:
-    """The curve along which an event of a family (or of its family.json) happens while two parameters vary.
+    """The curve along which an event of a family happens while two parameters vary.
 
-    Its points are orbits at the bifurcation, its events points of codimension two. `until` and `at` are values of the
-    first parameter; the rest is as for `follow_family`. Raises `InputError`, `ConvergenceError`.
+    Its points are orbits at the bifurcation, its events points of codimension two (cusps, strong resonances, ...).
+
+    Args:
+        family: a Family, or its family.json.
+        event: one of its events, or its number, from 0.
+        parameters: the two that vary: physical ones, in a conservative system also energy or period in place of one.
+        until: value of the first parameter to stop at.
+        at: values of the first at which points are computed exactly.
+        settings: steps, directions.
+        out: a folder to write to, as for `of.follow_family`.
+        name: of the curve.
+        points: the most in each direction.
+        model: needed only for a system that no file describes.
+        progress: called with each point and event.
+
+    Returns:
+        A Family whose `parameters` are two and whose `places` are their values.
+
+    Raises:
+        InputError: for an event or parameters that no curve belongs to.
+        ConvergenceError: when it does not start.
+
+    Examples:
+        >>> driven = of.systems.forced_duffing(frequency=1.4)
+        >>> low = of.find_orbit(of.Problem(driven, of.Guess([-0.4, 0.0], 4.48799), name="low"))
+        >>> resonance = of.follow_family(low, "frequency", until=1.1, points=80)
+        >>> fold = next(one for one in resonance.events if one.kind == "fold")
+        >>> curve = of.follow_curve(resonance, fold, ("force", "frequency"), points=2)
+        >>> curve.parameters, round(fold.parameter, 8)
+        (('force', 'frequency'), 1.77971952)
     """
     start = curve_start(family, event, parameters, settings, model)
     return follow_family(

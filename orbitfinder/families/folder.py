@@ -70,13 +70,39 @@ def follow_family(
     model: Model | None = None,
     progress: Progress | None = None,
 ) -> Family:
-    """Follow the family of an orbit (path of an orbit.json, Orbit, Problem, branch Start or Branch) in a parameter, by
-    default the energy, or the physical parameter of the family that a branch leaves.
+    """Follow the family of an orbit in a parameter.
 
-    `at` are values of the parameter at which points are computed exactly, `until` the value to stop at, `points` the
-    most in each direction (those of the settings if None). With `out` everything goes to DIR/<name>/family.json and
-    family.npz, and DIR/<name>/family.jsonl is resumed when the same was asked before. A branch `Start` needs its
-    `name` there, and a system that no file describes its `model`. Raises `InputError`, `ConvergenceError`.
+    Each point is an Orbit whose closure was checked by the second integrator; folds, branch points, doublings, tori,
+    resonances and changes of stability are located on the way.
+
+    Args:
+        origin: an Orbit, the path of an orbit.json, a Problem, or a branch from `of.switch_branch`.
+        parameter: energy | period | a state component | a physical parameter; the energy unless said, or the physical
+            parameter of the family that a branch leaves.
+        until: value of the parameter to stop at.
+        at: values at which points are computed exactly.
+        settings: steps, directions, events.
+        out: a folder: everything goes to OUT/<name>/family.json and family.npz, and OUT/<name>/family.jsonl is
+            resumed when the same was asked before.
+        name: of the family; a branch start needs one there.
+        points: the most in each direction, those of the settings if None.
+        model: needed only for a system that no file describes.
+        progress: called with each point and event.
+
+    Returns:
+        A Family: points, events, and why it ended.
+
+    Raises:
+        InputError: for an origin or a parameter that cannot be followed.
+        ConvergenceError: when the origin is no orbit.
+
+    Examples:
+        >>> found = of.follow_family(orbit, until=-17.0, at=[-17.5], points=20)
+        >>> [round(one.period, 6) for one in found.points if one.energy == -17.5]
+        [1.183808]
+
+    See Also:
+        `of.switch_branch` at its events, `of.follow_curve` in two parameters, `of.load_family`.
     """
     if not isinstance(origin, Origin):
         made = {"Family": "give one of its points, or a branch: switch_branch(family, event)"}

@@ -241,11 +241,35 @@ def manifold(
     settings: ManifoldSettings | None = None,
     model: Model | None = None,
 ) -> Manifold:
-    """The unstable or stable manifold of an orbit, as curves on a section or, for `tube` s of motion, as a tube.
+    """The unstable or the stable manifold of an orbit, as curves on a section or as a tube.
 
-    `plane` ("y=0", `direction` 1 growing, -1 falling) and `axes` as in `section`; by default the plane through the
-    orbit's first state. `returns` fundamental domains are grown beyond the orbit's own size, on one `side` (1 or -1) of
-    the orbit or both (0). `number` counts the multipliers from the strongest. Raises `InputError`, `ConvergenceError`.
+    Args:
+        orbit: an unstable one.
+        which: unstable | stable.
+        plane: a component and a number ("y=0"); the plane through the orbit's first state if None.
+        axes: the two components that are drawn, as in `of.section`.
+        direction: how the plane is crossed: 1 growing, -1 falling.
+        returns: fundamental domains that are grown beyond the orbit's own size.
+        side: of the orbit: 1 or -1; 0 both.
+        number: counts the multipliers from the strongest, from 0.
+        tube: s of motion: a tube in place of curves on a section.
+        settings: how finely it is grown.
+        model: needed only for systems that no file describes.
+
+    Returns:
+        A Manifold: its curves, the multiplier, the measured error of the displacement.
+
+    Raises:
+        InputError: for an orbit without such a multiplier and a plane that it does not cross.
+        ConvergenceError: where the displacement's error cannot be met.
+
+    Examples:
+        >>> leaving = of.manifold(saddle, "unstable", plane="theta1=0", returns=1)
+        >>> round(leaving.multiplier, 2)
+        2809.62
+
+    See Also:
+        `of.connect` finds where two manifolds meet.
     """
     chosen = settings or ManifoldSettings()
     if side not in (-1, 0, 1):

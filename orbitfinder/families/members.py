@@ -68,6 +68,18 @@ def _period(orbit: Orbit, model: Model, count: int) -> tuple[np.ndarray, np.ndar
     return full_samples(curve, at_place(curve, unknowns_of(curve, orbit)), count)
 
 
+def response(family: Family, model: Model) -> tuple[str, np.ndarray]:
+    """Of a family that dissipates: the coordinate that moves most, and its amplitude at every point and then event.
+
+    Nothing, "" and no numbers, of one that is told apart by its energy.
+    """
+    if model.conservative or not family.curve:
+        return "", np.zeros(0)
+    sizes = amplitudes(family, model)
+    most = int(sizes.max(axis=0).argmax())
+    return model.state_names[most], sizes[:, most]
+
+
 def orbit_at(curve: Curve, event: Event, model: Model) -> Orbit:
     """The orbit of an event, without certificate; the model has its freed parameters."""
     found = at_place(curve, unknowns_of(curve, event))

@@ -31,30 +31,45 @@ PIECEWISE = 1e3
 
 @dataclass(frozen=True)
 class FamilySettings:
-    """How a family is followed. Lengths are arclengths in rad, without angles in extents of the motion."""
+    """How a family is followed. Lengths are arclengths in rad, without angles in extents of the motion.
+
+    Args:
+        parameter: energy | period | a state component | a physical parameter (then `hold` is kept).
+        hold: what stays fixed while a physical parameter varies: energy | period.
+        points: accepted points in each direction.
+        directions: both | forward (parameter increasing at the start) | backward | away (from where a branch was
+            born).
+        first_step: arclength of the first step.
+        longest_step: along a curve of bifurcations three times as long.
+        shortest_step: below it a family ends.
+        sharpest_turn: rad between successive tangents; a sharper turn repeats the step at half its length.
+        longest_stretch: relative change of the period within one step: near a saddle events come with every so many
+            seconds.
+        narrowest: avoided crossings of two families are followed by steps no shorter than this, and else stepped over
+            and named.
+        longest_period: in units of the shortest period met: beyond it a slow orbit counts as homoclinic.
+        resonances: period-q resonances are looked for up to this q.
+        events: whether bifurcations are looked for.
+        certify: whether each point's closure is checked by the second integrator.
+
+    Examples:
+        >>> coarse = of.FamilySettings(longest_step=0.5, events=False, directions="forward")
+        >>> of.follow_family(orbit, until=-17.0, settings=coarse).ends[-1].kind
+        'target'
+    """
 
     parameter: str = "energy"
-    """energy | period | a state component | a physical parameter (then `hold` is kept)"""
     hold: str = "energy"
-    """what stays fixed while a physical parameter varies: energy | period"""
     points: int = 300
-    """accepted points in each direction"""
     directions: str = "both"
-    """both | forward (parameter increasing at the start) | backward | away (from where a branch was born)"""
     first_step: float = 0.02
     longest_step: float = 0.15
-    """along a curve of bifurcations three times as long"""
     shortest_step: float = 1e-7
     sharpest_turn: float = 0.3
-    """rad between successive tangents; a sharper turn repeats the step at half its length"""
     longest_stretch: float = 0.06
-    """relative change of the period within one step: near a saddle events come with every so many seconds"""
     narrowest: float = 0.02
-    """avoided crossings of two families are followed by steps no shorter than this, and else stepped over and named"""
     longest_period: float = 12.0
-    """in units of the shortest period met: beyond it a slow orbit counts as homoclinic"""
     resonances: int = 6
-    """period-q resonances are looked for up to this q"""
     events: bool = True
     certify: bool = True
 

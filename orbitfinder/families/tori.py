@@ -65,7 +65,21 @@ QUICK, SLOW = 5, 9
 
 @dataclass(frozen=True)
 class TorusSettings:
-    """How tori are followed: the first step, `points` at most, `most_states` (N) of a curve, certificates or none."""
+    """How tori are followed.
+
+    Args:
+        step: the first step, in what is followed.
+        points: tori at most.
+        most_states: of a curve (N); a torus that needs more ends the family.
+        certify: whether each is certified.
+
+    Raises:
+        InputError: for numbers that cannot be.
+
+    Examples:
+        >>> of.TorusSettings(points=5).most_states
+        151
+    """
 
     step: float = 0.02
     points: int = 100
@@ -91,11 +105,28 @@ def torus(
     model: Model | None = None,
     settings: TorusSettings | None = None,
 ) -> Torus:
-    """The torus around an elliptic orbit, at the orbit's energy, whose returns turn by `rotation` (turns, 0 to 1).
+    """The torus around an elliptic orbit, at the orbit's energy, whose returns turn by a rotation number.
 
-    phi_T(X(theta)) = X(theta + 2 pi rotation). `mode` picks the pair of multipliers, the slowest first. Raises
-    `InputError` for a resonant number and for an orbit that is not elliptic, `ConvergenceError` where the family of
-    tori ends before.
+    phi_T(X(theta)) = X(theta + 2 pi rotation).
+
+    Args:
+        orbit: an elliptic one.
+        rotation: turns in a return, 0 to 1, not resonant.
+        mode: which pair of multipliers, the slowest first, from 1.
+        model: needed only for systems that no file describes.
+        settings: steps and sizes.
+
+    Returns:
+        A Torus, certified.
+
+    Raises:
+        InputError: for a resonant number and for an orbit that is not elliptic.
+        ConvergenceError: where the family of tori ends before.
+
+    Examples:
+        >>> golden = of.torus(loop, rotation=(3 - 5**0.5) / 4)
+        >>> [round(one, 9) for one in golden.frequencies], golden.certificate.passed
+        ([1.020516687, 0.194901344], True)
     """
     chosen = settings or TorusSettings()
     found = follow_tori(orbit, until=rotation, mode=mode, model=model, settings=replace(chosen, certify=False))
@@ -119,11 +150,33 @@ def follow_tori(
     progress: Callable[[Torus], None] | None = None,
     name: str = "",
 ) -> Tori:
-    """The family of tori from an elliptic orbit or a Torus (then with its `model`) up to `until`, with points `at`.
+    """The family of tori from an elliptic orbit or from a Torus.
 
-    Conservative systems: `hold` "energy" (default; followed in the rotation number) or "rotation" (followed in the
-    energy, from a Torus). Others: followed in a physical `parameter`, from an orbit at a torus event. Raises
-    `InputError`, `ConvergenceError`.
+    Args:
+        origin: an elliptic Orbit, of a dissipative system an orbit at a torus event, or a Torus (then with its
+            `model`).
+        until: value of what is followed to stop at.
+        at: values at which tori are computed exactly.
+        hold: of conservative systems "energy" (default; followed in the rotation number) or "rotation" (followed in
+            the energy, from a Torus).
+        parameter: of others, the physical parameter.
+        mode: which pair of multipliers, the slowest first, from 1.
+        model: for a Torus, and for systems that no file describes.
+        settings: steps and sizes.
+        progress: called with each torus.
+        name: a word for files.
+
+    Returns:
+        Tori, and why they end.
+
+    Raises:
+        InputError: for an origin without tori.
+        ConvergenceError: where the first is not found.
+
+    Examples:
+        >>> two = of.follow_tori(loop, settings=of.TorusSettings(points=2, certify=False))
+        >>> len(two.tori), two.end
+        (2, 'point limit of 2')
     """
     chosen = settings or TorusSettings()
     system = _model(origin, model)

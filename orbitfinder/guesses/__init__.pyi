@@ -1,3 +1,4 @@
+from .modes import mode_problem as mode_problem
 from .modes import normal_mode as normal_mode
 from .modes import normal_modes as normal_modes
 from .returns import close_returns as close_returns

@@ -25,11 +25,24 @@ class Pin:
 
 
 def pin(**quantities: float) -> tuple[Pin, ...]:
-    """Pins by name: `pin(energy=-38.35)`, `pin(period=1.7)`, `pin(theta1=0.1)`, `pin(energy=-11, stiffness=30)`.
+    """What a Problem holds fixed, by name.
 
-    A physical parameter may be pinned beside the others: that is its value. Of the others, one pin selects one orbit
-    of a family; more than one is right only with freed physical parameters or further invariants, and
-    `Problem.count()` says so. Raises `InputError`.
+    Of energy, period, invariants and state components one pin selects one orbit of a family; more than one is right
+    only with freed physical parameters or further invariants, and `Problem.count()` says so.
+
+    Args:
+        **quantities: energy in J, period in s, a state component at t = 0, an invariant, or a physical parameter
+            (that is then its value), each with its number.
+
+    Returns:
+        The pins, for `Problem(pin=...)`.
+
+    Raises:
+        InputError: for what is no finite number, and without any.
+
+    Examples:
+        >>> [one.name for one in of.pin(energy=-11.0, gravity=3.7)]
+        ['energy', 'gravity']
     """
     pins = tuple(Pin(name, float(value)) for name, value in quantities.items())
     for one in pins:
@@ -109,12 +122,27 @@ def lowest_energy(model: Model) -> float | None:
 
 @dataclass(frozen=True)
 class Variables:
-    """The unknowns of a shooting problem as CasADi symbols.
+    """The unknowns of a shooting problem as CasADi symbols: what objectives and constraints are written in.
 
-    `nodes` and `ends` (N of 2n each) are the states at the start and the end of each segment,
-    `period` is T in s, `free` the freed physical parameters by name, `parameters` all of them.
-    `variables["theta1"]` is a state component at t = 0; `["period"]`, `["energy"]`, invariants and
-    physical parameters are found by name too.
+    `variables["theta1"]` is a state component at t = 0; `["period"]`, `["energy"]`, invariants and physical
+    parameters are found by name too. `start`, `rate` and `acceleration` are those at t = 0, `monodromy` is Phi(T) (2n
+    x 2n).
+
+    Args:
+        model: the system.
+        symmetry: whose boundary condition closes the loop.
+        nodes: states at the start of each segment (N of 2n).
+        ends: states at the end of each segment (N of 2n).
+        period: T in s.
+        free: freed physical parameters by name.
+        parameters: all physical parameters (k).
+        transitions: gives the state-transition matrices of the segments.
+
+    Examples:
+        >>> at_rest = of.Constraint(lambda variables: variables["theta1dot"], name="first link at rest")
+        >>> found = of.find_orbit(of.Problem(pendulum, guess, constraints=(at_rest,)))
+        >>> bool(abs(found.state[2]) < 1e-9)
+        True
     """
 
     __repr__ = brief("model", "period", "free")
@@ -127,7 +155,6 @@ class Variables:
     free: Mapping[str, ca.MX]
     parameters: ca.MX
     transitions: Callable[[], list[ca.MX]]
-    """makes the segments' state-transition matrices, first to last"""
 
     @property
     def start(self) -> ca.MX:
@@ -173,9 +200,19 @@ Expression = Callable[[Variables], Any]
 
 @dataclass(frozen=True)
 class Constraint:
-    """lower <= expression(variables) <= upper; an equation (one to be counted for each row) when the two agree.
+    """lowest <= expression(variables) <= highest; an equation, one to be counted for each row, when the two agree.
 
-    `rows` is the length of the expression.
+    Args:
+        expression: function of `of.Variables` that makes a CasADi expression.
+        lower: its least value, in its own units.
+        upper: its greatest value.
+        rows: its length.
+        name: for messages.
+
+    Examples:
+        >>> reach = of.Constraint(lambda v: v["length1"] + v["length2"], 1.8, 2.2, name="reach")
+        >>> reach.equation
+        False
     """
 
     expression: Expression

@@ -29,8 +29,22 @@ SAME = 1e-9
 
 @dataclass(frozen=True)
 class Task:
-    """lowest <= expression <= highest of states, controls and parameters by name: at a phase of the period (0 to 1),
-    everywhere ("always") or on average over the period ("mean"); `equals` stands for both.
+    """What a controlled motion must do: lowest <= expression <= highest.
+
+    Args:
+        expression: text of states, controls and parameters by name.
+        at: a phase of the period (0 to 1), everywhere ("always") or on average over the period ("mean").
+        equals: stands for both bounds.
+        lowest: in the expression's own units; None for none.
+        highest: None for none.
+
+    Raises:
+        InputError: without a bound, and for both kinds at once.
+
+    Examples:
+        >>> there = of.Task("theta1", at=0.5, equals=-0.9)
+        >>> of.Control("torque1**2", tasks=(there, of.Task("theta1dot", highest=4.0))).tasks[0].low
+        -0.9
     """
 
     expression: str
@@ -66,13 +80,35 @@ class Task:
 
 @dataclass(frozen=True)
 class Control:
-    """How a model's controls are chosen: so that the integral of `cost` over the period, or with `average` its mean,
-    plus `final` (of the state at t = 0, parameters and period), is least.
+    """How a model's controls are chosen: so that the integral of `cost` over the period, or its mean, is least.
 
-    Both are text of states, controls and physical parameters by name ("torque1**2 + 0.1 * theta1**2"). `shape` is
-    zero-order, linear, cubic or fourier; `intervals` of the period (in each arc of a hybrid system), `harmonics` of a
-    Fourier series. `tasks` are what the motion must do; controls keep within the model's limits. `method` is shooting
-    or collocation.
+    Costs and tasks are text of states, controls and physical parameters by name ("torque1**2 + 0.1 * theta1**2").
+    Controls keep within the model's limits.
+
+    Args:
+        cost: what is integrated over the period.
+        shape: zero-order, linear, cubic or fourier.
+        intervals: of the period (in each arc of a hybrid system).
+        harmonics: of a Fourier series.
+        average: whether the mean over the period is meant.
+        final: added to it, of the state at t = 0, parameters and period.
+        tasks: what the motion must do.
+        method: shooting or collocation.
+        guess: values of the controls to start from, by name.
+        numbers: that cost and tasks use by name, so that `of.follow_optima` may follow them.
+
+    Raises:
+        InputError: for an expression that cannot be read.
+
+    Examples:
+        >>> cheap = of.Control("torque1**2", shape="linear", intervals=12)
+        >>> held = of.pin(theta1=1.0, theta1dot=0.0, period=1.6)
+        >>> fast = of.find_orbit(of.Problem(motor, of.Guess([1.0, 0.0], 1.6), held, control=cheap))
+        >>> round(fast.control["cost"], 4), fast.certificate.passed
+        (0.4995, True)
+
+    See Also:
+        `of.Task`, `of.follow_optima`.
     """
 
     cost: str
@@ -84,9 +120,7 @@ class Control:
     tasks: tuple[Task, ...] = ()
     method: str = "shooting"
     guess: Mapping[str, Any] = field(default_factory=dict)
-    """where coefficients start, by control: as many as there are, or one for all; 0 without"""
     numbers: Mapping[str, float] = field(default_factory=dict)
-    """named numbers that cost, end cost and tasks may mention, such as weights: {"weight": 0.1}"""
 
     def __post_init__(self) -> None:
         check_fields(self)

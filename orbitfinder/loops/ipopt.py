@@ -31,22 +31,38 @@ UNSOLVED = 1e-3
 
 @dataclass(frozen=True)
 class SolveSettings:
-    """How to solve; the mathematics is in the Problem."""
+    """How `of.find_orbit` solves; the mathematics is in the Problem.
+
+    Args:
+        integrator: CVODES' tolerances.
+        ipopt_tolerance: IPOPT's own; the digits beyond it come from the polish.
+        max_iterations: of IPOPT.
+        objective_iterations: the same in each box where an objective or inequalities are followed with an approximate
+            Hessian.
+        fewest_segments: per period, where the problem does not say; fewer make the basin of convergence smaller.
+        growth_per_segment: segments are added until no state-transition matrix is larger than this.
+        most_segments: at most so many.
+        with_certificate: whether the orbit is certified.
+        limit: s after which the search is given up with a `LimitError`; None for none.
+
+    Raises:
+        InputError: for a number that is out of range.
+
+    Examples:
+        >>> quick = of.SolveSettings(with_certificate=False, limit=60.0)
+        >>> of.find_orbit(problem, quick).certificate is None
+        True
+    """
 
     integrator: IntegratorSettings = field(default_factory=IntegratorSettings)
     ipopt_tolerance: float = 1e-9
-    """IPOPT's own tolerance; the digits beyond it come from the polish"""
     max_iterations: int = 100
     objective_iterations: int = 60
-    """the same in each box where an objective or inequalities are followed with an approximate Hessian"""
     fewest_segments: int = 8
-    """per period, where the problem does not say: fewer make the basin of convergence smaller"""
     growth_per_segment: float = 20.0
-    """segments are added until no state-transition matrix is larger than this"""
     most_segments: int = 40
     with_certificate: bool = True
     limit: float | None = None
-    """s after which the search is given up with a `LimitError`"""
 
     def __post_init__(self) -> None:
         check_fields(self)

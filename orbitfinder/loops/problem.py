@@ -43,11 +43,24 @@ LARGEST_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Guess(Shown):
-    """A starting point: state (2n) at t = 0 and period T in s; optionally a whole trajectory.
+    """A starting point: state and period, optionally a whole trajectory.
 
-    `times` (k, from 0 to T) and `states` (k x 2n) give the trajectory when there is one;
-    without it the start is simulated from `state`. `free` says where freed physical parameters start, which is
-    otherwise at the model's own values. Raises `InputError`.
+    Args:
+        state: at t = 0 (2n; d of a first-order system).
+        period: T in s.
+        times: of a trajectory (k, from 0 to T); without one the start is simulated from `state`.
+        states: of that trajectory (k x 2n).
+        free: where freed physical parameters start, by name; otherwise at the model's own values.
+
+    Raises:
+        InputError: for a period that is not positive and finite, and where sizes differ.
+
+    Examples:
+        >>> of.Guess([0.3, 0.4, 0.0, 0.0], 1.9)
+        Guess(state=[0.3, 0.4, 0, 0], period=1.9)
+
+    See Also:
+        `of.guesses.normal_mode`, `of.guesses.close_returns` and `of.guesses.recurrences` make good ones.
     """
 
     __repr__ = brief("state", "period", "times")
@@ -94,22 +107,46 @@ class Count(Shown):
 
 @dataclass(frozen=True)
 class Problem(Shown):
-    """What to find. `pin=()` takes the orbit nearest to the guess; of a chain or linkage as a DAE, the guess's state
-    and the winding may be given for its links instead of its coordinates.
+    """What to find: an orbit of a model near a guess, and what is held fixed.
 
-    `symmetry` is none | brake | reflection | reversal | brake+reflection, or one that the model declares or, called
-    mirror (mirror-x where there are several), has: signs of coordinates with time reversed;
-    `winding` the whole turns of each coordinate in one period; `relative` the cyclic coordinates (or conserved momenta
-    of other shifts) along which the orbit need not come back; `segments` the shooting intervals of the
-    horizon (None: chosen from the instability of the guess); `tolerance` the closure that the certificate
-    asks for; `free` physical parameters the solver may change (one that is pinned and not free has that value);
-    `expected` {"period": (value, tolerance)} that the result must agree with.
+    Of a chain or linkage as a DAE, the guess's state and the winding may be given for its links instead of its
+    coordinates. What the count of equations leaves free is chosen by `objective`.
 
-    What the count leaves free is chosen by `objective`: "nearest" to the guess, "min_instability",
-    "max_amplitude" or "min_peak_rate" (of `coordinate`, default the one that moves most), or a callable
-    that makes a CasADi expression of `Variables` (a vector r stands for |r|^2 / 2). `bounds` are ranges
-    of the period, invariants, freed parameters and state components at t = 0; `constraints` any other;
-    `phase_condition` an expression to be 0 at t = 0 instead of the hyperplane through the guess.
+    Args:
+        model: the system.
+        guess: where to start.
+        pin: what is held fixed, from `of.pin`; () takes the orbit nearest to the guess.
+        symmetry: none | brake | reflection | reversal | brake+reflection, or one that the model declares or, called
+            mirror (mirror-x where there are several), has: signs of coordinates with time reversed.
+        winding: whole turns of each coordinate in one period (n); those of the guess if None.
+        segments: shooting intervals of the horizon; None: chosen from the instability of the guess.
+        tolerance: the closure that the certificate asks for, in extents of the motion.
+        free: physical parameters the solver may change (one that is pinned and not free has that value).
+        expected: numbers that the result must agree with, {"period": (value, tolerance)}.
+        name: of the orbit, a word for files.
+        title: one line for people.
+        source: where the numbers come from.
+        objective: "nearest" to the guess, "min_instability", "max_amplitude" or "min_peak_rate", or a callable that
+            makes a CasADi expression of `of.Variables` (a vector r stands for |r|^2 / 2).
+        coordinate: of which amplitude or rate are meant; default the one that moves most.
+        bounds: ranges (lowest, highest) of the period, invariants, freed parameters and state components at t = 0.
+        constraints: any other equations and inequalities.
+        phase_condition: an expression to be 0 at t = 0 instead of the hyperplane through the guess.
+        relative: cyclic coordinates (or conserved momenta of other shifts) along which the orbit need not come back.
+        control: how the model's controls vary in time, and at what cost: `of.find_orbit` then finds the motion that
+            costs least.
+
+    Raises:
+        InputError: for names that the model has not and values that cannot be; the count is checked when it is
+            solved.
+
+    Examples:
+        >>> brake = of.Problem(pendulum, guess, pin=of.pin(period=1.2), symmetry="brake", free=("length2",))
+        >>> brake.count().freedom
+        1
+
+    See Also:
+        `of.load_problem` reads one from a file; `of.find_orbit` solves it.
     """
 
     __repr__ = brief("name", "model", "guess", "pin", "symmetry", "free")
@@ -133,7 +170,6 @@ class Problem(Shown):
     phase_condition: Expression | None = None
     relative: tuple[str, ...] = ()
     control: Control | None = None
-    """how the model's controls vary in time, and at what cost: `find_orbit` then finds the motion that costs least"""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -237,10 +237,34 @@ def chain_dae(
     motors: Sequence[int] = (),
     limits: Limits | None = None,
 ) -> Model:
-    """The n-link pendulum as a native DAE: 6n states (q, v), q = (x_G, y_G, theta) per link.
+    """The n-link pendulum as a native DAE: 6n states (q, v), q = (x_G, y_G, theta) of each link.
 
-    Arguments as for `chain`; lambda are the forces (2 per joint, N) on each link at its upper joint.
-    Baumgarte terms are off unless given, as in the report (section 2.2). Raises `InputError`.
+    The Lagrange multipliers are the forces (2 per joint, N) on each link at its upper joint.
+
+    Args:
+        links: number of links n.
+        length: m, as for `of.chain`.
+        mass: kg, as for `of.chain`.
+        inertia: kg m^2 about the centre of mass, as for `of.chain`.
+        com: fraction of the length, as for `of.chain`.
+        gravity: m/s^2.
+        baumgarte: (alpha, beta) in 1/s of the stabilisation; off unless given, as in the report (section 2.2).
+        motors: joints with a torque that may vary, as for `of.chain`.
+        limits: of these torques, as for `of.chain`.
+
+    Returns:
+        A Model with a constraint.
+
+    Raises:
+        InputError: for a number that no pendulum has.
+
+    Examples:
+        >>> dae = of.chain_dae(2, baumgarte=(5.0, 5.0))
+        >>> len(dae.state_names), dae.constraint.force_names
+        (12, ('R1x', 'R1y', 'R2x', 'R2y'))
+
+    See Also:
+        `of.chain`, whose minimal coordinates have the same motions.
     """
     stabilisation = baumgarte_of(baumgarte, Baumgarte())
     system = chain_system(
@@ -388,16 +412,36 @@ def chain(
     motors: Sequence[int] = (),
     limits: Limits | None = None,
 ) -> Model:
-    """Model of the n-link pendulum hanging from a fixed joint at the origin.
+    """The n-link pendulum that hangs from a fixed joint at the origin.
 
-    State x = (theta_1..n, thetadot_1..n) in rad and rad/s. `length` (m), `mass` (kg), `inertia`
-    (kg m^2, about the centre of mass; default m l^2 / 12) and `com` (centre of mass as a fraction
-    of the length, from the upper joint) are scalars or one number per link; `gravity` in m/s^2.
-    The potential is zero at the fixed joint: V = -sum m g x_G. `formulation` is "recursive" (O(n)
-    elimination of the joint forces), "lagrange" (dense mass matrix), "newton-euler" (balances about
-    the joints) or "dae" (maximal coordinates, reduced to the angles). `motors` are the joints whose torque (N m,
-    `torque1` is the first joint's) may vary in time within `limits`, joint k turning link k against link k - 1, joint 1
-    against the ground. Raises `InputError`.
+    The state is x = (theta_1..n, thetadot_1..n) in rad and rad/s, angles from the downward vertical. The potential is
+    zero at the fixed joint: V = -sum m g x_G.
+
+    Args:
+        links: number of links n.
+        length: m, of all links or of each (n).
+        mass: kg, of all links or of each (n).
+        inertia: kg m^2 about the centre of mass, of all or of each; default m l^2 / 12.
+        com: centre of mass as a fraction of the length from the upper joint, of all or of each.
+        gravity: m/s^2.
+        formulation: "recursive" (O(n) elimination of the joint forces), "lagrange" (dense mass matrix),
+            "newton-euler" (balances about the joints) or "dae" (maximal coordinates, reduced to the angles).
+        motors: joints whose torque (N m, `torque1` is the first joint's) may vary in time; joint k turns link k
+            against link k - 1, joint 1 against the ground.
+        limits: of the motors' torques: greatest magnitude, or lowest and highest, by name.
+
+    Returns:
+        A Model with coordinates theta1, theta2, ... and parameters length1, mass1, ..., gravity.
+
+    Raises:
+        InputError: for a number that no pendulum has, naming it.
+
+    Examples:
+        >>> of.chain(3, length=[1.0, 0.5, 0.5]).state_names
+        ('theta1', 'theta2', 'theta3', 'theta1dot', 'theta2dot', 'theta3dot')
+
+    See Also:
+        `of.chain_dae` keeps the joints as constraints, `of.linkage` closes the chain.
     """
     if not isinstance(formulation, str) or formulation not in FORMULATIONS:
         raise InputError(f"formulation: unknown {formulation!r}; use one of {', '.join(FORMULATIONS)}")

@@ -60,13 +60,42 @@ def constrained(
     controls: Sequence[str] = (),
     limits: Limits | None = None,
 ) -> Model:
-    """Model of a system given by energies and holonomic constraints phi(q, p) = 0 (SX, m), with its native DAE.
+    """The Model of a system given by energies and holonomic constraints phi(q, p) = 0, with its native DAE.
 
-    M a + h = J^T lambda with M = d2T/dv2, J = dphi/dq: Lagrange's equations of the first kind
-    (Goldstein, Classical Mechanics, section 2.4). `forces` Q(t, q, v, p) (n) are added to the right.
-    `controls` are parameters that may vary in time, within `limits`, as for `lagrange`.
-    SI units. Raises `InputError` for expressions of a wrong shape or in foreign symbols, and when the
-    constraints are none or as many as the coordinates. Only forces may depend on time.
+    M a + h = J^T lambda with M = d2T/dv2, J = dphi/dq: Lagrange's equations of the first kind (Goldstein, Classical
+    Mechanics, section 2.4).
+
+    Args:
+        kinetic: T in J.
+        potential: V in J.
+        constraint: phi (m), zero on every configuration.
+        symbols: what these are written in.
+        forces: generalized forces Q(t, q, v, p) (n); only they may depend on time.
+        baumgarte: the stabilisation of phi; chosen unless given.
+        names: of the coordinates.
+        angles: which coordinates (n) are angles.
+        invariants: first integrals in place of the detected ones.
+        points: positions (2 x k, m; x down, y right) that pictures draw.
+        system: a description from which files rebuild the Model.
+        controls: parameters that may vary in time.
+        limits: of the controls, as for `of.lagrange`.
+
+    Returns:
+        A Model with a constraint.
+
+    Raises:
+        InputError: for expressions of a wrong shape or in foreign symbols, and when the constraints are none or as
+            many as the coordinates.
+
+    Examples:
+        >>> import casadi as ca
+        >>> q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+        >>> rod = of.constrained(ca.sumsqr(v) / 2, -9.8 * q[0], ca.sumsqr(q) - 1, of.Symbols(q, v), names=["x", "y"])
+        >>> rod.constraint.force_names
+        ('lambda1',)
+
+    See Also:
+        `of.linkage`, `of.mechanism`.
     """
     _, q, v, p = symbols.arguments
     _check_expressions(kinetic, potential, constraint, forces, symbols)

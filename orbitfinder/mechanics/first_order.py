@@ -86,13 +86,35 @@ def ode(
 ) -> Model:
     """The Model of a first-order system x' = f(t, x, p).
 
-    `field(t, x, p)` makes the components of x' (an expression each) of CasADi symbols: x and p have the names of
-    `states` and of `parameters` (with their values): `x.V`, `x[0]`, `p.sigma`. `invariants` are first integrals
-    {name: I(x, p)}, each checked by `find_orbit`; an orbit is unfolded by x' = f + s grad I, and the first of them is
-    the energy that files and atlases speak of. `angles` are the components that may turn; `forcing_period(p)`, or a
-    number, is the period of an explicit dependence on time; `symmetries` {name: (sense of time, {component: -1})}.
-    `points(x, p)` are positions (down, right; 2 x k, m) that pictures join by lines. `controls` are parameters that may
-    vary in time, each within its `limits` (greatest magnitude, or lowest and highest). Raises `InputError`.
+    Args:
+        field: function (t, x, p) that makes the components of x' of CasADi symbols; x and p have the names of
+            `states` and of `parameters`: `x.V`, `x[0]`, `p.sigma`.
+        states: names of the components (d).
+        parameters: physical parameters with their values.
+        invariants: first integrals {name: I(x, p)}, each checked by `of.find_orbit`. An orbit is unfolded by x' = f +
+            s grad I, and the first of them is the energy that files and atlases speak of.
+        angles: components that may turn.
+        forcing_period: of an explicit dependence on time, a number or a function of the parameters.
+        symmetries: {name: (sense of time, {component: -1})}.
+        system: a description from which files rebuild the Model.
+        points: function (x, p) of positions (down, right; 2 x k, m) that pictures join by lines.
+        controls: parameters that may vary in time.
+        limits: of the controls: greatest magnitude, or lowest and highest, by name.
+
+    Returns:
+        A Model with `rates`; its velocities are empty.
+
+    Raises:
+        InputError: for a field that gives another number of components or uses unknown names.
+
+    Examples:
+        >>> clock = of.ode(lambda t, x, p: [x.v, p.mu * (1 - x.u**2) * x.v - x.u], ["u", "v"], {"mu": 1.0})
+        >>> cycle = of.find_orbit(of.Problem(clock, of.Guess([2.0, 0.0], 6.7)))
+        >>> round(cycle.period, 9)
+        6.663286859
+
+    See Also:
+        `of.hamiltonian` for Hamilton's equations, `of.lagrange` for mechanics.
     """
     values = _parameters(parameters)
     symbols = _Symbols(states, values)
@@ -120,10 +142,31 @@ def hamiltonian(
 ) -> Model:
     """The Model of Hamilton's equations q' = dH/dp, p' = -dH/dq, with the state x = (q, p).
 
-    `energy(x, c)` is H of the coordinates and momenta, x, and the `parameters`, c, both by name; of a forced system
-    (`forcing_period`) `energy(t, x, c)`. H is an invariant, as are `invariants` {name: I(x, c)} that commute with it:
-    each is unfolded by grad I and belongs to the symmetry J grad I.
-    Source: V. I. Arnold, Mathematical Methods of Classical Mechanics, section 38. Raises `InputError`.
+    H is an invariant, as are the given ones that commute with it: each is unfolded by grad I and belongs to the
+    symmetry J grad I. Source: V. I. Arnold, Mathematical Methods of Classical Mechanics, section 38.
+
+    Args:
+        energy: function (x, c) that makes H of the coordinates and momenta, x, and the parameters, c, both by name;
+            of a forced system (t, x, c).
+        coordinates: names of q (n).
+        momenta: names of p (n).
+        parameters: physical parameters with their values.
+        invariants: further first integrals {name: I(x, c)} that commute with H.
+        angles: components that may turn.
+        forcing_period: of an explicit dependence on time, a number or a function of the parameters.
+        symmetries: {name: (sense of time, {component: -1})}.
+        system: a description from which files rebuild the Model.
+
+    Returns:
+        A Model with `rates`, `hamiltonian` true.
+
+    Raises:
+        InputError: for an energy that is no scalar or uses unknown names.
+
+    Examples:
+        >>> well = of.hamiltonian(lambda x, c: x.p**2 / 2 + x.q**4 / 4, ["q"], ["p"])
+        >>> of.energy(well, [1.0, 0.0])
+        0.25
     """
     if len(coordinates) != len(momenta) or not coordinates:
         raise InputError(f"momenta: {len(momenta)} names for {len(coordinates)} coordinates; give one each")

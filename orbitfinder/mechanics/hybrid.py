@@ -38,12 +38,29 @@ def changed(state: Named, /, **values: Any) -> Any:
 
 @dataclass(frozen=True)
 class Transition:
-    """From mode `source` to mode `target` where guard(x, p) crosses 0, falling (`direction` -1) or rising (+1).
+    """From one mode to another where a guard crosses 0.
 
-    `reset` gives x+ (default: x itself). Crossings at which `allowed` is not positive are no events, and `ignored` says
-    why: it is printed with every certificate. `impulse` is the normal impulse, which must not be negative; `lost` the
-    energy lost. Each is a function (x, p) of state and parameters by name; a built system has CasADi functions in
-    their place.
+    Each expression is a function (x, p) of state and parameters by name; a built system has CasADi functions in their
+    place.
+
+    Args:
+        name: by which the cycle names it.
+        source: the mode that it ends.
+        target: the mode that it begins.
+        guard: what crosses 0.
+        reset: gives the state after; the state itself if None.
+        direction: -1 where the guard falls, +1 where it rises.
+        allowed: crossings at which it is not positive are no events.
+        ignored: why not; printed with every certificate.
+        impulse: the normal impulse, which must not be negative.
+        lost: the energy lost, J.
+        advance: where the origin of what is drawn goes, (down, right) in m: of a walker its next foothold.
+        slope: the guard's gradient (1 x d); made when the system is built.
+
+    Examples:
+        >>> touch = of.Transition("touch", "air", "ground", lambda x, p: x.y, direction=-1)
+        >>> touch.source, touch.target
+        ('air', 'ground')
     """
 
     __repr__ = brief("name", "source", "target")
@@ -59,15 +76,23 @@ class Transition:
     impulse: Any = None
     lost: Any = None
     advance: Any = None
-    """(x-, p) -> where the origin of what is drawn goes, (down, right) in m: of a walker its next foothold"""
     slope: Any = None
-    """the guard's gradient (1 x d), made when the system is built"""
 
 
 @dataclass(frozen=True)
 class Mode:
-    """A smooth mode: its Model, and what must not become negative in it (`holds`: name -> expression), such as a
-    contact force or the height of what is in the air."""
+    """A smooth mode of a hybrid system.
+
+    Args:
+        name: by which transitions name it.
+        model: its equations.
+        holds: expressions (x, p) that must not become negative in it, by name: a contact force, a height.
+
+    Examples:
+        >>> fall = of.ode(lambda t, x, p: [x.v, -9.8], ["y", "v"])
+        >>> of.Mode("air", fall, {"height": lambda x, p: x.y})
+        Mode(name='air')
+    """
 
     __repr__ = brief("name")
 
@@ -144,10 +169,26 @@ class Impact:
 
 
 def impact(model: Model, contact: Expression, restitution: float | Expression | Sequence[float] = 0.0) -> Impact:
-    """The impact of a mechanism at contacts: gaps(q, p) (m), the first along the normal, others held (no slip).
+    """The impact of a mechanism at contacts: M (v+ - v-) = J^T P with J v+ = -e J v-, J the contacts' Jacobian.
 
-    `restitution` e of each row: 0 is plastic, 1 elastic; a number, m numbers or a function (x, p). Raises
-    `InputError`.
+    Args:
+        model: of coordinates and velocities.
+        contact: (x, p) -> gaps in m, the first along the normal, others held (no slip).
+        restitution: e of each row: 0 is plastic, 1 elastic; a number, one each or a function (x, p).
+
+    Returns:
+        `gap`, `after`, `impulse` and `lost` for a Transition, each a function (x, p).
+
+    Raises:
+        InputError: for gaps that depend on velocities or on no coordinate.
+
+    Examples:
+        >>> import casadi as ca
+        >>> bob = of.chain(1)
+        >>> wall = of.impact(bob, lambda x, p: 0.3 - ca.sin(x.theta1), 1.0)
+        >>> hit = of.Transition("hit", "swing", "swing", wall.gap, wall.after, impulse=wall.impulse)
+        >>> of.hybrid({"swing": bob}, [hit], ["hit"], conserved=["energy"]).conservative
+        True
     """
     if model.constraint is not None or model.rates is not None:
         raise InputError("impact: needs a system of coordinates and velocities with a mass matrix; write the reset")
@@ -189,13 +230,38 @@ def hybrid(
     controls: Sequence[str] = (),
     limits: Limits | None = None,
 ) -> Model:
-    """The Model of a hybrid system whose orbits go through the transitions of `cycle`; None: through those of the
-    guess's motion, which begins in the first mode.
+    """The Model of a hybrid system: smooth modes, and transitions between them.
 
     Its parameters are those of the modes and, for each arc but the last, its share of the period (`share_1`, ...),
-    which solvers find. Parameters that may vary in time are those of `controls`, within `limits`, and what is a control
-    of a mode. `conserved` names invariants of all modes that the resets keep too. `ground` is drawn only: see
-    `Hybrid`. Raises `InputError` where modes differ in states or parameters, or the cycle does not fit together.
+    which solvers find.
+
+    Args:
+        modes: by name, or as Modes; all with the same states and parameters. The motion begins in the first.
+        transitions: what ends a mode and begins the next.
+        cycle: names of the transitions of one period, in order; None: those of the guess's motion.
+        conserved: names of invariants of all modes that the resets keep too.
+        system: a description from which files rebuild the Model.
+        ground: (x, p) -> what it stands on or hits, a polyline (2 x k, m); drawn only.
+        controls: parameters that may vary in time, beside the controls of a mode.
+        limits: of the controls, as for `of.lagrange`.
+
+    Returns:
+        A Model.
+
+    Raises:
+        InputError: where modes differ in states or parameters, or the cycle does not fit together.
+
+    Examples:
+        >>> level = {"energy": lambda x, p: x.v**2 / 2 + 9.8 * x.y}
+        >>> fall = of.ode(lambda t, x, p: [x.v, -9.8], ["y", "v"], invariants=level)
+        >>> bounce = of.Transition("bounce", "air", "air", lambda x, p: x.y, lambda x, p: [x.y, -x.v])
+        >>> ball = of.hybrid({"air": fall}, [bounce], ["bounce"], conserved=["energy"])
+        >>> hop = of.find_orbit(of.Problem(ball, of.Guess([0.0, 4.9], 1.0), pin=of.pin(energy=12.005)))
+        >>> round(hop.period, 9), hop.certificate.passed
+        (1.0, True)
+
+    See Also:
+        `of.impact` makes guard and reset of a mechanism that hits something.
     """
     named = tuple(Mode(name, model) for name, model in modes.items()) if isinstance(modes, Mapping) else tuple(modes)
     _check_modes(named)

@@ -20,11 +20,26 @@ from orbitfinder.mechanics.scales import with_scales
 
 @dataclass(frozen=True)
 class Symbols:
-    """The CasADi SX symbols that the energies are written in.
+    """The CasADi SX symbols that the energies of `of.lagrange` and `of.constrained` are written in.
 
-    `coordinates` q (n), `velocities` v (n), `parameters` (k) with names and default values,
-    and `time` for systems that are forced explicitly, with `forcing_period` (s), which may be
-    an expression in the parameters.
+    Args:
+        coordinates: q (n).
+        velocities: v (n).
+        parameters: physical parameters (k); None for none.
+        parameter_names: their names (k).
+        parameter_values: their values (k).
+        time: t, of systems that depend on it explicitly.
+        forcing_period: s, a number or an expression in the parameters: the period of that dependence.
+
+    Raises:
+        InputError: where sizes differ or a name comes twice.
+
+    Examples:
+        >>> import casadi as ca
+        >>> q, v, p = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("p")
+        >>> spring = of.Symbols(q, v, p, ("stiffness",), (30.0,))
+        >>> of.lagrange(v**2 / 2, p * q**2 / 2, spring).parameter_names
+        ('stiffness',)
     """
 
     __repr__ = brief("coordinates", "parameter_names")
@@ -177,20 +192,46 @@ def lagrange(
     controls: Sequence[str] = (),
     limits: Limits | None = None,
 ) -> Model:
-    """Model of a system given by its kinetic and potential energy (CasADi SX expressions).
+    """The Model of a system given by its kinetic and its potential energy, CasADi SX expressions.
 
-    Lagrange: d/dt dL/dv - dL/dq = Q with L = T(t, q, v, p) - V(t, q, p) and generalized forces
-    Q(t, q, v, p). T may have terms linear in v (moving pivots, rotating frames). First integrals are
-    detected: the Jacobi integral ("energy") when Q and time are absent, and the momenta of absent
-    coordinates; pass `invariants=()` or your own to override (find_orbit checks their drift).
-    `symmetries` declare reversals (q_i, t) -> (s_i q_i, -t) by name, as {"mirror": (1, -1)}: orbits that have one are
-    labelled, found over half a period and searched for; the equations are tried when one is asked for.
-    `names` are the coordinates' names (rates get a trailing "dot"); `scales` gives sizes to measure in,
-    of coordinates and parameters by name or `length` of all coordinates that are no angles, where no
-    motion shows them yet (modes, searches). `controls` are parameters that may vary in time, each within
-    its `limits` (greatest magnitude, or lowest and highest). `strokes` say what is drawn through which of the points
-    (see `Model.strokes`). Raises `InputError` when an energy is not a scalar,
-    depends on a foreign symbol, or T is not quadratic in all velocities.
+    Lagrange: d/dt dL/dv - dL/dq = Q with L = T(t, q, v, p) - V(t, q, p). T may have terms linear in v (moving pivots,
+    rotating frames). First integrals are detected: the Jacobi integral ("energy") when Q and time are absent, and the
+    momenta of absent coordinates.
+
+    Args:
+        kinetic: T in J, quadratic in the velocities.
+        potential: V in J.
+        symbols: the coordinates, velocities, parameters and time that T and V are written in.
+        forces: generalized forces Q(t, q, v, p) (n), in J per unit of each coordinate.
+        names: of the coordinates (q1, q2, ...); their rates get a trailing "dot".
+        angles: which coordinates (n) are angles, so that they may turn; none unless said.
+        invariants: first integrals in place of the detected ones, `()` for none; `of.find_orbit` checks their drift.
+        points: positions (2 x k, m; x down, y right) that pictures draw.
+        centres: centres of mass (2 x k, m).
+        strokes: what is drawn through which of the points: rod, spring, ground, slider, disc.
+        system: a description from which files rebuild the Model.
+        symmetries: reversals (q_i, t) -> (s_i q_i, -t) by name, {"mirror": (1, -1)}: orbits that have one are
+            labelled, found over half a period and searched for; the equations are tried when one is asked for.
+        scales: sizes to measure in, of coordinates and parameters by name or "length" of all coordinates that are no
+            angles, where no motion shows them yet (modes, searches).
+        controls: parameters that may vary in time.
+        limits: of the controls: greatest magnitude, or lowest and highest, by name.
+
+    Returns:
+        A Model.
+
+    Raises:
+        InputError: when an energy is no scalar, depends on a foreign symbol, or T is not quadratic in all velocities.
+
+    Examples:
+        >>> import casadi as ca
+        >>> q, v = ca.SX.sym("q"), ca.SX.sym("v")
+        >>> rod = of.lagrange(v**2 / 2, -9.8 * ca.cos(q), of.Symbols(q, v), names=["theta"], angles=[True])
+        >>> of.energy(rod, [0.0, 1.0])
+        -9.3...
+
+    See Also:
+        `of.constrained` with constraints, `of.hamiltonian` from H, `of.from_sympy` from SymPy's mechanics.
     """
     labels, turning = coordinate_names(names, symbols), coordinate_angles(angles, symbols)
     arguments = symbols.arguments

@@ -50,14 +50,36 @@ def linkage(
     motors: Sequence[int] = (),
     limits: Limits | None = None,
 ) -> Model:
-    """Closed chain from the origin through bars of `length` (n of them, m) to the `ground` pivot (m).
+    """A closed chain of n bars from the origin to a ground pivot, as a native DAE.
 
-    `mass` (kg), `inertia` (kg m^2 about the centre of mass, default m l^2 / 12), `com` (fraction of
-    the length from the upper joint), `gravity` (m/s^2) as for `chain`; `baumgarte` (alpha, beta) in
-    1/s. q = (x_G, y_G, theta) per link; lambda are the forces (2 per joint, N) on each link at its
-    upper joint, the last pair on the ground at its pivot. `motors` and `limits` as for `chain`; joint n + 1 turns the
-    ground against the last bar. Raises `InputError` for a linkage that cannot be assembled. Source: the report,
-    section 3.
+    q = (x_G, y_G, theta) of each bar; the Lagrange multipliers are the forces (2 per joint, N) on each bar at its
+    upper joint, the last pair on the ground at its pivot. Source: the report, section 3.
+
+    Args:
+        length: of each bar, m (n).
+        mass: kg, of all bars or of each.
+        ground: the pivot in which the last bar ends, (down, right) in m.
+        inertia: kg m^2 about the centre of mass; default m l^2 / 12.
+        com: centre of mass as a fraction of the length from the upper joint.
+        gravity: m/s^2.
+        baumgarte: (alpha, beta) in 1/s; chosen from the linkage's own pace unless given.
+        motors: joints with a torque that may vary, as for `of.chain`; joint n + 1 turns the ground against the last
+            bar.
+        limits: of these torques, as for `of.chain`.
+
+    Returns:
+        A Model with a constraint.
+
+    Raises:
+        InputError: for a linkage that cannot be assembled.
+
+    Examples:
+        >>> four_bar = of.linkage([0.5, 1.2, 1.0], ground=(0.2, 1.0))
+        >>> of.linkages.assemble(four_bar, {"theta1": 0.6}).round(4)
+        array([ 0.6   ,  0.8786, -2.9339])
+
+    See Also:
+        `of.mechanism` for bodies and joints of every kind.
     """
     lengths = np.atleast_1d(np.asarray(length, float))
     if lengths.ndim != 1 or lengths.size < 2:

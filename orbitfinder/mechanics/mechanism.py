@@ -275,15 +275,45 @@ def mechanism(
     scales: Mapping[str, float] | None = None,
     drawn: Table | None = None,
 ) -> Model:
-    """The Model of a mechanism in the plane (`dimension` 2) or in space (3), SI units, angles in rad.
+    """The Model of a mechanism in the plane or in space, described as drawn: bodies, joints, springs, dampers, motors.
 
-    `bodies` {name: mass, inertia (about the centre of mass), com}; `joints` {name: kind, between two bodies or the
-    "ground", at = their points, axis}: in their order those that reach a new body carry coordinates named like them,
-    all others close loops. `springs`, `dampers` act between points or in a joint, `motors` and `motions` in a joint, at
-    the `frequency` (rad/s) where they vary. `gravity` is the acceleration (m/s^2, x down, y right, z out).
-    Numbers that are not 0 are physical parameters named after what they belong to, those in `parameters` after
-    themselves ("-length / 2" uses one). `pose` {coordinate: value} says near which configuration loops are assembled.
-    Raises `InputError` naming body and joint for what cannot be a mechanism.
+    Joints that reach a new body carry coordinates named like them, in their order; all others close loops. Numbers
+    that are not 0 are physical parameters named after what they belong to, those in `parameters` after themselves
+    ("-length / 2" uses one). SI units, angles in rad.
+
+    Args:
+        bodies: {name: mass, inertia (about the centre of mass), com}.
+        joints: {name: kind, between two bodies or the "ground", at = their points, axis}.
+        springs: between points or in a joint, by name.
+        dampers: likewise.
+        motors: torques or forces in a joint.
+        motions: prescribed motions of a joint.
+        gravity: acceleration (m/s^2; x down, y right, z out).
+        dimension: 2 or 3.
+        parameters: numbers that others are expressed in.
+        frequency: rad/s of motors and motions that vary.
+        pose: {coordinate: value} near which loops are assembled.
+        redundant: "refuse" loops' equations that say the same twice, or "drop" them.
+        baumgarte: (alpha, beta) in 1/s of loops' equations.
+        values: numbers that replace parameters.
+        scales: sizes to measure in, by name.
+        drawn: what pictures show beside the bodies.
+
+    Returns:
+        A Model; with a constraint where there are loops.
+
+    Raises:
+        InputError: naming body and joint for what cannot be a mechanism.
+
+    Examples:
+        >>> rod = {"mass": 1.0, "inertia": 1 / 12, "com": [0.5, 0.0]}
+        >>> hinge = {"kind": "revolute", "between": ["ground", "rod"]}
+        >>> hung = of.mechanism({"rod": rod}, {"pin": hinge}, gravity=[9.8, 0.0])
+        >>> hung.state_names
+        ('pin', 'pindot')
+
+    See Also:
+        `of.robot` reads URDF and MJCF files; `of.linkages` has poses, rates and minimal forms.
     """
     numbers = _Numbers(parameters or {}, values or {})
     system = _description(bodies, joints, springs, dampers, motors, motions, gravity, dimension, parameters, frequency,

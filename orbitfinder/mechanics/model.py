@@ -19,14 +19,22 @@ from orbitfinder.errors import InputError
 class Invariant:
     """A first integral I(q, v, p) with what shooting needs to unfold it.
 
-    `value(q, v, p)` is the integral; `unfolding(q, v, p)` is the fictitious acceleration u (n)
-    with dI/dt = s (grad_v I).u != 0 along an orbit, so that s must return to 0 on any periodic
-    solution; `generator(q, v, p)` is the symmetry direction (2n) that the integral belongs to,
-    or None for time translation (the energy). Of a first-order system q is the whole state, v is empty and
-    u = grad I is added to the rates: dI/dt = s |grad I|^2.
+    Models find their own; give others where you know more. Source: F. J. Muñoz-Almaraz, E. Freire, J. Galán, E.
+    Doedel, A. Vanderbauwhede, "Continuation of periodic orbits in conservative and Hamiltonian systems", Physica D
+    181 (2003) 1-38.
 
-    Source: F. J. Muñoz-Almaraz, E. Freire, J. Galán, E. Doedel, A. Vanderbauwhede, "Continuation
-    of periodic orbits in conservative and Hamiltonian systems", Physica D 181 (2003) 1-38.
+    Args:
+        name: by which it is pinned.
+        value: CasADi Function (q, v, p) of the integral; of a first-order system q is the whole state, v is empty.
+        unfolding: Function (q, v, p) of the fictitious acceleration u (n) with dI/dt = s (grad_v I).u != 0 along an
+            orbit, so that s must return to 0 on any periodic solution; of a first-order system u = grad I is added to
+            the rates: dI/dt = s |grad I|^2.
+        generator: Function (q, v, p) of the symmetry direction (2n) that the integral belongs to; None for time
+            translation (the energy).
+
+    Examples:
+        >>> [one.name for one in of.systems.spherical_pendulum().invariants]
+        ['energy', 'momentum_phi']
     """
 
     __repr__ = brief("name")
@@ -39,7 +47,19 @@ class Invariant:
 
 @dataclass(frozen=True)
 class Baumgarte:
-    """Stabilisation phi'' + 2 alpha phi' + beta^2 phi = 0, both in 1/s; zero is off."""
+    """Stabilisation of a constraint: phi'' + 2 alpha phi' + beta^2 phi = 0.
+
+    Args:
+        alpha: 1/s, the damping; 0 is off.
+        beta: 1/s, the stiffness' root; 0 is off.
+
+    Raises:
+        InputError: for a negative or infinite number.
+
+    Examples:
+        >>> of.chain_dae(2, baumgarte=of.Baumgarte(5.0, 5.0)).constraint.baumgarte
+        Baumgarte(alpha=5.0, beta=5.0)
+    """
 
     alpha: float = 0.0
     beta: float = 0.0
@@ -85,22 +105,45 @@ class HolonomicConstraint:
 class Model(Shown):
     """Equations of motion x' = (v, a(t, q, v, p)) of a state x = (q, v), and what belongs to them.
 
-    A first-order system has `rates(t, q, p)` = q' instead: q is its whole state, v and a are empty, its energy is the
-    `potential`, nan where nothing is conserved; `hamiltonian` says that q is (coordinates, momenta), half each, and
-    its rates are Hamilton's equations.
+    `of.chain`, `of.linkage`, `of.mechanism`, `of.lagrange`, `of.ode`, ... make one. All functions are CasADi's and
+    take the full parameter vector p. SI units, angles in rad; positions have x down, y right. Under a constraint the
+    coordinates are redundant and the energies carry no constraint forces: a is what the elimination of the DAE's
+    algebraic variables gives, so that x' has the DAE's flow.
 
-    All functions take the full parameter vector p; `parameter_values` are the numbers that go
-    there when a parameter is not freed. The state is x = (q, v), SI units, angles in rad.
+    Args:
+        system: plain description from which files rebuild it.
+        state_names: of the components of x (2n, or d of a first-order system).
+        parameter_names: of the physical parameters (k).
+        parameter_values: the numbers that go there when a parameter is not freed (k).
+        acceleration: a(t, q, v, p) (n).
+        kinetic: T(q, v, p), its part quadratic in v where there is a `gyroscopic` one.
+        potential: V(q, p); of a first-order system its energy, nan where nothing is conserved.
+        forces: generalized, non-conservative Q(t, q, v, p) (n).
+        invariants: first integrals, with what unfolds them.
+        angles: which coordinates are angles (n).
+        points: positions that are drawn (q, p) -> 2 x k; for a chain the joints.
+        centres: centres of mass (q, p) -> 2 x k.
+        gyroscopic: the part of the Lagrangian that is linear in v, (q, v, p); kinetic + potential is then the Jacobi
+            integral v.dL/dv - L.
+        forcing_period: (p) -> s, the period of an explicit dependence on time.
+        symmetries: what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate.
+        landmarks: places (n each) that pictures mark and guesses may start from, at the model's own parameter values.
+        constraint: the holonomic constraint with its native DAE.
+        hybrid: modes, transitions and the cycle of a hybrid system.
+        rates: of a first-order system x' = rates(t, x, p): q is then its whole state, v and a are empty.
+        hamiltonian: whether the rates are Hamilton's, q being (coordinates, momenta), half each.
+        strokes: what is drawn through which of the points: rod (of one point a mass), spring, ground, slider, disc
+            (centre, rim); () is a polyline.
+        scales: sizes to measure in: of coordinates by name, of all that are no angles by "length", of parameters.
+        controls: physical parameters that may vary in time; all else here holds at their own values, 0 unless said.
+        limits: lowest and highest of controls, by name.
+        actuation: (t, q, v, p) -> what controls add to the forces (n).
 
-    `acceleration(t, q, v, p)` (n), `kinetic(q, v, p)`, `potential(q, p)`, `forces(t, q, v, p)`
-    (generalized, non-conservative, n) and `points(q, p)` (2 x k, drawn as one polyline; for a
-    chain the joints), `centres(q, p)` (2 x links, centres of mass). Positions have x down, y right.
-
-    `gyroscopic(q, v, p)` is the part of the Lagrangian that is linear in v; `kinetic` is then its
-    quadratic part and `potential` minus the rest, so that kinetic + potential is the Jacobi
-    integral v.dL/dv - L. `forcing_period(p)` (s) is the period of an explicit dependence on time.
-    Under a `constraint` the coordinates are redundant and the energies carry no constraint forces: a is what the
-    elimination of the DAE's algebraic variables gives, so that x' has the DAE's flow.
+    Examples:
+        >>> pendulum.degrees_of_freedom, pendulum.conservative, pendulum.parameter_names[:3]
+        (2, True, ('length1', 'length2', 'mass1'))
+        >>> pendulum.acceleration(0, [0.1, 0.2], [0, 0], pendulum.parameter_values)
+        DM([...])
     """
 
     __repr__ = brief("system", "state_names")
@@ -120,25 +163,16 @@ class Model(Shown):
     gyroscopic: ca.Function | None = None
     forcing_period: ca.Function | None = None
     symmetries: tuple[tuple[str, int, tuple[int, ...]], ...] = ()
-    """what orbits may have besides the usual: name, sense of time (1 or -1), sign of each coordinate"""
     landmarks: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """places (n each) that pictures mark and guesses may start from, at the model's own parameter values"""
     constraint: HolonomicConstraint | None = None
     hybrid: Any = None
-    """modes, transitions and the cycle of a hybrid system, see `mechanics.hybrid`"""
     rates: ca.Function | None = None
     hamiltonian: bool = False
     strokes: tuple[tuple[str, tuple[int, ...]], ...] = ()
-    """what is drawn through which of the points: rod (of one point a mass), spring, ground, slider, disc (centre,
-    rim); () is a polyline"""
     scales: Mapping[str, float] = field(default_factory=dict)
-    """sizes to measure in: of coordinates by name, of all that are no angles by "length", of physical parameters"""
     controls: tuple[str, ...] = ()
-    """physical parameters that may vary in time; everything else here holds at their own values, 0 unless said"""
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """lowest and highest of controls"""
     actuation: ca.Function | None = None
-    """(t, q, v, p) -> what controls add to the forces (n); see `mechanics.controls.actuated`"""
 
     @property
     def conservative(self) -> bool:
@@ -290,19 +324,73 @@ def wrapped(gaps: np.ndarray, angles: Sequence[bool] | np.ndarray) -> np.ndarray
 
 
 def energy(model: Model, state: np.ndarray) -> float:
-    """Total energy E = T(q, v) + V(q) of one state (2n), in J; nan where none exists. Raises `InputError`."""
+    """Total energy of one state; along a family and in files it is this number.
+
+    Args:
+        model: the system.
+        state: coordinates, then velocities (2n).
+
+    Returns:
+        E = T(q, v) + V(q) in J; nan where none exists.
+
+    Raises:
+        InputError: for a state of another length.
+
+    Examples:
+        >>> round(of.energy(pendulum, [0.1, 0.2, 0.0, 0.0]), 6)
+        -19.428887
+
+    See Also:
+        `of.energies` for both parts along a motion.
+    """
     x, n, p = check_state(model, state), model.degrees_of_freedom, model.parameter_values
     return float(model.kinetic(x[:n], x[n:], p)) + float(model.potential(x[:n], p))
 
 
 def energies(model: Model, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kinetic and potential energy (two arrays of k) along states (k x 2n), in J. Raises `InputError`."""
+    """Kinetic and potential energy along a motion.
+
+    Args:
+        model: the system.
+        states: one state a row (k x 2n).
+
+    Returns:
+        Two arrays (k) in J.
+
+    Raises:
+        InputError: for states of another length.
+
+    Examples:
+        >>> kinetic, potential = of.energies(pendulum, orbit.samples)
+        >>> bool(np.ptp(kinetic + potential) < 1e-10)
+        True
+
+    See Also:
+        `of.energy` of one state.
+    """
     x, n = check_states(model, states).T, model.degrees_of_freedom
     return model.along(model.kinetic, x[:n], x[n:]).ravel(), model.along(model.potential, x[:n]).ravel()
 
 
 def positions(model: Model, states: np.ndarray, which: str = "points") -> np.ndarray:
-    """Joint (`points`) or centre-of-mass (`centres`) positions along states (k x 2n): (k, 2, m), m."""
+    """Where joints or centres of mass are along a motion.
+
+    Args:
+        model: the system.
+        states: one state a row (k x 2n).
+        which: "points", what is drawn, or "centres" of mass.
+
+    Returns:
+        Positions (k, 2, m) in m, x down, y right.
+
+    Raises:
+        InputError: for states of another length, and for a system without positions.
+
+    Examples:
+        >>> of.positions(pendulum, np.zeros((1, 4)))[0]
+        array([[0., 1., 2.],
+               [0., 0., 0.]])
+    """
     if which not in ("points", "centres"):
         raise InputError(f"which: must be 'points' or 'centres', got {which!r}")
     function = model.points if which == "points" else model.centres

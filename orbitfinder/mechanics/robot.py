@@ -81,13 +81,39 @@ def robot(
     gravity: float = 9.80665,
     values: Mapping[str, float] | None = None,
 ) -> Model:
-    """The Model of a robot in a URDF (.urdf) or MJCF (.xml) file, its base fixed to the ground or `floating`.
+    """The Model of a robot in a URDF or MJCF file.
 
-    `locked` joints stay at 0, or at the angles given. `stiffness` (N m/rad or N/m) and `damping`, of all joints or of
-    each by name, replace the file's; springs are at ease at `rest` (0). `motors` are joints ("all") with a control
-    torque of their own, within the file's effort. Coulomb friction, contacts and limits of joints are left out. Numbers
-    are physical parameters named after links and joints ("link3_mass"), in the axes of the zero position, x down;
-    `values` replaces them. Raises `InputError` naming link and joint.
+    Coulomb friction, contacts and limits of joints are left out. Numbers are physical parameters named after links
+    and joints ("link3_mass"), in the axes of the zero position, x down.
+
+    Args:
+        file: .urdf or .xml.
+        locked: joints that stay at 0, or at the angles given.
+        stiffness: of all joints or of each by name (N m/rad or N/m); replaces the file's.
+        rest: where springs are at ease, by joint; 0 otherwise.
+        damping: of all joints or of each by name; replaces the file's.
+        motors: joints with a control torque of their own, within the file's effort; "all" for all.
+        floating: whether the base moves freely instead of being fixed to the ground.
+        gravity: m/s^2, along the file's -z.
+        values: numbers that replace parameters.
+
+    Returns:
+        A Model.
+
+    Raises:
+        InputError: naming link and joint, and where the extra `[robot]` is not installed.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> _ = Path("arm.urdf").write_text('''<robot name="arm"><link name="base"/><link name="arm"><inertial>
+        ... <origin xyz="0 0 -0.5"/><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>
+        ... </inertial></link><joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/>
+        ... <axis xyz="0 1 0"/></joint></robot>''')
+        >>> of.robot("arm.urdf").state_names
+        ('hinge', 'hingedot')
+
+    See Also:
+        `of.mechanism`, which it makes.
     """
     path = Path(file)
     made = _numbers(path, _file(path))

@@ -31,11 +31,31 @@ def from_sympy(
 ) -> Model:
     """The Model of a `sympy.physics.mechanics` LagrangesMethod or KanesMethod without constraints.
 
-    `values` gives a number for each constant symbol: they are the physical parameters, named like the symbols. Of
-    Kane's method the kinetic energy is that of its bodies, `potential` (or what the bodies carry) their potential
-    energy; what either method's equations hold beyond the energies are forces. Speeds must be the coordinates' rates.
-    `angles` says which coordinates are angles (all), `points` (2 x k, SymPy) where the system is drawn, x down, y
-    right, `controls` which symbols may vary in time. Raises `InputError`.
+    What either method's equations hold beyond the energies are forces. Speeds must be the coordinates' rates.
+
+    Args:
+        method: the LagrangesMethod, or the KanesMethod with its equations formed.
+        values: a number for each constant symbol: they become physical parameters, named like the symbols.
+        potential: of Kane's method, in place of what its bodies carry.
+        angles: which coordinates are angles, or True for all.
+        points: positions (2 x k, SymPy; x down, y right) that pictures draw.
+        forcing_period: s, where the equations depend on time.
+        controls: symbols that may vary in time.
+
+    Returns:
+        A Model.
+
+    Raises:
+        InputError: for constraints, foreign symbols, and energies that are not those of the equations.
+
+    Examples:
+        >>> import sympy
+        >>> from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
+        >>> theta, g = dynamicsymbols("theta"), sympy.Symbol("g")
+        >>> method = LagrangesMethod(theta.diff() ** 2 / 2 + g * sympy.cos(theta), [theta])
+        >>> _ = method.form_lagranges_equations()
+        >>> of.from_sympy(method, {g: 9.8}).state_names
+        ('theta', 'thetadot')
     """
     try:
         import sympy  # noqa: PLC0415

@@ -83,10 +83,30 @@ class Tolerances:
 def certify(orbit: Orbit, model: Model | None = None, tolerances: Tolerances | None = None) -> Certificate:
     """The certificate of an orbit, from its state and period alone.
 
-    The gap round the loop, in extents of the motion, is required to be below 1e-12 A (or the record's tolerance
-    if that is smaller) with A = max over t of |S^-1 Phi(T, t) S|, what round-off can do, capped at 1e6; and
-    the true orbit to be within 1e-9 of the motion (see `closure`). `model` is needed for systems that no file
-    describes.
+    Everything is computed again by another integrator on another formulation. The gap round the loop, in extents of
+    the motion, is required to be below 1e-12 A (or the record's tolerance if that is smaller) with A = max over t of
+    |S^-1 Phi(T, t) S|, what round-off can do, capped at 1e6; and the true orbit to be within 1e-9 of the motion.
+
+    Args:
+        orbit: what is claimed.
+        model: needed only for systems that no file describes.
+        tolerances: what is allowed; the defaults are what files are judged by.
+
+    Returns:
+        A Certificate: every check with its number and what is allowed.
+
+    Raises:
+        InputError: where the system cannot be rebuilt.
+
+    Examples:
+        >>> of.certify(orbit).passed
+        True
+        >>> from dataclasses import replace
+        >>> of.certify(replace(orbit, period=1.001 * orbit.period)).failures
+        ('closure', 'distance', 'second_closure', ...)
+
+    See Also:
+        `of.prove` for a theorem in place of a measurement.
     """
     allowed, model = tolerances or Tolerances(), _model_of(orbit, model)
     whole = _turns(orbit, model)

@@ -59,13 +59,36 @@ def stabilise(
     clock: bool | None = None,
     model: Model | None = None,
 ) -> Controller:
-    """A Controller, certified, that holds a motion on an orbit by the named actuators, parameters of its Model.
+    """A certified Controller that holds a motion on an orbit by motors at joints.
 
-    None: the Model's controls; of a chain or linkage without motors, the one joint whose motor has most authority. The
-    cost is the integral of dy.Q dy + w.R w, dy deviations in extents of the orbit and w controls in what would move the
-    state by that in a radian of the period; a number, a diagonal or a matrix each, 1 unless said. With `clock` (always
-    for forced systems) the controller keeps time too. `limits` bounds controls: greatest magnitude of all, or of each,
-    or lowest and highest. Raises `InputError`, also for what the actuators cannot hold, and `ConvergenceError`.
+    Gains come from the periodic Riccati equation across the flow; the certificate integrates the nonlinear closed
+    loop. The cost is the integral of dy.Q dy + w.R w, dy deviations in extents of the orbit and w controls in what
+    would move the state by that in a radian of the period.
+
+    Args:
+        orbit: to be held.
+        actuators: parameters of its Model; None: the Model's controls, or of a chain or linkage without motors the
+            one joint whose motor has most authority.
+        Q: a number, a diagonal or a matrix; 1 unless said.
+        R: the same of the controls.
+        limits: greatest magnitude of all controls, or of each, or lowest and highest, by name.
+        clock: whether the controller keeps time too (always for forced systems).
+        model: needed only for systems that no file describes.
+
+    Returns:
+        A Controller.
+
+    Raises:
+        InputError: also for what the actuators cannot hold, with the reason.
+        ConvergenceError: where the Riccati equation has no periodic solution.
+
+    Examples:
+        >>> held = of.stabilise(swing, ["torque1"])
+        >>> held.stabilised, held.actuators
+        (True, ('torque1',))
+
+    See Also:
+        `of.basin` measures from how far it comes back, `of.export_controller` writes it in C and Python.
     """
     plant = _plant(orbit, model, actuators)
     forced = plant.candidates.forced

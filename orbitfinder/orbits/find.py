@@ -175,13 +175,32 @@ DEPENDENT = 1e-6
 def find_orbit(problem: Problem, settings: SolveSettings | None = None, progress: Callback | None = None) -> Orbit:
     """The periodic orbit that a Problem singles out, with its certificate.
 
-    Multiple shooting solved by IPOPT with an explicit Hessian (so that a square problem is solved
-    by Newton's method), two or more Newton steps on the residual of a high-order integrator, the
-    minimal period. Symmetric modes of chains of 11 links and more are found by `long_chain` instead.
-    Raises `CountError` before solving an over- or under-determined problem,
-    `ConvergenceError` with a sentence to act on, `IntegrationError` when a segment cannot be
-    integrated from the guess, `LimitError` after `settings.limit` s. The result may still fail its certificate: look at
-    `orbit.certificate.passed`.
+    Multiple shooting solved by IPOPT with an explicit Hessian (so that a square problem is solved by Newton's
+    method), two or more Newton steps on the residual of a high-order integrator, the minimal period. Symmetric modes
+    of chains of 11 links and more are found by harmonic balance and shooting over a quarter period. The result may
+    still fail its certificate: look at `orbit.certificate.passed`.
+
+    Args:
+        problem: model, guess, pins.
+        settings: how to solve; the defaults are right for most.
+        progress: called with what is being done.
+
+    Returns:
+        An Orbit: state (2n), period (s), energy (J), multipliers, stability, certificate.
+
+    Raises:
+        CountError: before solving an over- or under-determined problem, with the count.
+        ConvergenceError: with a sentence to act on.
+        IntegrationError: when a segment cannot be integrated from the guess.
+        LimitError: after `settings.limit` s.
+
+    Examples:
+        >>> found = of.find_orbit(problem)
+        >>> round(found.period, 9), found.certificate.passed
+        (1.119340898, True)
+
+    See Also:
+        `of.Refiner` for many orbits of one problem, `of.search` for all of them, `of.least_unstable` to choose.
     """
     settings = settings or SolveSettings()
     with limited(settings.limit):

@@ -46,10 +46,20 @@ ROOM = 4_000_000
 
 @dataclass(frozen=True)
 class FrequencyMap(Shown):
-    """Frequencies (rad/s) of motions from `starts` (k x d): `frequencies` (k x n) in the first half of `duration` (s)
-    and `later` (k x n) in the second; nan where a motion leaves, and where it has fewer.
+    """Frequencies of motions in two halves of a time; `diffusion` is how much they change (k).
 
     They are a basis: each is the strongest line that is no whole combination of those before it.
+
+    Args:
+        starts: where the motions begin (k x d).
+        duration: s.
+        frequencies: in the first half, rad/s (k x n); nan where a motion leaves, and where it has fewer.
+        later: in the second half, rad/s (k x n).
+
+    Examples:
+        >>> moving = of.FrequencyMap(np.zeros((1, 4)), 10.0, np.array([[2.0, 5.0]]), np.array([[2.0, 5.1]]))
+        >>> moving.diffusion.round(3)
+        array([0.02])
     """
 
     __repr__ = brief("frequencies", "diffusion")
@@ -69,9 +79,25 @@ class FrequencyMap(Shown):
 
 @one_thread()
 def frequency_map(model: Model, starts: Any, duration: float) -> FrequencyMap:
-    """The frequencies of the motions of a Model from `starts` (k x d, or a section's `starts`) over a time (s).
+    """The fundamental frequencies of motions, in the first and in the second half of a time.
 
-    Raises `InputError`; a motion that leaves has none.
+    Where they differ a motion is chaotic (J. Laskar, Physica D 67, 1993).
+
+    Args:
+        model: the system.
+        starts: states (k x d), or a section's `starts`.
+        duration: s; half of it should be some hundred turns.
+
+    Returns:
+        A FrequencyMap; nan where a motion leaves.
+
+    Raises:
+        InputError: for states of another length and a duration that is too short.
+
+    Examples:
+        >>> mapped = of.frequency_map(pendulum, [[0.1, 0.1, 0.0, 0.0]], 200.0)
+        >>> mapped.frequencies.shape, bool(mapped.diffusion[0] < 1e-4)
+        ((1, 2), True)
     """
     if model.hybrid is not None or model.constraint is not None:
         what = "hybrid systems jump" if model.hybrid is not None else "take the minimal model of this one"

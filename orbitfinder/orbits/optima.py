@@ -53,10 +53,28 @@ def follow_optima(
 ) -> Optima:  # fmt: skip
     """The certified optima of a controlled problem along a number, round turning points.
 
-    `parameter`: a pin, a physical parameter, one of the control's `numbers` (a weight), "task K" (what the K-th task
-    asks for, from 1) or "limit NAME" (how far a control may go). At `values`, one after the other, from the first; and
-    with `until` every step on the way there from where the problem stands, with turning points, changes of the active
-    set and extremes of the cost located. Raises `InputError`, and `ConvergenceError` where the first optimum fails.
+    Turning points, changes of the active set and extremes of the cost are located.
+
+    Args:
+        problem: with a control.
+        parameter: a pin, a physical parameter, one of the control's `numbers` (a weight), "task K" (what the K-th
+            task asks for, from 1) or "limit NAME" (how far a control may go).
+        values: at which optima are found, one after the other, from the first.
+        settings: how each is solved.
+        until: every step on the way there from where the problem stands.
+        points: the most with `until`.
+        progress: called with each optimum.
+
+    Returns:
+        Optima.
+
+    Raises:
+        InputError: for a parameter that the problem has not.
+        ConvergenceError: where the first optimum fails.
+
+    Examples:
+        >>> of.follow_optima(pumped, "period", [1.7, 1.65]).costs.round(4)
+        array([0.0479, 0.2101])
     """
     if problem.control is None:
         raise InputError("problem: has no control; give Problem(..., control=of.Control(...)), or follow_family()")

@@ -51,10 +51,27 @@ MOST_SAMPLES = 6
 
 
 class Refiner(Shown):
-    """Refines guesses of one Problem, as many as you like, at its pins or at other values of them.
+    """Refines guesses of one Problem in milliseconds each, at its pins or at other values of them.
 
-    Building it derives and, with a C compiler, compiles (about a second, once; later runs load the library). It needs
-    a Problem that its pins make square. Raises `CountError`, `InputError`.
+    Building it derives and, with a C compiler, compiles (about a second, once; later runs load the library). `refine`
+    gives state and period, `orbit` an Orbit with certificate.
+
+    Args:
+        problem: one that its pins make square.
+        settings: steps, segments, iterations of Newton's method.
+
+    Raises:
+        CountError: where the pins do not make it square.
+        InputError: for what it cannot refine, such as controls.
+
+    Examples:
+        >>> refiner = of.Refiner(problem)
+        >>> refined = refiner.refine(guess, of.pin(energy=-17.9))
+        >>> round(refined.period, 9), refiner.orbit(refined).certificate.passed
+        (1.132560901, True)
+
+    See Also:
+        `of.sweep` for many values at once.
     """
 
     __repr__ = brief("problem", "segments")

@@ -259,12 +259,36 @@ def section(
     model: Model | None = None,
     name: str = "",
 ) -> Section:
-    """The Poincare section of a system: `returns` crossings of each of `seeds` motions, at one energy where it has one.
+    """The Poincare section of a system: where motions of one energy cross a plane.
 
-    `plane` is a component and a number ("y=0"), crossed in a `direction` (1 growing, -1 falling, 0 both); of a forced
-    system whole periods of the forcing, of a hybrid one its own events. `axes` are the two components that are drawn.
-    Motions begin all over what the energy allows, or in `ranges` {component: (least, greatest)} of the axes. An orbit
-    or a problem stands for its system and gives the energy where none is given. Raises `InputError`.
+    Motions begin all over what the energy allows, or in `ranges`. A forced system is looked at once a period of its
+    forcing, a hybrid one after its own events; neither is given a plane.
+
+    Args:
+        system: a Model; an Orbit or a Problem stands for its system and gives the energy where none is given.
+        energy: J, where the system has one.
+        plane: a component and a number ("y=0").
+        axes: the two components that are drawn.
+        direction: how the plane is crossed: 1 growing, -1 falling, 0 both.
+        seeds: how many motions.
+        returns: crossings of each.
+        ranges: of the axes {component: (least, greatest)} in which motions begin.
+        model: for an orbit of a system that no file describes.
+        name: a word for files.
+
+    Returns:
+        A Section: `points`, `regular`, `starts`.
+
+    Raises:
+        InputError: for a plane that no motion crosses and an energy that is not reached.
+
+    Examples:
+        >>> cut = of.section(orbit, plane="theta1=0", seeds=3, returns=10)
+        >>> cut.plane, cut.energy
+        ('theta1 = 0, growing', -18.0)
+
+    See Also:
+        `of.sections.draw_section`, `of.manifold`, `of.frequency_map`.
     """
     for what, count, most in (("seeds", seeds, 100_000), ("returns", returns, 1_000_000)):
         if not 1 <= count <= most:

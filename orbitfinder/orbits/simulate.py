@@ -71,10 +71,31 @@ class Simulation(Shown):
 def simulate(
     model: Model, state: Sequence[float] | np.ndarray, duration: float, samples: int | None = None
 ) -> Simulation:
-    """The motion of a Model from a state (2n) over `duration` s, at `samples` equal times (100 a second if None).
+    """The motion of a Model from a state.
 
-    A hybrid one begins in the first mode of its cycle and goes through its events; a sample at one is after it. Raises
-    `InputError` or `IntegrationError`, also where events accumulate (Zeno) or coincide.
+    A hybrid system begins in the first mode of its cycle and goes through its events; a sample at an event is after
+    it.
+
+    Args:
+        model: the system.
+        state: where it begins (2n).
+        duration: s.
+        samples: how many equal times, both ends included; 100 a second if None.
+
+    Returns:
+        `times` (k, s), `states` (k x 2n) and what the energy drifts by.
+
+    Raises:
+        InputError: for a state or a duration that cannot be.
+        IntegrationError: where the motion cannot be continued, also where events accumulate (Zeno) or coincide.
+
+    Examples:
+        >>> motion = of.simulate(pendulum, [0.3, 0.3, 0.0, 0.0], 2.0, samples=5)
+        >>> motion.times
+        array([0. , 0.5, 1. , 1.5, 2. ])
+
+    See Also:
+        `of.guesses.close_returns` looks for near orbits in a motion; `of.flows` has the integrators.
     """
     if not 0 < duration < LONGEST:
         raise InputError(f"duration: must be positive and below {LONGEST:g} s, got {duration}; give a time in s")

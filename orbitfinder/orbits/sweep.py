@@ -112,11 +112,33 @@ def sweep(
 ) -> Sweep:  # fmt: skip
     """The orbits of a Problem at other values of its parameters, each certified or with its reason.
 
-    `sweep(problem, stiffness=numpy.linspace(20, 40, 100))` changes a physical parameter, `energy=` or `period=` what
-    the problem pins; several of equal lengths change together. `values` is the same as a mapping. The problem's pins
-    must leave nothing to choose. `workers` processes share the values (`folder`: of a trusted module that makes the
-    system); after `limit` s what is missing is left out with that reason. Raises `InputError`, `CountError`, and
-    `ConvergenceError` when there is no orbit at the problem's own values.
+    The problem's pins must leave nothing to choose.
+
+    Args:
+        problem: solved first at its own values.
+        values: as the keywords, as a mapping.
+        workers: processes that share the values.
+        limit: s after which what is missing is left out with that reason.
+        folder: of a trusted module that makes the system.
+        progress: called with what is being done.
+        **named: values of a physical parameter (`stiffness=numpy.linspace(20, 40, 100)`), or of `energy` or `period`
+            where the problem pins it; several of equal lengths change together.
+
+    Returns:
+        A Sweep: `rows` with the Orbit or the reason of each value, `orbits`, tables.
+
+    Raises:
+        InputError: for unknown names and unequal lengths.
+        CountError: where the pins leave something to choose.
+        ConvergenceError: when there is no orbit at the problem's own values.
+
+    Examples:
+        >>> swept = of.sweep(problem, gravity=[9.8, 9.9, 10.0])
+        >>> [round(row.orbit.period, 6) for row in swept.rows]
+        [1.119341, 1.137461, 1.154433]
+
+    See Also:
+        `of.follow_family` goes round folds, which a sweep does not.
     """
     began, table = time.monotonic(), _table(problem, {**(values or {}), **named})
     if not 1 <= workers <= 256:

@@ -85,7 +85,27 @@ class ProblemFile:
 
 
 def load_problem(path: str | Path, trust: bool = False) -> Problem:
-    """The Problem of a file. Raises `InputError`; Python files are executed only with `trust`."""
+    """The Problem of a problem file.
+
+    Args:
+        path: a .toml file, or a .py file that defines `problem()`.
+        trust: whether Python may be executed: that file, and functions that a .toml file names.
+
+    Returns:
+        A Problem.
+
+    Raises:
+        InputError: naming file, field, value and remedy.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> _ = Path("swing.toml").write_text('''
+        ... system = { kind = "chain", links = 1 }
+        ... guess = { state = [2.0, 0.0], period = 2.2 }
+        ... ''')
+        >>> of.find_orbit(of.load_problem("swing.toml")).certificate.passed
+        True
+    """
     return load_problem_file(path, trust).wanted
 
 

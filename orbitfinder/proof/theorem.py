@@ -106,7 +106,31 @@ class Options(Settings):
 def prove(
     orbit: Orbit, model: Model | None = None, options: Options | None = None, progress: Progress | None = None
 ) -> Proof:
-    """The proof of an orbit's existence, or the reason why there is none. Raises `InputError`."""
+    """The proof that an orbit exists, or the reason why there is none. Needs the extra `[proof]`.
+
+    In a box of radius 1e-11 there is exactly one periodic orbit of that energy and symmetry: Krawczyk's operator over
+    integrals enclosed by Taylor models. Its minimal period and multipliers are enclosed too.
+
+    Args:
+        orbit: what is to be proved.
+        model: needed only for systems that no file describes.
+        options: symmetry, segments, precision.
+        progress: called with what is being done.
+
+    Returns:
+        A Proof: `proved`, `reason`, enclosures of `period` and `state`, what follows about stability.
+
+    Raises:
+        InputError: for a system whose equations cannot be enclosed.
+
+    Examples:
+        >>> proof = of.prove(orbit)
+        >>> proof.proved, proof.symmetry
+        (True, 'brake+reflection')
+
+    See Also:
+        `of.certify` needs no interval arithmetic.
+    """
     chosen, say = options or Options(), progress or (lambda line: None)
     began = time.perf_counter()
     with precision(chosen.bits):

@@ -56,14 +56,36 @@ class Basin(Shown):
 class Controller(Shown):
     """u = u*(tau) - K(tau) (x - x*(tau)), tau the place (s) of the orbit nearest to x, or with `clock` the time.
 
-    At N + 1 equal times over the period: `states` x* (N + 1 x d), `inputs` u* (N + 1 x m), `gains` K (N + 1 x m d, row
-    after row); a periodic cubic spline is between. Nearest is measured in `units` (d), the extents of the orbit;
-    `angles` (d) are 1 where a difference is taken within half a turn. `limits` bounds controls by name.
+    `stabilised` is True where the certificate holds. Numbers over the period are at N + 1 equal times; a periodic
+    cubic spline is between.
 
-    `open_loop` are the multipliers of deviations from the orbit without control, `predicted` those of the linear
-    design, `multipliers` those found by integrating the nonlinear closed loop. `authority` says of each actuator alone,
-    at rms 1 in `control_units`, how far it moves in a period, in extents, the deviation that it moves least of those
-    that do not decay, or of all where all do; 0: it cannot.
+    Args:
+        name: a word for files.
+        system: plain description that rebuilds the model.
+        actuators: the parameters that it sets (m).
+        period: of the orbit, s.
+        clock: whether tau is the time.
+        units: in which nearest is measured (d), the extents of the orbit.
+        angles: 1 where a difference is taken within half a turn (d).
+        states: x* (N + 1 x d).
+        inputs: u* (N + 1 x m).
+        gains: K (N + 1 x m d, row after row).
+        limits: lowest and highest of controls, by name.
+        weight_state: Q.
+        weight_control: R.
+        control_units: in which controls are weighed (m).
+        open_loop: multipliers of deviations from the orbit without control.
+        predicted: those of the linear design.
+        multipliers: those found by integrating the nonlinear closed loop.
+        authority: of each actuator alone, at rms 1 in `control_units`, how far it moves in a period, in extents, the
+            deviation that it moves least of those that do not decay, or of all where all do; 0: it cannot.
+        certificate: its checks.
+        basin: what `of.basin` measured.
+        provenance: how it was designed.
+
+    Examples:
+        >>> bool(np.abs(controller.multipliers).max() < 1)
+        True
     """
 
     __repr__ = brief("name", "actuators", "period", "multipliers", "certificate")
@@ -80,9 +102,7 @@ class Controller(Shown):
     gains: np.ndarray
     limits: Mapping[str, tuple[float, float]]
     weight_state: np.ndarray
-    """Q (d x d), of deviations in `units`"""
     weight_control: np.ndarray
-    """R (m x m), of controls in `control_units`"""
     control_units: np.ndarray
     open_loop: np.ndarray
     predicted: np.ndarray
@@ -110,7 +130,22 @@ def controller_to_document(controller: Controller) -> dict[str, Any]:
 
 
 def save_controller(controller: Controller, path: str | Path) -> Path:
-    """Write controller.json; returns its path."""
+    """Write a controller.json.
+
+    Args:
+        controller: what to write.
+        path: where.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: where it cannot be written.
+
+    Examples:
+        >>> of.save_controller(controller, "controller.json").name
+        'controller.json'
+    """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(target, json_bytes(controller_to_document(controller)))
@@ -126,7 +161,22 @@ class _Certified:
 
 
 def load_controller(path: str | Path) -> Controller:
-    """The Controller of a controller.json. Raises `InputError` on anything that is none."""
+    """Read a controller.json.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        A Controller.
+
+    Raises:
+        InputError: on anything that is none.
+
+    Examples:
+        >>> _ = of.save_controller(controller, "controller.json")
+        >>> of.load_controller("controller.json").actuators
+        ('torque1',)
+    """
     source = Path(path)
     document = json_file(source, "controller.json", AGAIN)
     if not isinstance(document, dict) or document.get("format") != FORMAT:

@@ -163,8 +163,28 @@ class Batch:
 class Family(Shown):
     """Orbits joined by arclength, ordered along the curve, with events and the reason of each end.
 
-    `curve` is what rebuilds the equations (see `start.curve_of`), `source` what the family was started from. A curve of
-    bifurcations has two `parameters`, of which the first is its `parameter`, and in `curve` the `test` that it keeps.
+    `values(name)` is one number of every point, `places` what varies at every point and then at every event, `counts`
+    how many are closed and certified. A curve of bifurcations has two `parameters`, of which the first is its
+    `parameter`.
+
+    Args:
+        name: a word for files.
+        system: plain description that rebuilds the model.
+        parameter: what it was followed in.
+        points: orbits in order, each an Orbit.
+        events: folds, branch points, doublings, ... with place, kind and detail.
+        ends: kind and reason of both ends.
+        curve: what rebuilds the equations, and of a curve of bifurcations the test that it keeps.
+        source: what the family was started from.
+
+    Examples:
+        >>> family.parameter, [end.kind for end in family.ends]
+        ('energy', ['target'])
+        >>> round(float(family.values("period").min()), 6)
+        1.119341
+
+    See Also:
+        `of.save_figures` draws it, `of.load_family` reads it.
     """
 
     __repr__ = brief("name", "parameter", "points", "events", "ends")
@@ -553,7 +573,22 @@ def _dense_names() -> list[str]:
 
 
 def load_family(path: str | Path) -> Family:
-    """Read family.json (and family.npz beside it). Raises `InputError` on anything unreadable, edited or damaged."""
+    """Read a family.json, and family.npz beside it.
+
+    Args:
+        path: of the family.json.
+
+    Returns:
+        A Family.
+
+    Raises:
+        InputError: on anything unreadable, edited or damaged.
+
+    Examples:
+        >>> _ = of.follow_family(orbit, until=-17.8, out=".", name="short")
+        >>> of.load_family("short/family.json").name
+        'short'
+    """
     source = Path(path)
     document = json_file(source, "family.json", AGAIN)
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:

@@ -37,8 +37,21 @@ class Change:
 
 @dataclass(frozen=True)
 class Optima(Shown):
-    """Controlled orbits along a family: `values` of its `parameter`, `costs`, and in `descents` how many directions
-    lower the cost to second order: 0 of a local least, more beyond a turn. `end` says why it ends."""
+    """Controlled orbits along a family of optima.
+
+    Args:
+        name: a word for files.
+        parameter: what varies.
+        points: the orbits.
+        values: of the parameter.
+        descents: how many directions lower the cost to second order: 0 of a local least, more beyond a turn.
+        changes: turning points, changes of the active set, extremes of the cost.
+        end: why it ends.
+
+    Examples:
+        >>> optima.descents
+        (0, 0)
+    """
 
     __repr__ = brief("name", "parameter", "points", "changes", "end")
 
@@ -76,7 +89,22 @@ class Optima(Shown):
 
 
 def save_optima(found: Optima, path: str | Path) -> Path:
-    """Write an optima.json; returns its path."""
+    """Write an optima.json.
+
+    Args:
+        found: the optima.
+        path: where.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: where it cannot be written.
+
+    Examples:
+        >>> of.save_optima(optima, "optima.json").name
+        'optima.json'
+    """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     document = {
@@ -89,7 +117,22 @@ def save_optima(found: Optima, path: str | Path) -> Path:
 
 
 def load_optima(path: str | Path) -> Optima:
-    """The Optima of an optima.json, its points without samples. Raises `InputError` on anything unreadable."""
+    """Read an optima.json; its points come without samples.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Optima.
+
+    Raises:
+        InputError: on anything unreadable.
+
+    Examples:
+        >>> _ = of.save_optima(optima, "optima.json")
+        >>> of.load_optima("optima.json").parameter
+        'period'
+    """
     document = json_file(Path(path), "optima.json", AGAIN)
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         raise InputError(f"{path}: format: expected {FORMAT!r} of version {VERSION}; give an optima.json")

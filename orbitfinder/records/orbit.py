@@ -62,15 +62,25 @@ class Check:
 
 @dataclass(frozen=True)
 class Certificate(Shown):
-    """Every check of one orbit; `passed` only when all of them did."""
+    """Every check of one orbit; `passed` only when all of them did, `failures` names the others.
+
+    Args:
+        checks: name, number, what is allowed and a note of each.
+        scale: A, how many times round-off grows until the end of the period, at most 1e6: what tolerances were
+            multiplied by.
+        closure: the largest component of the gap round the loop, in the model's units.
+
+    Examples:
+        >>> certificate = of.certify(orbit)
+        >>> [one.name for one in certificate.checks][:3]
+        ['closure', 'distance', 'second_closure']
+    """
 
     __repr__ = brief("passed", "failures", "closure")
 
     checks: tuple[Check, ...]
     scale: float = 1.0
-    """A, how many times round-off grows until the end of the period, at most 1e6: what tolerances were multiplied by"""
     closure: float = float("nan")
-    """the largest component of the gap round the loop, in the model's units"""
 
     @property
     def passed(self) -> bool:
@@ -85,14 +95,45 @@ class Certificate(Shown):
 
 @dataclass(frozen=True)
 class Orbit(Shown):
-    """A periodic orbit: state (2n) at t = 0, minimal period (s) and what follows from them.
+    """A periodic orbit: a state and its minimal period, and what follows from them.
 
-    `closure` is the largest gap round the loop by the independent integrator, `action` the
-    integral of momentum.dq over the loop (J s), `floquet_multipliers` the non-trivial ones
-    (complex), `pair_defect` max |mu_i mu_j - 1| over reciprocal pairs, their error bar.
-    `nodes` (N x 2n) are states at equal times over the period, `times` and `samples` a dense
-    picture of it. `system` rebuilds the model. Of first-order systems the energy is the first invariant that no
-    symmetry belongs to, nan (null in the file) where there is none, and the action the integral of |x'|^2.
+    Args:
+        name: a word for files.
+        system: plain description that rebuilds the model.
+        state: at t = 0 (2n).
+        period: the minimal one, s.
+        energy: J; of first-order systems the first invariant that no symmetry belongs to, nan (null in the file)
+            where there is none.
+        action: integral of momentum.dq over the loop, J s; of first-order systems the integral of |x'|^2.
+        closure: the largest gap round the loop by the independent integrator.
+        symmetry: what the orbit has, as in `Problem`.
+        winding: whole turns of each coordinate in one period (n).
+        floquet_multipliers: the non-trivial ones (complex).
+        pair_defect: max |mu_i mu_j - 1| over reciprocal pairs, their error bar.
+        stability: elliptic | marginal | unstable, or of dissipative systems asymptotically stable.
+        unfolding: what the unfolding parameters came back as: 0 but for round-off.
+        nodes: states at equal times over the period (N x 2n).
+        times: of the dense picture of the orbit (k, s).
+        samples: states at these times (k x 2n).
+        tolerance: the closure that the certificate asks for.
+        expected: what the problem expected of it.
+        certificate: its checks; None before.
+        provenance: how it was found.
+        title: one line for people.
+        source: where the numbers come from.
+        proof: the record of its proof, if there is one.
+        record: the file that it was read from.
+        shift: of a relative orbit, how far its cyclic coordinates go in a period.
+        control: of a controlled motion, how its controls vary and what they cost.
+
+    Examples:
+        >>> orbit
+        Orbit(name='fast-swing', period=1.1193409, energy=-18, ... certificate=Certificate(passed=True, ...))
+        >>> np.abs(orbit.floquet_multipliers).round(9)
+        array([1., 1.])
+
+    See Also:
+        `of.load_orbit`, `of.save_orbit`, `of.save_figures`, `of.follow_family`.
     """
 
     __repr__ = brief("name", "period", "energy", "closure", "symmetry", "stability", "certificate")
@@ -120,14 +161,10 @@ class Orbit(Shown):
     title: str = ""
     source: str = ""
     proof: Mapping[str, Any] | None = None
-    """what was proved of it (see `proof.record`)"""
     record: str | None = None
-    """digest of the numbers as written, present on orbits read from a file"""
     shift: Mapping[str, float] = field(default_factory=dict)
-    """how far it comes back from where it was along the cyclic coordinates that it is relative in (rad, m)"""
 
     control: Mapping[str, Any] | None = None
-    """of a controlled motion its control: shape, coefficients, what was asked, cost, multipliers"""
 
     def widget(self) -> Any:
         """The orbit on a stage with play, speed and a slider in time, for Jupyter, VS Code and marimo; of a point of a
@@ -223,7 +260,22 @@ def digest(document: Mapping[str, Any]) -> str:
 
 
 def save_orbit(orbit: Orbit, path: str | Path) -> Path:
-    """Write orbit.json and, beside it, the dense samples in orbit.npz; returns the JSON's path."""
+    """Write an orbit.json and, beside it, the dense samples in orbit.npz.
+
+    Args:
+        orbit: what to write.
+        path: of the JSON.
+
+    Returns:
+        The path of the JSON.
+
+    Raises:
+        InputError: where it cannot be written, and for what is no number.
+
+    Examples:
+        >>> of.save_orbit(orbit, "kept/orbit.json").name
+        'orbit.json'
+    """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     text = json_bytes(orbit_to_document(orbit))  # refuses what is no number before anything is written

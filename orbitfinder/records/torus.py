@@ -23,9 +23,22 @@ AGAIN = "compute the tori again"
 class Torus(Shown):
     """One quasi-periodic motion: a closed curve X(theta) that the flow over T turns by 2 pi `rotation`.
 
-    `curve` (N x d, N odd) at equal angles, `period` T (s), `rotation` in turns a return, `energy` (J, nan without
-    one), `free` physical parameters. `tail` is the size of the highest harmonics relative to the curve's, `strip` the
-    width of the strip of complex angles in which the series converges (0: the torus breaks down).
+    `frequencies` are those of the returns and of the turning (rad/s).
+
+    Args:
+        curve: states at equal angles (N x d, N odd).
+        period: T in s.
+        rotation: turns a return.
+        energy: J, nan without one.
+        tail: size of the highest harmonics relative to the curve's.
+        strip: width of the strip of complex angles in which the series converges (0: the torus breaks down).
+        free: physical parameters that were found with it.
+        certificate: its checks.
+
+    Examples:
+        >>> one = tori.tori[-1]
+        >>> one.curve.shape[1], round(one.rotation, 9)
+        (4, 0.197056417)
     """
 
     __repr__ = brief("period", "rotation", "energy", "frequencies", "certificate")
@@ -48,8 +61,20 @@ class Torus(Shown):
 
 @dataclass(frozen=True)
 class Tori(Shown):
-    """A family of tori of one system: `held` says what is the same for all, `parameter` what changes, `end` why it
-    ends."""
+    """A family of tori of one system.
+
+    Args:
+        name: a word for files.
+        system: plain description that rebuilds the model.
+        parameter: what changes along it.
+        held: what is the same for all, by name.
+        tori: in order.
+        end: why it ends.
+
+    Examples:
+        >>> tori.parameter, list(tori.held)
+        ('rotation', ['energy'])
+    """
 
     __repr__ = brief("name", "parameter", "held", "tori", "end")
 
@@ -62,7 +87,22 @@ class Tori(Shown):
 
 
 def save_tori(found: Tori, path: str | Path) -> Path:
-    """Write a tori.json; returns its path."""
+    """Write a tori.json.
+
+    Args:
+        found: the tori.
+        path: where.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: where it cannot be written.
+
+    Examples:
+        >>> of.save_tori(tori, "tori.json").name
+        'tori.json'
+    """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     document = {
@@ -81,7 +121,22 @@ def _document(torus: Torus) -> dict[str, Any]:
 
 
 def load_tori(path: str | Path) -> Tori:
-    """The Tori of a tori.json. Raises `InputError` on anything unreadable."""
+    """Read a tori.json.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Tori.
+
+    Raises:
+        InputError: on anything unreadable.
+
+    Examples:
+        >>> _ = of.save_tori(tori, "tori.json")
+        >>> len(of.load_tori("tori.json").tori)
+        2
+    """
     document = json_file(Path(path), "tori.json", AGAIN)
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         raise InputError(f"{path}: format: expected {FORMAT!r} of version {VERSION}; give a tori.json")

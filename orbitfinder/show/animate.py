@@ -39,6 +39,8 @@ class AnimationSettings:
     shortest: float = 2.0
     """s of motion at least, by repeating the period"""
     most_periods: int = 6
+    periods: int | None = None
+    """so many, where it is asked for"""
     steps: int = 4
     """footholds at least of what walks"""
     trace: float = 1.0
@@ -81,6 +83,8 @@ class Clip:
 
 def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
     """Periods and frames of a seamless loop: few periods whose rate is near to real time (0.2 % buys one less)."""
+    if settings.periods is not None:
+        return settings.periods, max(2, round(settings.periods * period * settings.rate))
     least = max(1, int(np.ceil(settings.shortest / period)))
     candidates = range(least, max(least, settings.most_periods) + 1)
 
@@ -93,9 +97,25 @@ def loop_frames(period: float, settings: AnimationSettings) -> tuple[int, int]:
 
 
 def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSettings | None = None) -> Clip:
-    """A seamless clip of an orbit from its dense samples; without them it is integrated again.
+    """A seamless clip of an orbit.
 
-    Of a first-order system it is its state that moves, in the plane of two components.
+    Made of its dense samples; without them it is integrated again. Of a first-order system it is its state that
+    moves, in the plane of two components.
+
+    Args:
+        orbit: what moves.
+        model: needed only for systems that no file describes.
+        settings: frames, length, size.
+
+    Returns:
+        A Clip for `of.save_animation`.
+
+    Raises:
+        InputError: for a system without positions that cannot be drawn.
+
+    Examples:
+        >>> of.orbit_clip(orbit).title
+        'fast-swing'
     """
     settings = settings or AnimationSettings()
     model = model or build_model(orbit.system)
@@ -105,7 +125,7 @@ def orbit_clip(orbit: Orbit, model: Model | None = None, settings: AnimationSett
     course = course_of(orbit, model)
     lasts = settings.slow * orbit.period
     periods, frames = loop_frames(lasts, settings)
-    if course.walks:
+    if course.walks and settings.periods is None:
         landed = sum(np.any(one.origin != other.origin) for one, other in pairwise([*course.pieces, course.pieces[0]]))
         periods = max(periods, -(-settings.steps // max(int(landed), 1)))
         frames = round(periods * lasts * settings.rate)
@@ -129,7 +149,26 @@ def portrait(model: Model, states: np.ndarray) -> np.ndarray:
 def simulation_clip(
     times: np.ndarray, points: np.ndarray, title: str, settings: AnimationSettings | None = None, closed: bool = False
 ) -> Clip:
-    """A clip of a simulation: `points` (k x 2 x m) at `times`, linearly resampled to the frame rate."""
+    """A clip of a simulation, linearly resampled to the frame rate.
+
+    Args:
+        times: s (k).
+        points: positions (k x 2 x m; x down, y right, m), as from `of.positions`.
+        title: below the picture.
+        settings: frames, length, size.
+        closed: whether the polyline is closed.
+
+    Returns:
+        A Clip for `of.save_animation`.
+
+    Raises:
+        InputError: where sizes differ.
+
+    Examples:
+        >>> motion = of.simulate(pendulum, [1.0, 0.5, 0.0, 0.0], 1.0)
+        >>> of.simulation_clip(motion.times, of.positions(pendulum, motion.states), "falling").title
+        'falling'
+    """
     settings = settings or AnimationSettings()
     moments = np.arange(0.0, times[-1], 1.0 / (settings.slow * settings.rate))
     flat = points.reshape(len(points), -1)
@@ -326,7 +365,23 @@ def settings_for(path: Path, **chosen: Any) -> AnimationSettings:
 
 
 def save_animation(clip: Clip, path: str | Path, settings: AnimationSettings | None = None) -> Path:
-    """Write a clip as .gif, or as .mp4 where the extra `mp4` is installed. Raises `InputError`."""
+    """Write a clip as a GIF, or as an MP4 where the extra `[mp4]` is installed.
+
+    Args:
+        clip: from `of.orbit_clip` or `of.simulation_clip`.
+        path: ends in .gif or .mp4.
+        settings: size and rate, as the clip was made.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: for another ending, and where it cannot be written.
+
+    Examples:
+        >>> of.save_animation(of.orbit_clip(orbit), "swing.gif").name
+        'swing.gif'
+    """
     target = Path(path)
     check_suffix(target)
     if target.suffix == ".mp4":

@@ -30,7 +30,7 @@ from orbitfinder.records.family import Family, FamilyPoint
 from orbitfinder.records.optima import Optima
 from orbitfinder.records.orbit import Certificate, Orbit, asked
 from orbitfinder.records.torus import Tori
-from orbitfinder.show.svg import curves, diagram, moving_mechanism, moving_portrait, ranged, unit_circle
+from orbitfinder.show.svg import Axes, curves, diagram, moving_mechanism, moving_portrait, plane_of, ranged, unit_circle
 
 SAMPLES = 121
 """Points of one period where an object carries no dense samples."""
@@ -86,7 +86,7 @@ def problem_html(problem: Problem) -> str:
     state = np.asarray(guess.state, float)
     if model.points is not None and model.constraint is None and state.size == len(model.state_names):
         shape = positions(model, state[None])
-        pictures = [moving_mechanism(np.concatenate([shape, shape]), guess.period, "the guess")]
+        pictures = [moving_mechanism(np.concatenate([shape, shape]), guess.period, "the guess", strokes=model.strokes)]
     return plain_html(problem, [("count", str(problem.count()))], pictures)
 
 
@@ -187,19 +187,33 @@ def numbers(orbit: Orbit) -> list[tuple[str, str]]:
 
 def motions(orbit: Orbit) -> list[str]:
     """Mechanism (where one is declared) and phase portrait of a period; nothing for a system that no file describes."""
+    found = period_of(orbit)
+    if found is None:
+        return []
+    model, seen = found
+    return [*([] if model.points is None else [mechanism(model, seen)]), Portrait(model, seen).svg()]
+
+
+def period_of(orbit: Orbit) -> tuple[Model, Course] | None:
+    """The Model and the motion of an orbit; None for a system that no file describes."""
     try:
         model = build_model(orbit.system)
-        seen = course(model, *_period(orbit, model), orbit.winding)
+        return model, course(model, *_period(orbit, model), orbit.winding)
     except OrbitfinderError:
-        return []
-    moments = evenly(seen)
-    parts = [Portrait(model, seen).svg()]
-    if model.points is not None:
-        shown = seen.positions(moments) if seen.jumps else positions(model, seen.samples)
-        lines = seen.grounds(moments[:1])
-        ground = None if lines is None else lines[0]
-        parts.insert(0, moving_mechanism(shown, orbit.period, f"the mechanism over {orbit.period:.4g} s", ground))
-    return parts
+        return None
+
+
+def mechanism(model: Model, seen: Course, around: np.ndarray | None = None) -> str:
+    """The mechanism over a period, in the scale of the points `around` or its own."""
+    lines = seen.grounds(evenly(seen)[:1])
+    ground = None if lines is None else lines[0]
+    label = f"the mechanism over {seen.period:.4g} s"
+    return moving_mechanism(drawn_points(model, seen), seen.period, label, ground, model.strokes, around)
+
+
+def drawn_points(model: Model, seen: Course) -> np.ndarray:
+    """Positions (k x 2 x m) of what is drawn over a period."""
+    return seen.positions(evenly(seen)) if seen.jumps else positions(model, seen.samples)
 
 
 def evenly(seen: Course) -> np.ndarray:
@@ -296,23 +310,38 @@ def family_html(family: Family) -> str:
     counts: dict[str, int] = {}
     for event in family.events:
         counts[event.kind.replace("_", " ")] = counts.get(event.kind.replace("_", " "), 0) + 1
-    events = ", ".join(f"{count} {kind}" for kind, count in counts.items()) or "none"
+    events = ", ".join(plural(count, kind) for kind, count in counts.items()) or "none"
     ends = [(f"end {k + 1}", f"{end.kind}: {end.reason}") for k, end in enumerate(family.ends)]
     rows = [("orbits", str(len(family.points))), ("parameter", family.parameter), ("events", events), *ends]
     steady = [point for point in family.points if point.scale < STEADY]
     places = sorted({0, len(steady) // 2, len(steady) - 1}) if steady else []
-    shown = "".join(_member(steady[place]) for place in places)
-    body = f'<div style="{ROW}">{diagram(family)}{table(rows)}</div><div style="{ROW}">{shown}</div>'
+    shown = _members([steady[place] for place in places], "" if family.unit else family.parameter)
+    curve = diagram(family, plane(family)) if family.points else ""
+    body = f'<div style="{ROW}">{curve}{table(rows)}</div><div style="{ROW}">{shown}</div>'
     return f"<div>{heading(f'Family {family.name}')}{body}</div>"
 
 
-def _member(point: FamilyPoint) -> str:
-    """The mechanism of one orbit of a family; nothing where none is declared."""
-    pictures = motions(point)
-    if len(pictures) < 2:
+def plane(family: Family) -> tuple[Axes, np.ndarray]:
+    """The axes of a family's diagram and the places of its points and events, see `plane_of`."""
+    try:
+        return plane_of(family, build_model(family.system))
+    except OrbitfinderError:
+        return plane_of(family, None)
+
+
+def _members(points: Sequence[FamilyPoint], parameter: str) -> str:
+    """The mechanism of some orbits of a family in one scale, their numbers below; nothing where none is declared."""
+    known = [(point, period_of(point)) for point in points]
+    seen = [(point, *found) for point, found in known if found is not None and found[0].points is not None]
+    if not seen:
         return ""
-    text = f"E = {point.energy:.6g} J, T = {point.period:.5g} s, {point.stability}"
-    return f"<div>{pictures[0]}<br>{escape(text)}</div>"
+    around = np.concatenate([drawn_points(model, one) for _, model, one in seen])
+    parts = []
+    for point, model, one in seen:
+        value = f"{parameter} = {point.value:.6g}" if parameter else f"E = {point.energy:.6g} J"
+        below = f"{escape(value)}, T = {point.period:.5g} s<br>{escape(point.stability)}"
+        parts.append(f"<div>{mechanism(model, one, around)}<br>{below}</div>")
+    return "".join(parts)
 
 
 def atlas_html(atlas: Atlas) -> str:

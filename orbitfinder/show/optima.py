@@ -17,7 +17,19 @@ MARKS = {"fold": ("D", "turning point"), "active": ("^", "constraint becomes act
 
 
 def save_optima_figure(optima: Optima, folder: str | Path) -> Path:
-    """Write `optima.png`; returns its path."""
+    """Draw optima along their parameter: cost, descents, changes.
+
+    Args:
+        optima: at least one point.
+        folder: where `optima.png` is written.
+
+    Returns:
+        The path of the picture.
+
+    Examples:
+        >>> of.save_optima_figure(optima, ".").name
+        'optima.png'
+    """
     return save_png(optima_figure(optima), Path(folder) / "optima.png")
 
 

@@ -54,10 +54,25 @@ MOST_IN_LEGEND = 12
 
 
 def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None = None) -> list[Path]:
-    """Write the four figures of an orbit (no energy or links where it has none), or those of a family, as PNG files.
+    """Write the four figures of an orbit, or those of a family, as PNG files.
 
-    What moves in a plane or in space has its path from every side in place of links. Returns their paths. `model` is
-    needed only for systems that no file describes. An orbit without samples is integrated again.
+    Without energy or links there are fewer; what moves in a plane or in space has its path from every side in place
+    of links. An orbit without samples is integrated again.
+
+    Args:
+        orbit: an Orbit or a Family.
+        folder: where.
+        model: needed only for systems that no file describes.
+
+    Returns:
+        The paths.
+
+    Raises:
+        InputError: where they cannot be written.
+
+    Examples:
+        >>> [path.name for path in of.save_figures(orbit, ".")]
+        ['time_histories.png', 'phase_portraits.png', 'energy_error.png', 'swept_configuration.png']
     """
     model = model or build_model(orbit.system)
     if isinstance(orbit, Family):
@@ -421,7 +436,7 @@ def frequency_energy(
     _curves(figure, axes, families, [[*map(place, each.points), *map(place, each.events)] for each in families])
     labels = [(name, away(energy), 1.0 / period) for name, (energy, period) in (marks or {}).items()]
     for _, energy, frequency in labels:
-        axes.plot(energy, frequency, "*", color="black", markersize=10)
+        axes.plot(energy, frequency, "*", color="black", markersize=10, zorder=5)
     if level is not None and not freed:
         axes.set_xscale("log")
     distance = "energy (J)" if level is None else f"distance of the energy from {level:g} J (J)"
@@ -501,7 +516,7 @@ def _curves(
     shown: dict[str, Any] = {}
     for k, (family, found) in enumerate(zip(families, places, strict=True)):
         at = dict(zip(map(id, (*family.points, *family.events)), found, strict=True))
-        wider = min(3.0, 0.7 * (len(families) - 1 - k))
+        wider = min(3.6, 0.9 * (len(families) - 1 - k))
         for stable, path in _stretches(family, at):
             colour = COLOURS[k % len(COLOURS)] if len(families) > 1 else (STABLE if stable else UNSTABLE)
             style = {"linestyle": "-" if stable else "--", "linewidth": (1.8 if stable else 1.2) + wider}
@@ -686,7 +701,8 @@ def discovery_curves(atlas: Atlas) -> Figure:
         if not len(seconds):
             continue
         colour = COLOURS[k % len(COLOURS)]
-        name = f"{energy:g} J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
+        level = f"{energy:g}".replace("-", "\N{MINUS SIGN}")
+        name = f"{level} J, seed {seed}: {distinct[-1]} found, about {estimate[-1]:.0f} estimated"
         axes.plot(seconds, distinct, color=colour, label=name)
         settled = np.arange(len(seconds)) >= min(50, len(seconds) // 4)  # earlier it is mostly noise
         axes.plot(seconds[settled], estimate[settled], color=colour, linestyle=":", linewidth=1.2)

@@ -11,7 +11,10 @@ from html import escape
 
 import numpy as np
 
+from orbitfinder.families.members import response
+from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.show.strokes import Strokes, extent, outlines
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """M. Okabe, K. Ito, Color Universal Design (2008), without the yellow that vanishes on white."""
@@ -146,13 +149,26 @@ def dot(places: np.ndarray, duration: float) -> str:
     return f'<circle cx="{places[0][0]:.1f}" cy="{places[0][1]:.1f}" r="4" fill="{TIP}">{"".join(moves)}</circle>'
 
 
-def moving_mechanism(positions: np.ndarray, duration: float, label: str, ground: np.ndarray | None = None) -> str:
-    """A polyline through one period: `positions` (k x 2 x m; x down, y right), the path of its end behind it, and what
-    it stands on (2 x g)."""
-    places = np.stack([positions[:, 1, :], -positions[:, 0, :]], axis=-1)
-    floor = np.zeros((0, 2)) if ground is None else fitted(ground[::-1].T * [1, -1], around=places)
-    places = fitted(places)
-    shown = places[frames_of(places, places.shape[1])]
+def moving_mechanism(
+    positions: np.ndarray,
+    duration: float,
+    label: str,
+    ground: np.ndarray | None = None,
+    strokes: Strokes = (),
+    around: np.ndarray | None = None,
+) -> str:
+    """A mechanism through one period: `positions` (k x 2 x m; x down, y right), the path of its end behind it, and what
+    it stands on (2 x g). `strokes` say what is drawn through which points; the scale is that of the points `around`
+    (k x 2 x j), where several pictures share it."""
+    box = _upright(positions if around is None else around)
+    places = fitted(_upright(positions), around=box)
+    floor = np.zeros((0, 2)) if ground is None else fitted(_upright(ground), around=box)
+    size = extent(positions if around is None else around)
+    shown = frames_of(positions, sum(line.shape[1] for _, line in outlines(positions[0], strokes, size)))
+    moving = zip(*(outlines(positions[k], strokes, size) for k in shown), strict=True)
+    lines = [
+        _stroke(frames[0][0], [fitted(_upright(line), around=box) for _, line in frames], duration) for frames in moving
+    ]
     tip = places[:: max(1, len(places) // 200), -1]
     fixed = np.ptp(places, axis=0).max(axis=1) < 0.5
     joints = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="currentColor"/>' for x, y in places[0][fixed])
@@ -160,11 +176,31 @@ def moving_mechanism(positions: np.ndarray, duration: float, label: str, ground:
     return picture(
         f"{below if len(floor) else ''}"
         f'<polyline points="{path(tip)}" fill="none" stroke="{TIP}" stroke-opacity=".45"/>'
-        f'<polyline points="{path(shown[0])}" fill="none" stroke="{BODY}" stroke-width="3" stroke-linejoin="round">'
-        f"{motion('points', [path(one) for one in shown], duration)}</polyline>{joints}"
-        f"{'' if fixed[-1] else dot(shown[:, -1], duration)}",
+        f"{''.join(lines)}{joints}{'' if fixed[-1] else dot(places[shown, -1], duration)}",
         label,
     )
+
+
+def _upright(points: np.ndarray) -> np.ndarray:
+    """Points (..., 2 x m) of x down and y right as (..., m x 2), right and up."""
+    return np.stack([points[..., 1, :], -points[..., 0, :]], axis=-1)
+
+
+LOOKS = {
+    "rod": f'fill="none" stroke="{BODY}" stroke-width="3" stroke-linejoin="round" stroke-linecap="round"',
+    "spring": 'fill="none" stroke="currentColor" stroke-opacity=".7" stroke-width="1.2"',
+    "disc": f'fill="none" stroke="{BODY}" stroke-width="1.5"',
+    "slider": f'fill="{BODY}"',
+    "ground": 'fill="currentColor"',
+}
+"""How each kind of stroke is drawn"""
+
+
+def _stroke(kind: str, frames: Sequence[np.ndarray], duration: float) -> str:
+    """A line (j x 2 pixels a frame) that moves, or stands still where its frames are one."""
+    still = max(float(np.abs(one - frames[0]).max()) for one in frames) < 0.05
+    moves = "" if still else motion("points", [path(one) for one in frames], duration)
+    return f'<polyline points="{path(frames[0])}" {LOOKS[kind]}>{moves}</polyline>'
 
 
 def moving_portrait(
@@ -236,24 +272,31 @@ def runs(points: Sequence[FamilyPoint]) -> list[tuple[bool, list[FamilyPoint]]]:
     return found
 
 
-def plane_of(family: Family) -> tuple[Axes, np.ndarray]:
-    """The axes of a family's diagram, and the places (pixels) of its points and then of its events: frequency against
-    energy, against the parameter where the energy hardly changes, or a curve's second parameter against its first."""
+def plane_of(family: Family, model: Model | None) -> tuple[Axes, np.ndarray]:
+    """The axes of a family's diagram, and the places (pixels) of its points and then of its events.
+
+    Frequency against energy, or against the parameter where the energy hardly changes; of what dissipates the
+    amplitude against the parameter; of a curve of bifurcations its second parameter against its first.
+    """
     names, places = family.parameters, family.places
     if len(names) < 2:
         members = [*family.points, *family.events]
-        along = np.nan_to_num([one.energy for one in members]) if family.by_energy else places[:, 0]
-        names = ("energy (J)" if family.by_energy else family.parameter, "frequency (1/s)")
-        places = np.column_stack([along, [1 / one.period for one in members]])
+        moved, sizes = response(family, model) if model else ("", np.zeros(0))
+        by_energy = family.by_energy and not moved
+        along = np.nan_to_num([one.energy for one in members]) if by_energy else places[:, 0]
+        up = sizes if moved else np.array([1 / one.period for one in members])
+        names = (
+            "energy (J)" if by_energy else family.parameter,
+            f"amplitude of {moved}" if moved else "frequency (1/s)",
+        )
+        places = np.column_stack([along, up])
     axes = Axes(*ranged(places[: len(family.points)]), (names[0], names[1]), WIDTH, HEIGHT)
     return axes, axes.place(places)
 
 
-def diagram(family: Family) -> str:
+def diagram(family: Family, plane: tuple[Axes, np.ndarray]) -> str:
     """The curve of a family: solid where stable, dashed where not, a dot that names itself at each event."""
-    if not family.points:
-        return ""
-    axes, places = plane_of(family)
+    axes, places = plane
     at = dict(zip(map(id, (*family.points, *family.events)), places, strict=True))
     lines = []
     for stable, run in runs(family.points):

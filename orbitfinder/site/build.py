@@ -18,7 +18,8 @@ from orbitfinder.errors import plural
 from orbitfinder.records.family import Family
 from orbitfinder.records.section import Section
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
-from orbitfinder.site.motion import Simulator, packed
+from orbitfinder.site.landscape import landscape
+from orbitfinder.site.motion import Simulator, framed, packed
 from orbitfinder.site.pages import (
     Entry,
     atlas_data,
@@ -216,6 +217,7 @@ def _complete(entry: Entry, simulator: Simulator, links: Sequence[Link]) -> Entr
         entry, near=tuple(near), conserved=simulator.conserves(document["system"]),
         energies=simulator.energies(document, motion) if motion else None,
         neighbour=simulator.neighbour(document, motion) if motion else None,
+        landscape=landscape(simulator.known(document["system"]), framed([packed(motion)])) if motion else None,
     )  # fmt: skip
 
 
@@ -264,7 +266,7 @@ def _add_family(
 ) -> Link:  # fmt: skip
     data, path, words = family_data(family, simulator), f"families/{slug}.html", mechanism(family.system)
     values = family_values(family, data["items"]) | {"title": f"Family {family.name}", "moved": data["moved"]}
-    values |= _relatives(family, named) | {"conserved": data["conserved"]}
+    values |= _relatives(family, named) | {name: data[name] for name in ("conserved", "landscape")}
     site.add("family", path, values, ("explorer", data), f"A family of periodic orbits of {article(words)}.")
     useful = "value" if values["useful"][0] == "value" or data["moved"] else "energy"
     shown, unit = span(data["columns"][useful], 4), units(family.system)["energy"] if useful == "energy" else ""
@@ -311,12 +313,14 @@ def _add_atlas(
             Entry(one, motion, slug, atlas.name, label, conserved=known, command=command, key=f"orbit={place}")
         )
     own = [entries[k] for k in evenly(len(entries), site.settings.atlas_pages)]
-    data, path = atlas_data(atlas.name, entries, {one.slug for one in own}), f"atlases/{slugs[0]}.html"
+    systems = {same(one.document["system"]) for one in entries}
+    model = simulator.known(entries[0].document["system"]) if len(systems) == 1 else None
+    data, path = atlas_data(atlas.name, entries, {one.slug for one in own}, model), f"atlases/{slugs[0]}.html"
     about = f"An atlas of {plural(atlas.total, 'periodic orbit')}, energy against period."
-    values = atlas_values(entries, atlas.total) | {"title": f"Atlas {atlas.name}"}
+    values = atlas_values(entries, atlas.total) | {"title": f"Atlas {atlas.name}", "landscape": data["landscape"]}
     site.add("atlas", path, values, ("explorer", data), about)
     words, note = ", ".join(sorted({one.mechanism for one in entries})), plural(atlas.total, "distinct orbit")
-    cover, systems = _cover(f"atlas/{slugs[0]}", data, motions), {same(one.document["system"]) for one in entries}
+    cover = _cover(f"atlas/{slugs[0]}", data, motions)
     return Link("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), own
 
 

@@ -117,6 +117,11 @@ class Simulator:
                 self._known[key] = None
         return self._known[key]
 
+    def known(self, system: Mapping[str, Any]) -> Model | None:
+        """The Model of a description, None where no file describes it."""
+        found = self.model(system)
+        return found and found[0]
+
     def orbit(self, document: Mapping[str, Any], dense: tuple[np.ndarray, np.ndarray] | None = None) -> Motion | None:
         """The motion of an orbit document from its nodes, or from dense samples where its system is unknown."""
         found, period = self.model(document["system"]), float(document["period"])

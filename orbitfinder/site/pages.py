@@ -11,11 +11,13 @@ import numpy as np
 
 from orbitfinder.errors import plural
 from orbitfinder.families.branches import SWITCHABLE
-from orbitfinder.families.members import amplitudes
+from orbitfinder.families.members import response
+from orbitfinder.mechanics.model import Model
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import asked
 from orbitfinder.site.gather import OrbitFile, Verdict, evenly
+from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
 from orbitfinder.site.text import (
     SI,
@@ -57,6 +59,8 @@ class Entry:
     energies: np.ndarray | None = None
     """kinetic and potential energy at equal times"""
     neighbour: Motion | None = None
+    landscape: Mapping[str, Any] | None = None
+    """the potential that it moves in, of a point in a plane"""
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -207,6 +211,8 @@ def orbit_data(entry: Entry) -> dict[str, Any]:
         data |= {
             "motion": packed(motion),
             "neighbour": packed(entry.neighbour) if entry.neighbour else None,
+            "landscape": entry.landscape,
+            "energy": document["energy"],
             "energies": None if entry.energies is None else _floats(entry.energies),
             "histories": histories(motion),
             "names": list(motion.names),
@@ -311,6 +317,8 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
     columns = {name: np.nan_to_num(family.values(name)).tolist() for name in names}
     moved, reach = _response(family, simulator)
     items = family_items(family, simulator, reach)
+    frame = framed([item["motion"] for item in items if item["motion"]])
+    known = simulator.known(family.system) if family.unit else None  # others change the potential
     if moved:
         columns["amplitude"] = [reach[id(point)] for point in family.points]
     return {
@@ -321,7 +329,8 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "moved": moved,
         "units": units(family.system),
         "conserved": simulator.conserves(family.system),
-        "frame": framed([item["motion"] for item in items if item["motion"]]),
+        "frame": frame,
+        "landscape": landscape(known, frame),
         "curve": len(family.parameters) > 1,
         "columns": columns
         | {
@@ -341,11 +350,8 @@ def _response(family: Family, simulator: Simulator) -> tuple[str, dict[int, floa
     if len(family.parameters) > 1:
         return family.parameters[1], dict(zip(members, family.places[:, 1].tolist(), strict=True))
     known = simulator.model(family.system)
-    if known is None or known[0].conservative or not family.curve:
-        return "", {}
-    sizes = amplitudes(family, known[0])
-    most = int(sizes.max(axis=0).argmax())
-    return known[0].state_names[most], dict(zip(members, sizes[:, most].tolist(), strict=True))
+    name, sizes = ("", np.zeros(0)) if known is None else response(family, known[0])
+    return name, dict(zip(members, sizes.tolist(), strict=True)) if name else {}
 
 
 def span(values: Sequence[float], digits: int = 6) -> str:
@@ -391,8 +397,8 @@ def _useful(family: Family) -> list[str]:
     return [*order, "below", "arclength", "action"]
 
 
-def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[str, Any]:
-    """What the atlas page's script works with; `linked` are the orbits that have a page of their own."""
+def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Model | None) -> dict[str, Any]:
+    """What the atlas page's script works with; `linked` orbits have a page of their own, `model` is that of all."""
     items = []
     for entry in entries:
         document = entry.document
@@ -414,10 +420,11 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str]) -> dict[st
             "page": f"../orbits/{entry.slug}.html" if entry.slug in linked else None,
         })  # fmt: skip
     alike = len({entry.mechanism for entry in entries}) == 1
-    shown = [item["motion"] for item in items if item["motion"]]
+    frame = framed([item["motion"] for item in items if item["motion"]]) if alike else None
     return {
         "page": "atlas", "name": name, "items": items, "conserved": all(entry.conserved for entry in entries),
-        "units": entries[0].units if alike else SI, "frame": framed(shown) if alike else None,
+        "units": entries[0].units if alike else SI, "frame": frame,
+        "landscape": landscape(model, frame),
     }  # fmt: skip
 
 

@@ -17,7 +17,8 @@ from orbitfinder.records.orbit import Orbit, orbit_in
 from orbitfinder.records.section import Section
 from orbitfinder.records.torus import Torus
 from orbitfinder.site.gather import Gathered, evenly
-from orbitfinder.site.motion import Motion, packed
+from orbitfinder.site.landscape import landscape
+from orbitfinder.site.motion import Motion, framed, packed
 from orbitfinder.site.text import coordinate, mechanism, number
 
 MOST_MOTIONS, MOST_POINTS = 150, 6000
@@ -56,8 +57,10 @@ def section_data(section: Section, found: Gathered) -> dict[str, Any]:
         surface = named_surface(model, section.plane, section.axes)
         items += _orbits(section, model, found)
         curves = [one for laid in found.laid for one in _laid(laid, section, surface) if _belongs(laid, section)]
+    frame = framed([one["motion"] for one in items if one["motion"]])
     return {"name": section.name, "axes": [coordinate(one) for one in section.axes], "items": items, "curves": curves,
-            "told": bool(np.isfinite(section.growth).any())}  # fmt: skip
+            "told": bool(np.isfinite(section.growth).any()), "landscape": landscape(model, frame),
+            "energy": section.energy if np.isfinite(section.energy) else None}  # fmt: skip
 
 
 def _belongs(one: Any, section: Section) -> bool:
@@ -77,13 +80,16 @@ def _motions(section: Section, model: Model | None) -> list[dict[str, Any]]:
     for k, motion in zip(chosen, moving, strict=True):
         points = section.points[section.seeds == k]
         kind = "motion" if not told else "regular" if regular[k] else "chaotic"
-        found.append(
-            {"kind": kind, "name": f"motion {k + 1}", "x": _short(points[:most, 0]), "y": _short(points[:most, 1]),
-             "motion": motion, "facts": [["Motion", f"{k + 1} of {len(section.starts)}"], ["Kind", kind],
-                                         ["Returns", str(len(points))],
-                                         ["Neighbours part by", number(float(section.growth[k]), 3) if told else ""]]}
-        )  # fmt: skip
+        facts = [["Motion", f"{k + 1} of {len(section.starts)}"], ["Kind", kind], ["Returns", str(len(points))],
+                 ["Neighbours part by", number(float(section.growth[k]), 3) if told else ""]]  # fmt: skip
+        found.append(_item(kind, f"motion={k + 1}", f"motion {k + 1}", points[:most], motion, facts))
     return found
+
+
+def _item(kind: str, key: str, name: str, points: np.ndarray, motion: Any, facts: list[list[str]]) -> dict[str, Any]:
+    """What can be picked: its points in the section, its motion, and the address `key` under which it is found."""
+    across, up = _short(points[:, 0]), _short(points[:, 1])
+    return {"kind": kind, "key": key, "name": name, "x": across, "y": up, "motion": motion, "facts": facts}
 
 
 def _paths(section: Section, model: Model | None, chosen: Sequence[int]) -> list[dict[str, Any] | None]:
@@ -124,8 +130,8 @@ def _orbits(section: Section, model: Model, found: Gathered) -> list[dict[str, A
         except InputError:
             continue
         facts = [["Orbit", orbit.name], ["Stability", orbit.stability], ["Period", f"{number(orbit.period, 10)} s"]]
-        items.append({"kind": "orbit", "name": orbit.name, "x": _short(points[:, 0]), "y": _short(points[:, 1]),
-                      "motion": _closed(model, orbit, surface), "facts": facts})  # fmt: skip
+        motion = _closed(model, orbit, surface)
+        items.append(_item("orbit", f"orbit={orbit.name}", orbit.name, points, motion, facts))
     return items
 
 

@@ -18,7 +18,7 @@ from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
 from orbitfinder.records.reading import finite
 from orbitfinder.show import html
-from orbitfinder.show.svg import diagram, plane_of
+from orbitfinder.show.svg import diagram
 from orbitfinder.site.motion import Motion, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
 from orbitfinder.site.text import units
@@ -110,11 +110,11 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
     if family is None:
         found |= {"title": value.title or value.name, "below": value.source}  # type: ignore[union-attr]
     else:
-        _, places = plane_of(family)
-        at = dict(zip(map(id, (*family.points, *family.events)), places.round(1).tolist(), strict=True))
+        plane = html.plane(family)
+        at = dict(zip(map(id, (*family.points, *family.events)), plane[1].round(1).tolist(), strict=True))
         for item, one in zip(items, members, strict=True):
             item["place"] = at[id(one)]
-        found |= {"title": f"Family {family.name}", "diagram": diagram(family)}
+        found |= {"title": f"Family {family.name}", "diagram": diagram(family, plane)}
     frame = framed([item["motion"] for item in items if item["motion"]])
     if frame and family and any(motion.drawn == "mechanism" for motion in motions if motion):
         found["frame"] = frame | {"unit": units(value.system)["length"]}

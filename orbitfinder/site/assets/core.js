@@ -77,6 +77,8 @@ var orbitfinder = (function () {
     this.pen = canvas.getContext("2d");
     this.motion = motion;
     this.frame = null; // { centre, spans } that several motions share, drawn with a scale bar
+    this.landscape = null; // potential energies on a grid; see site/landscape.py
+    this.level = null; // the energy of the motion, beyond which it cannot go
     this.trace = true;
     this.width = 0;
   }
@@ -95,6 +97,7 @@ var orbitfinder = (function () {
     this.centre = frame.centre;
     this.scale = 0.84 * Math.min(this.height / frame.spans[0], this.width / frame.spans[1]);
     this.path = null;
+    this.lines = this.landscape ? this.equal() : [];
     if (!m.tip) return;
     this.path = new Path2D();
     var steps = Math.max(240, 4 * m.count), cut = true;
@@ -103,6 +106,30 @@ var orbitfinder = (function () {
       if (cut) this.path.moveTo(at[0], at[1]); else this.path.lineTo(at[0], at[1]);
       cut = m.broken; // the next point is after the jump
     }
+  };
+
+  // Lines of equal potential energy: through the triangles of the grid, that of the motion's own energy last.
+  Scene.prototype.equal = function () {
+    var it = this.landscape, n = it.cells, scene = this, v = it.values = it.values || new Float32Array(bytes(it.data));
+    function place(i, j) { return [scene.width / 2 + (it.corner[1] + j * it.cell - scene.centre[1]) * scene.scale,
+      scene.height / 2 + (it.corner[0] + i * it.cell - scene.centre[0]) * scene.scale, v[i * (n + 1) + j]]; }
+    return it.levels.concat(this.level === null ? [] : [this.level]).map(function (level) {
+      var path = new Path2D();
+      function triangle(corners) {
+        var cuts = [];
+        for (var k = 0; k < 3; k++) {
+          var a = corners[k], b = corners[(k + 1) % 3], share = (level - a[2]) / (b[2] - a[2]);
+          if ((a[2] < level) !== (b[2] < level)) cuts.push([a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])]);
+        }
+        if (cuts.length === 2) { path.moveTo(cuts[0][0], cuts[0][1]); path.lineTo(cuts[1][0], cuts[1][1]); }
+      }
+      for (var i = 0; i < n; i++) for (var j = 0; j < n; j++) {
+        var a = place(i, j), b = place(i, j + 1), c = place(i + 1, j), d = place(i + 1, j + 1);
+        triangle([a, b, d]);
+        triangle([a, d, c]);
+      }
+      return path;
+    });
   };
 
   Scene.prototype.release = function () { this.width = 0; this.canvas.width = this.canvas.height = 0; };
@@ -139,6 +166,14 @@ var orbitfinder = (function () {
     if (!m || !this.width) return;
     var small = Math.min(this.width, this.height), many = m.points > 20, line = Math.max(1.5, small / (many ? 130 : 75));
     pen.lineCap = pen.lineJoin = "round";
+    (this.lines || []).forEach(function (path, k, all) {
+      var own = this.level !== null && k === all.length - 1;
+      pen.strokeStyle = c.muted;
+      pen.lineWidth = own ? 1.8 : 1;
+      pen.globalAlpha = own ? 1 : 0.4;
+      pen.stroke(path);
+      pen.globalAlpha = 1;
+    }, this);
     if (m.ground) this.floor(time, line);
     if (this.trace && this.path) {
       pen.strokeStyle = c.trace;
