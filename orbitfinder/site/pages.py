@@ -116,6 +116,7 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
         "commands": (f"orbitfinder run {name}.toml\n" if problem else "")
         + f"orbitfinder verify {name}.json\n"
         + (f"orbitfinder continue {name}.json\n" if problem and entry.conserved else "")
+        + (f"orbitfinder studio {name}.json\n" if problem else "")
         + (f"{entry.command}\n" if entry.command else ""),
         "checks": [_check(one) for one in entry.verdict.checks],
     }
