@@ -6,7 +6,9 @@ that nobody built; on the site their files are copied below `repository/`, where
 
 from __future__ import annotations
 
+import cmath
 import logging
+import math
 import posixpath
 import re
 from collections.abc import Iterator
@@ -125,37 +127,36 @@ def family(file: str) -> str:
 
 
 CROSSINGS = {
-    "fold": (("0.6+0.8j", "1", "1.7"), ("0.6-0.8j", "1", "0.59")),
-    "branch_point": (("0.6+0.8j", "1", "1.7"), ("0.6-0.8j", "1", "0.59")),
-    "period_doubling": (("-0.6+0.8j", "-1", "-1.7"), ("-0.6-0.8j", "-1", "-0.59")),
-    "resonance": (
-        ("0.28+0.96j", "-0.5+0.866j", "-0.8+0.6j"),
-        ("0.28-0.96j", "-0.5-0.866j", "-0.8-0.6j"),
-    ),
-    "collision": (
-        ("0.75+0.66j", "0.35+0.94j", "0.48+1.28j"),
-        ("-0.1+0.995j", "0.35+0.94j", "0.26+0.69j"),
-        ("0.75-0.66j", "0.35-0.94j", "0.48-1.28j"),
-        ("-0.1-0.995j", "0.35-0.94j", "0.26-0.69j"),
-    ),
-    "torus": (("0.3+0.5j", "0.5+0.866j", "0.65+1.2j"), ("0.3-0.5j", "0.5-0.866j", "0.65-1.2j")),
+    "fold": ((53, 0, 1.75), (-53, 0, 0.5)),
+    "branch_point": ((53, 0, 1.75), (-53, 0, 0.5)),
+    "period_doubling": ((127, 180, 1.75), (-127, -180, 0.5)),
+    "resonance": ((74, 146, 1), (-74, -146, 1)),
+    "collision": ((41, 70, 1.5), (100, 70, 0.6), (-41, -70, 1.5), (-100, -70, 0.6)),
+    "torus": ((60, 60, 1.5), (-60, -60, 1.5)),
 }
-"""The way of each multiplier in the complex plane: before an event, at it, after it."""
+"""Of each multiplier at an event: the angles on the unit circle from which and to which it comes, its size after."""
+ARROW = (
+    '<marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="11" markerHeight="11" orient="auto" \
+markerUnits="userSpaceOnUse"><path d="M0 0L8 4L0 8z"/></marker>'
+)
 
 
 def crossing(kind: str) -> str:
     """A sketch of the multipliers at an event: the unit circle, where they come from and where they go."""
     ways = []
-    for way in CROSSINGS[kind]:
-        points = [f"{60 * one.real:.1f},{-60 * one.imag:.1f}" for one in map(complex, way)]
-        x, y = points[0].split(",")
-        ways.append(
-            f'<polyline points="{" ".join(points)}" marker-end="url(#tip)"/><circle cx="{x}" cy="{y}" r="4"/>'
-        )
+    for start, end, size in CROSSINGS[kind]:
+        begin = cmath.rect(60 if start != end else 33, -math.radians(start))
+        there = cmath.rect(60, -math.radians(end))
+        after = there * size
+        path = f"M{begin.real:.1f} {begin.imag:.1f}A60 60 0 0 {int(end < start)} {there.real:.1f} {there.imag:.1f}"
+        if start == end:
+            path = f"M{begin.real:.1f} {begin.imag:.1f}"
+        line = f"L{after.real:.1f} {after.imag:.1f}" if size != 1 else ""
+        ways.append(f'<path class="way" d="{path}{line}" marker-end="url(#tip)"/>')
+        ways.append(f'<circle cx="{begin.real:.1f}" cy="{begin.imag:.1f}" r="4"/>')
     return (
         f'<svg class="crossing" viewBox="-115 -90 230 180" role="img" aria-label="multipliers at a {kind}">'
-        '<defs><marker id="tip" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-        '<path d="M0 0L8 4L0 8z"/></marker></defs><path class="axes" d="M-110 0H110M0 -85V85"/>'
+        f'<defs>{ARROW}</defs><path class="axes" d="M-110 0H110M0 -85V85"/>'
         f'<circle class="unit" r="60"/>{"".join(ways)}</svg>'
     )
 
