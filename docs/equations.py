@@ -7,7 +7,7 @@ built and how large it is.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -18,8 +18,10 @@ from sympy.printing.latex import LatexPrinter
 from orbitfinder.exports.source import expanded, operations
 from orbitfinder.mechanics.model import Model
 
-MOST_OPERATIONS = 90
+MOST_OPERATIONS = 120
 """Elementary operations of an expression that is typeset"""
+EASY = 40
+"""Operations up to which trigonometric identities are tried"""
 LONGEST = 420
 """Letters of TeX of one expression, beyond which it is not read by anybody"""
 GREEK = (
@@ -30,7 +32,8 @@ SHORT = {
     "length": "l", "mass": "m", "gravity": "g", "stiffness": "k", "damping": "c", "radius": "r", "frequency": "\\omega",
     "torque": "\\tau", "force": "F", "amplitude": "A", "depth": "D", "distance": "d", "coupling": "\\kappa",
     "cart": "M", "spin": "\\Omega", "gravitation": "G", "cubic": "k_3", "quartic": "k_4", "slope": "\\gamma",
-    "inertia": "I", "current": "I", "ratio": "\\mu", "feed": "a", "rate": "b", "restitution": "e", "angle": "\\alpha",
+    "inertia": "I", "com": "c", "current": "I", "ratio": "\\mu", "feed": "a", "rate": "b", "restitution": "e",
+    "angle": "\\alpha",
 }  # fmt: skip
 """Letters that the field gives to parameters; a page says which it uses"""
 
@@ -58,15 +61,20 @@ def expressions(
     if not function.is_a("SXFunction"):
         raise TooLarge(function.name())
     scalar, names = expanded(function), operations()
-    if scalar.n_instructions() > most + 3 * sum(map(len, arguments)):
-        raise TooLarge(function.name())
     work: dict[int, Any] = {}
+    grown: dict[int, int] = {}
     found = [sympy.Integer(0)] * scalar.numel_out(0)
     read = [scalar.sparsity_in(k).find() for k in range(scalar.n_in())]
     written = scalar.sparsity_out(0).find()
     for step in range(scalar.n_instructions()):
         name, left = names[scalar.instruction_id(step)], scalar.instruction_output(step)
         used = scalar.instruction_input(step)
+        if name != "OUTPUT":  # what is shared counts each time that it is written out
+            grown[left[0]] = (
+                0 if name in ("INPUT", "CONST") else 1 + sum(grown[place] for place in used)
+            )
+            if grown[left[0]] > most:
+                raise TooLarge(function.name())
         if name == "INPUT":
             work[left[0]] = sympy.Symbol(arguments[used[0]][read[used[0]][used[1]]], real=True)
         elif name == "OUTPUT":
@@ -97,7 +105,7 @@ class Printer(LatexPrinter):
         self.letters = letters
 
     def _print_Symbol(self, expr: Any, style: str = "plain") -> str:
-        return self.letters.get(expr.name) or letter(expr.name)
+        return self.letters[expr.name]
 
 
 def letter(name: str) -> str:
@@ -127,14 +135,21 @@ def letter(name: str) -> str:
     )
 
 
+def letters_of(names: Iterable[str]) -> dict[str, str]:
+    """A letter for each name of a system, the same for no two: who comes to a letter that is taken is written out."""
+    listed = list(names)
+    found = {name: letter(name) for name in listed}
+    for name in listed:
+        if list(found.values()).count(found[name]) > 1 and len(name) > 1:
+            found[name] = f"\\mathrm{{{name.replace('_', ' ')}}}"
+    return found
+
+
 def tidy(expression: Any) -> Any:
     """The shorter of an expression and its usual simplifications."""
     tried = [expression]
-    for how in (
-        sympy.trigsimp,
-        sympy.expand,
-        lambda one: sympy.collect_const(sympy.factor_terms(one)),
-    ):
+    ways = [sympy.trigsimp] if expression.count_ops() <= EASY else []
+    for how in (*ways, sympy.expand, lambda one: sympy.collect_const(sympy.factor_terms(one))):
         try:
             tried.append(how(tried[0]))
         except (ValueError, TypeError, NotImplementedError, AttributeError):
@@ -143,16 +158,18 @@ def tidy(expression: Any) -> Any:
 
 
 def signed(expression: Any) -> Any:
-    """-(a + b) as -a - b."""
-    head, rest = expression.as_coeff_Mul()
-    return sympy.Add(*(-one for one in rest.args)) if head == -1 and rest.is_Add else expression
+    """-(a + b) as -a - b, also within a sum."""
+
+    def open_(one: Any) -> Any:
+        head, rest = one.as_coeff_Mul()
+        return sympy.Add(*(-each for each in rest.args)) if head == -1 and rest.is_Add else one
+
+    return sympy.Add(*map(open_, sympy.Add.make_args(expression)))
 
 
-def typeset(expression: Any, letters: Mapping[str, str] | None = None) -> str:
-    """TeX of a SymPy expression. Raises `TooLarge`."""
-    if expression.count_ops() > MOST_OPERATIONS:
-        raise TooLarge("operations")
-    found = Printer(letters or {}).doprint(signed(tidy(expression)))
+def typeset(expression: Any, letters: Mapping[str, str]) -> str:
+    """TeX of a SymPy expression, its symbols in these letters. Raises `TooLarge`."""
+    found = Printer(letters).doprint(signed(tidy(expression)))
     if len(found) > LONGEST:
         raise TooLarge("letters")
     return str(found)
@@ -197,8 +214,13 @@ NAMED = {"hodgkin_huxley": NERVE, "cart_chain": LATTICE}
 
 def display(rows: Sequence[Row]) -> str:
     """An aligned block as HTML that KaTeX and MathJax find; wide ones scroll."""
-    body = r" \\[2pt] ".join(f"{left} &= {right}" for left, right in rows)
+    body = r" \\[2pt] ".join(f"{left} &{sign(left)} {right}" for left, right in rows)
     return f'<div class="arithmatex">{escape(f"{BEGIN}{body}{END}", quote=False)}</div>'
+
+
+def sign(left: str) -> str:
+    """Between both sides of a row: none after what is a name."""
+    return r"\quad" if left.endswith(":}") else "="
 
 
 BEGIN, END = r"\[\begin{aligned}", r"\end{aligned}\]"
@@ -237,13 +259,20 @@ def size(model: Model) -> str:
     return f"{count} states{held}, {len(model.parameter_names)} physical parameters{work}."
 
 
-def smooth(model: Model, letters: Mapping[str, str] | None = None) -> tuple[list[Row], list[str]]:
+def smooth(model: Model) -> tuple[list[Row], list[str]]:
     """The rows of a smooth mode; what is too large is named."""
     n = model.degrees_of_freedom
     q, v, p = model.state_names[:n], model.state_names[n:], model.parameter_names
+    letters = letters_of([*q, *v, *p, "t"])
+
+    def listed(
+        names: Sequence[tuple[str, int]], function: ca.Function, arguments: Any
+    ) -> tuple[list[Row], list[str]]:
+        return rows_of(names, function, arguments, letters)
+
     if model.rates is not None and not model.hamiltonian:
         return listed(
-            [(f"\\dot{{{letter(name)}}}", k) for k, name in enumerate(q)],
+            [(f"\\dot{{{letters[name]}}}", k) for k, name in enumerate(q)],
             model.rates,
             [("t",), q, p],
         )
@@ -255,13 +284,13 @@ def smooth(model: Model, letters: Mapping[str, str] | None = None) -> tuple[list
         ], said
     rows, said = listed([("T", 0)], model.kinetic, [q, v, p])
     if model.gyroscopic is not None:
-        more, missing = listed([("G", 0)], model.gyroscopic, [q, v, p])
-        rows, said = [*rows, *more], [*said, *missing]
+        more, missing = listed([("L_1", 0)], model.gyroscopic, [q, v, p])
+        rows, said = [*rows, ("L", "T+L_1-V"), *more], [*said, *missing]
     more, missing = listed([("V", 0)], model.potential, [q, p])
     rows, said = [*rows, *more], [*said, *missing]
     push = model.forces
     if push is not None:
-        given = [(f"Q_{{{letter(name)}}}", k) for k, name in enumerate(q)]
+        given = [(f"Q_{{{letters[name]}}}", k) for k, name in enumerate(q)]
         more, missing = listed(given, push, [("t",), q, v, p])
         rows, said = [*rows, *(one for one in more if one[1] != "0")], [*said, *missing]
     if model.constraint is not None:
@@ -270,13 +299,16 @@ def smooth(model: Model, letters: Mapping[str, str] | None = None) -> tuple[list
     return rows, said
 
 
-def listed(
-    names: Sequence[tuple[str, int]], function: ca.Function, arguments: Sequence[Sequence[str]]
+def rows_of(
+    names: Sequence[tuple[str, int]],
+    function: ca.Function,
+    arguments: Sequence[Sequence[str]],
+    letters: Mapping[str, str],
 ) -> tuple[list[Row], list[str]]:
     """Rows of some entries of a function; the first name where they are too large."""
     try:
         found = expressions(function, arguments)
-        return [(name, typeset(found[k])) for name, k in names], []
+        return [(name, typeset(found[k], letters)) for name, k in names], []
     except TooLarge:
         return [], [names[0][0]]
 
@@ -317,19 +349,22 @@ def hybrid(model: Model) -> tuple[list[Row], list[str]]:
 def crossing(one: Any, x: Sequence[str], p: Sequence[str]) -> list[Row]:
     """The guard of a transition."""
     arrow = r"\downarrow 0" if one.direction < 0 else r"\uparrow 0"
-    name = f"\\text{{{one.name.replace('_', ' ')}:}}\\quad g"
+    name = f"\\text{{{one.name.replace('_', ' ')}:}}"
     try:
-        return [(name, f"{typeset(expressions(one.guard, [x, p])[0])}\\;{arrow}")]
+        return [
+            (name, f"{typeset(expressions(one.guard, [x, p])[0], letters_of([*x, *p]))}\\;{arrow}")
+        ]
     except TooLarge:
         return [(name, f"g(x,p)\\;{arrow}")]
 
 
 def after(one: Any, x: Sequence[str], p: Sequence[str]) -> list[Row] | None:
     """What a transition changes, None where it is too large."""
+    letters = letters_of([*x, *p])
     try:
         found = expressions(one.reset, [x, p])
         rows = [
-            (f"{letter(name)}^+", typeset(value))
+            (f"{letters[name]}^+", typeset(value, letters))
             for name, value in zip(x, found, strict=True)
             if value != sympy.Symbol(name, real=True)
         ]

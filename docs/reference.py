@@ -11,7 +11,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 PAGES = ROOT / "docs" / "reference" / "python"
 ENTRY = re.compile(r"^::: orbitfinder\.([\w.]+)", re.MULTILINE)
-CODE = re.compile(r"(?<!<pre>)<code>(of\.[\w.]+)(\(\))?</code>(?!</a>)")
+CODE = re.compile(r"(?<!<pre>)<code>(of\.[\w.]+)(\([^<]*\))?</code>(?!</a>)")
 
 
 @cache

@@ -7,6 +7,7 @@ results/ or, of files that are not there, of docs/gallery/orbits/, which `python
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import os
 import re
@@ -25,7 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from equations import display, equations, letter
+from equations import display, equations, letters_of
 from python_form import python_form
 
 ROOT = Path(__file__).parents[1]
@@ -37,6 +38,10 @@ RESULTS = {"gallery": "gallery", "linkages": "gallery", "report": "orbits"}
 """Where in results/ the orbits of a folder of problems/ are"""
 SAMPLES, LARGE = 240, 20
 """Moments of a period that are kept of a smooth orbit with controls or with so many states"""
+STIFF = ("published-steinmetz_larter",)
+"""What our integrators are not made for: shown without an orbit, its failure is on the validation page"""
+MEASURED = ("chains", "pendulums", "linkages", "mechanisms", "robots")
+"""Pages on which everything is in SI units; elsewhere systems have units of their own"""
 PENDULA = ("pendulum", "pendula", "hoop", "swing")
 KINDS = {
     "chains": "Pendulum chains",
@@ -55,7 +60,7 @@ KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A problem file: its place, its tables, what its first lines say, its kind."""
+    """A problem file: its place and its tables."""
 
     path: Path
     document: Mapping[str, Any]
@@ -76,9 +81,17 @@ class Entry:
         return self.path.read_text(encoding="utf-8").strip()
 
     @property
+    def program(self) -> bool:
+        """Whether the file is a Python program."""
+        return self.path.suffix == ".py"
+
+    @property
     def head(self) -> list[str]:
         """The comment lines at its top."""
         lines = self.text.splitlines()
+        if self.program:
+            told = (ast.get_docstring(ast.parse(self.text)) or "").splitlines()
+            return [line.strip() for line in told if not line.startswith("Source:")]
         return [
             line[1:].strip()
             for line in lines[: next(k for k, one in enumerate(lines) if one[:1] != "#")]
@@ -96,9 +109,9 @@ class Entry:
 
     @property
     def record(self) -> Path | None:
-        """Its orbit.json; None of a search, and of a file that a family begins with."""
+        """Its orbit.json; None of a search, of a file that a family begins with, and where none is found."""
         folder, stem = self.path.parent.name, self.path.stem
-        if folder in ("families", "search", "atlas"):
+        if folder == "families" or "guess" not in self.document or self.name in STIFF:
             return None
         shipped = ROOT / "results" / RESULTS.get(folder, "none") / stem / "orbit.json"
         return shipped if shipped.is_file() else RECORDS / f"{self.name}.json"
@@ -107,8 +120,20 @@ class Entry:
 @cache
 def entries() -> tuple[Entry, ...]:
     """Every problem file that describes a system, by folder and name."""
-    files = sorted(PROBLEMS.rglob("*.toml"))
-    return tuple(Entry(one, tomllib.loads(one.read_text(encoding="utf-8"))) for one in files)
+    files = [one for one in PROBLEMS.rglob("*.*") if one.suffix in (".toml", ".py")]
+    return tuple(Entry(one, document_of(one)) for one in sorted(files))
+
+
+def document_of(path: Path) -> Mapping[str, Any]:
+    """The tables of a problem file; of a program what stands for them."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".toml":
+        return tomllib.loads(text)
+    title = re.search(r'title="([^"]+)"', text)
+    source = re.search(r"^Source: (.+?)\.?$", text, re.MULTILINE)
+    told = {"source": source.group(1)} if source else {}
+    named = title.group(1) if title else path.stem
+    return {"title": named, "guess": {}, "system": {"kind": "program"}, **told}
 
 
 def kind_of(entry: Entry) -> str:
@@ -116,6 +141,9 @@ def kind_of(entry: Entry) -> str:
     system, function = entry.system, str(entry.system.get("function", ""))
     if "control" in entry.document:
         return "control"
+    if entry.program:
+        model = loaded(entry).model
+        return "hybrid" if model.hybrid else "fields" if model.hamiltonian else "first-order"
     if system["kind"] != "python":
         return f"{system['kind']}s"
     from orbitfinder.mechanics.machines import MACHINES
@@ -161,6 +189,7 @@ STYLE = """<style>
 .orbit th { font-weight: 400; opacity: .75 }
 .arithmatex { overflow-x: auto; overflow-y: hidden }
 .values { font-size: .7rem }
+details pre code { white-space: pre-wrap; overflow-wrap: anywhere }
 </style>
 """
 
@@ -255,7 +284,11 @@ def plain(text: str) -> str:
 
 
 def files(entry: Entry) -> Iterator[str]:
-    """The problem file and the program, folded away."""
+    """The problem file and the program, folded away; of a program itself."""
+    if entry.program:
+        yield f'<details markdown="1"><summary>Problem file <code>{entry.shown}</code></summary>\n'
+        yield f"```python\n{entry.text}\n```\n\n</details>\n"
+        return
     yield f'<details markdown="1"><summary>Problem file <code>{entry.shown}</code></summary>\n'
     yield f"```toml\n{entry.text}\n```\n\n</details>\n"
     yield '<details markdown="1"><summary>The same in Python</summary>\n'
@@ -273,10 +306,11 @@ def written_equations(entry: Entry, fresh: bool) -> Iterator[str]:
     from orbitfinder.records.orbit import SHARE
 
     values = dict(zip(model.parameter_names, model.parameter_values, strict=True))
+    letters = letters_of([*model.state_names, *model.parameter_names, "t"])
     few = {name: value for name, value in values.items() if not name.startswith(SHARE)}
     if 0 < len(few) <= 12:
         told = ", ".join(
-            f"{name} <span class='arithmatex'>\\({letter(name)}={value:.6g}\\)</span>"
+            f"{name} <span class='arithmatex'>\\({letters[name]}={value:.6g}\\)</span>"
             for name, value in few.items()
         )
         yield f"<p class='values'>{told}</p>\n"
@@ -285,13 +319,15 @@ def written_equations(entry: Entry, fresh: bool) -> Iterator[str]:
 def numbers(entry: Entry) -> str:
     """What is certified of an orbit, as a small table."""
     orbit = record(entry)
-    sizes = np.abs(orbit.floquet_multipliers)
+    sizes, measured = np.abs(orbit.floquet_multipliers), kind_of(entry) in MEASURED
     verdict = (
         "none" if orbit.certificate is None else "passed" if orbit.certificate.passed else "FAILED"
     )
     rows = {
-        "period": f"{orbit.period:.12g}",
-        "energy": f"{orbit.energy:.10g}" if np.isfinite(orbit.energy) else "none conserved",
+        "period": f"{orbit.period:.12g}{' s' * measured}",
+        "energy": f"{orbit.energy:.10g}{' J' * measured}"
+        if np.isfinite(orbit.energy)
+        else "none conserved",
         "stability": orbit.stability,
         "largest multiplier": f"{sizes.max():.5g}" if sizes.size else "only trivial ones",
         "symmetry": orbit.symmetry,
@@ -318,7 +354,7 @@ def pictures(entry: Entry) -> list[str]:
     """Mechanism and phase portrait, moving."""
     from orbitfinder.show.html import motions
 
-    return motions(record(entry))
+    return motions(record(entry), loaded(entry).model if entry.program else None)
 
 
 @cache
@@ -326,7 +362,7 @@ def loaded(entry: Entry) -> Any:
     """A problem file, read."""
     from orbitfinder.problemfile.read import load_problem_file
 
-    return load_problem_file(entry.path)
+    return load_problem_file(entry.path, trust=entry.program)
 
 
 @cache
@@ -334,7 +370,10 @@ def programs() -> dict[str, str]:
     """The Python form of every problem file, formatted."""
     with tempfile.TemporaryDirectory() as folder:
         for one in (each for kind in KINDS for each in chosen(kind)):
-            (Path(folder) / f"{one.name}.py").write_text(python_form(loaded(one)), encoding="utf-8")
+            if not one.program:
+                (Path(folder) / f"{one.name}.py").write_text(
+                    python_form(loaded(one)), encoding="utf-8"
+                )
         command = ["ruff", "format", "--quiet", "--isolated", "--line-length", "84", folder]
         subprocess.run([sys.executable, "-m", *command], check=True)
         return {one.stem: one.read_text(encoding="utf-8") for one in Path(folder).glob("*.py")}
@@ -349,6 +388,10 @@ def write_records() -> None:
 
 def found(entry: Entry) -> Any:
     """The orbit that the program of a problem file finds."""
+    if entry.program:
+        from orbitfinder import find_orbit
+
+        return replace(find_orbit(loaded(entry).wanted), source=entry.document.get("source", ""))
     names: dict[str, Any] = {}
     with contextlib.chdir(entry.path.parent):  # a robot's file lies there
         exec(python_form(loaded(entry)), names)

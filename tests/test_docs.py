@@ -370,7 +370,7 @@ def test_pages_are_readable(page):
 def test_pages_that_show_how_have_a_picture(folder_name):
     """Every tutorial and every how-to page shows what comes of it."""
     for page in (DOCS / folder_name).glob("*.md"):
-        assert re.search(r"<!-- made: (orbit|family) |!\[", page.read_text(encoding="utf-8")), page
+        assert re.search(r"<!-- (made: (orbit|family)|stage:) |!\[", page.read_text(encoding="utf-8")), page
 
 
 def anchors(page):
@@ -423,7 +423,10 @@ def test_the_site_builds(tmp_path):
     pytest.importorskip("material")
     pytest.importorskip("mkdocstrings")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
-    few = {**os.environ, "ORBITFINDER_DOCS": "few"}  # two systems of each kind; tests/test_gallery.py has them all
+    few = {
+        **os.environ,
+        "ORBITFINDER_DOCS": "few",
+    }  # two systems of each kind; tests/test_systems_gallery.py sees them all
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=few)
     assert result.returncode == 0, result.stderr
     pages = list((tmp_path / "site").rglob("*.html"))
@@ -434,8 +437,8 @@ def test_the_site_builds(tmp_path):
         assert not loaded, page
     reference = (tmp_path / "site" / "reference" / "python" / "find.html").read_text(encoding="utf-8")
     assert all(name in reference for name in ("find_orbit", "certify", "growth_per_segment", "ConvergenceError"))
-    assert 'href="find.html#orbitfinder.orbits.certify.certify"' in reference or "families.html#" in reference
+    assert 'href="search.html#orbitfinder.atlas.search.search"><code>of.search</code>' in reference
     gallery = (tmp_path / "site" / "gallery" / "chains.html").read_text(encoding="utf-8")
-    assert "<animate" in gallery and "aligned" in gallery and "of.chain(" in gallery
+    assert "<animate" in gallery and "aligned" in gallery and "The same in Python" in gallery
     commands = (tmp_path / "site" / "reference" / "commands.html").read_text(encoding="utf-8")
     assert "Recompute the certificate of each ORBIT.json" in commands

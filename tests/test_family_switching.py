@@ -102,6 +102,19 @@ def test_family_without_its_nodes_cannot_be_switched(second_mode, tmp_path):
         branches(bare, 2)
 
 
+def test_a_branch_is_sought_square_to_the_old_family():
+    """Lorenz's doubled cycle at its own doubling, where a slanting plane meets the old family and no other."""
+    few = FamilySettings(certify=False, points=20)
+    family = follow_family(load_problem(FAMILIES / "lorenz-doubling.toml"), "rho", until=228.0, settings=few)
+    for rho in (229.40670857, 218.21012778):  # AUTO-07p's demo lor
+        doubling = next(k for k, one in enumerate(family.events) if one.kind == "period_doubling")
+        assert family.events[doubling].parameter == pytest.approx(rho, abs=1e-7)
+        branch = branches(family, doubling, few)[0]
+        assert branch.start.found.place.period == pytest.approx(2 * family.events[doubling].period, rel=0.01)
+        if rho > 220:
+            family = follow_family(branch, until=217.0, settings=few)
+
+
 def test_no_branch_is_an_error(second_mode, monkeypatch):
     """When nothing is found at an event, that is said."""
     monkeypatch.setattr("orbitfinder.families.branches.switch", lambda *_: [])

@@ -812,11 +812,15 @@ def test_landscapes_are_the_potential_where_it_is_drawn():
     frame = {"centre": [0.1, -0.2], "spans": [0.6, 0.4]}
     made = landscape(systems.henon_heiles(), frame)
     assert made is not None
-    n, values = made["cells"], np.frombuffer(base64.b64decode(made["data"]), "<f4")
-    down, right = (corner + made["cell"] * np.arange(n + 1) for corner in made["corner"])
+    values, down, right = (
+        np.frombuffer(base64.b64decode(made["data"]), "<f4"),
+        *map(np.array, (made["down"], made["right"])),
+    )
     assert down[0] == pytest.approx(0.1 - 0.9) and right[-1] == pytest.approx(-0.2 + 0.9)
     x, y = right[None, :], -down[:, None]
     wanted = (x**2 + y**2) / 2 + x**2 * y - y**3 / 3
-    np.testing.assert_allclose(values.reshape(n + 1, n + 1), wanted, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(values.reshape(len(down), len(right)), wanted, rtol=1e-5, atol=1e-6)
     assert made["levels"] == sorted(made["levels"])
+    fine = np.diff(landscape(systems.henon_heiles(), frame, many=True)["down"])
+    assert fine.min() < 0.4 * np.diff(down).min() and fine.argmin() in (len(fine) // 2 - 1, len(fine) // 2)
     assert landscape(chain(2), frame) is None and landscape(None, frame) is None

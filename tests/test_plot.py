@@ -1,11 +1,14 @@
 """Figures of an orbit: what they show, that they are whole, that odd input does not break them."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
+import orbitfinder as of
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.errors import InputError
 from orbitfinder.guesses.modes import normal_mode
@@ -16,7 +19,7 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
-from orbitfinder.show.style import arrows, line_style, new_figure, place_labels
+from orbitfinder.show.style import arrows, bare, line_style, new_figure, place_labels
 from orbitfinder.show.svg import COLOURS
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -156,7 +159,7 @@ def test_names_do_not_lie_on_each_other() -> None:
     axes.plot([0.0, 1.0], [0.0, 1.0])
     place_labels(figure, axes, [(f"event {k}", 0.5, 0.5 + 0.01 * k) for k in range(10)])
     figure.draw_without_rendering()
-    boxes = [text.get_window_extent() for text in axes.texts]
+    boxes = [text.get_window_extent() for text in axes.texts if text.get_text()]  # not the lines that lead to far names
     assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
     frame = axes.get_window_extent()
     assert all(frame.contains(*box.min) and frame.contains(*box.max) for box in boxes)
@@ -199,3 +202,13 @@ def test_arrows_follow_time() -> None:
         (arrow,) = axes.texts
         (x, y), (dx, dy) = arrow.xyann, np.subtract(arrow.xy, arrow.xyann)
         assert np.sign(x * dy - y * dx) == way
+
+
+def test_figures_of_equations_without_units_say_none():
+    """Axes, titles and numbers of Henon-Heiles carry no J, s or m; a pendulum's do."""
+    orbit = of.load_orbit(RESULTS / "gallery" / "henon-heiles-loop" / "orbit.json")
+    figure = plot.energy_error(orbit, build_model(orbit.system))
+    said = [text.get_text() for text in figure.findobj(Text)]
+    assert "energy (J)" in said and any(text.endswith(" s") for text in said)
+    left = [text.get_text() for text in bare(figure).findobj(Text)]
+    assert "energy" in left and "time" in left and not any(re.search(r"\((J|s|m)\)|\d s$", text) for text in left)

@@ -1,13 +1,16 @@
 """The committed proofs of atlas orbits (and of the report's), replayed one by one."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
 
 from orbitfinder.atlas.store import Atlas
+from orbitfinder.cli.group import cli
 from orbitfinder.proof.record import read_entry, replay
 from orbitfinder.records.orbit import digest
 from orbitfinder.records.store import load_orbit
@@ -34,6 +37,20 @@ def test_fifty_orbits_of_the_shipped_atlas_are_proved():
         with Atlas(file) as atlas:
             shipped |= {mark(vars(row)) for row in atlas.rows()}
     assert len(marks & shipped) >= WANTED
+
+
+def test_a_proof_is_recorded_in_the_atlas(tmp_path):
+    """`prove ATLAS.sqlite#K` writes row and document, which `verify --proof` replays; --no-record leaves it alone."""
+    book = Path(shutil.copy(RESULTS / "atlas" / "lorenz.sqlite", tmp_path / "lorenz.sqlite"))
+    with Atlas(book) as atlas:
+        row = next(one for one in atlas.rows(order="period") if not one.proof)
+    for options, verdict in ((["--no-record"], ""), ([], "unstable")):
+        said = CliRunner().invoke(cli, ["prove", f"{book}#{row.id}", *options])
+        assert said.exit_code == 0 and "proved in" in said.output, said.output
+        with Atlas(book) as atlas:
+            assert atlas.row(row.id).proof == verdict
+    said = CliRunner().invoke(cli, ["verify", "--proof", f"{book}#{row.id}"])
+    assert said.exit_code == 0 and "proof replayed" in said.output, said.output
 
 
 @pytest.mark.slow

@@ -20,8 +20,8 @@ def invoke(*words):
 
 def test_every_file_and_folder_is_there_with_its_title():
     """What is listed is what lies in problems/: a new folder wants a line in KINDS, a new file a title."""
-    found = {Path(one.kind, f"{one.name}.toml") for one in shipped.shipped()}
-    assert found == {path.relative_to(PROBLEMS) for path in PROBLEMS.rglob("*.toml")}
+    found = {Path(one.kind, one.path.name) for one in shipped.shipped()}
+    assert found == {path.relative_to(PROBLEMS) for path in PROBLEMS.glob("*/*.*") if path.suffix in (".toml", ".py")}
     assert {path.name for path in PROBLEMS.iterdir() if path.is_dir()} == set(shipped.KINDS)
     assert all(len(one.title) >= 8 for one in shipped.shipped())
 
@@ -42,6 +42,11 @@ def test_a_file_is_shown_as_it_is():
     assert json.loads(invoke("show", "report/triple-1", "--json").stdout)["text"] == content
 
 
+def test_a_problem_file_in_python_is_listed_by_its_docstring():
+    (one,) = shipped.chosen(["freire"])
+    assert one.path.name == "freire.py" and one.title.startswith("An electronic oscillator")
+
+
 def test_copies_are_equal_and_bring_what_they_name(tmp_path):
     """Where `problems/...` of the documentation is, with the description of a robot beside its file."""
     result = invoke("copy", "a1-leg", "report", "-o", tmp_path)
@@ -54,11 +59,9 @@ def test_copies_are_equal_and_bring_what_they_name(tmp_path):
 
 
 def test_all_are_copied(tmp_path):
-    assert (
-        f"{len(list(PROBLEMS.rglob('*.toml')))} problem files written" in invoke("copy", "all", "-o", tmp_path).stdout
-    )
+    assert f"{len(shipped.shipped())} problem files written" in invoke("copy", "all", "-o", tmp_path).stdout
     copied = {path.relative_to(tmp_path) for path in tmp_path.rglob("*.*")}
-    assert copied == {path.relative_to(PROBLEMS) for path in PROBLEMS.rglob("*.*")}
+    assert copied == {path.relative_to(PROBLEMS) for path in PROBLEMS.glob("*/*.*")}
 
 
 def test_nothing_is_overwritten_unless_told(tmp_path):
@@ -76,7 +79,7 @@ def test_nothing_is_overwritten_unless_told(tmp_path):
 @pytest.mark.parametrize(("words", "said"), [
     (("copy", "tripel-1"), "NAME: no problem file 'tripel-1' is shipped, did you mean 'triple-1'?"),
     (("copy", "xyzzy"), "NAME: no problem file 'xyzzy' is shipped; see `orbitfinder problems list`"),
-    (("copy", "lorenz"), "NAME: 'lorenz' means gallery/lorenz and search/lorenz; say which"),
+    (("copy", "spherical-pendulum"), "means gallery/spherical-pendulum and mechanisms/spherical-pendulum; say which"),
     (("show", "report"), "NAME: 'report' is more than one file; see `orbitfinder problems list`"),
     (("list", "hybird"), "KIND: 'hybird' is unknown, did you mean 'hybrid'?"),
     (("list", "xyzzy"), "KIND: 'xyzzy' is unknown; there are report, examples, "),

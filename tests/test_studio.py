@@ -428,6 +428,7 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
         theirs = json.loads(one.read_text())
         for a, b in zip(mine.get("points", [mine]), theirs.get("points", [theirs]), strict=True):
             assert abs(a["period"] / b["period"] - 1) < 1e-12
+            assert np.abs(np.array(a["state"]) - b["state"]).max() < 1e-12
 
 
 @nicegui
@@ -541,3 +542,8 @@ def test_nothing_is_cut_off_at_any_width(tab, dark):
         tab.until("return window.stage && stage.shown > 0")
         assert tab.ask("return document.documentElement.scrollWidth <= innerWidth")
         assert tab.ask("return document.body.classList.contains('body--dark')") == dark
+    nameless = """return [...document.querySelectorAll('button:not(#badge)')].filter(one => {
+        const text = one.cloneNode(true);
+        text.querySelectorAll('.q-icon').forEach(icon => icon.remove());
+        return !one.ariaLabel && !text.textContent.trim(); }).length"""
+    assert tab.ask(nameless) == 0 and tab.ask("return document.querySelectorAll('main').length") == 1

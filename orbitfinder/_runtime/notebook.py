@@ -72,7 +72,7 @@ _names: dict[Callable[[Any], str], tuple[str, ...]] = {}
 
 def facts(value: Any) -> list[tuple[str, str]]:
     """What the one line of a value names, and the texts."""
-    names = _names.get(type(value).__repr__, ())
+    names = _names.get(getattr(type(value), "__repr__"), ())  # noqa: B009 - of the class, not bound
     found = [(name.replace("_", " "), _short(getattr(value, name, None)).strip("'")) for name in names]
     return [(name, text) for name, text in found if text not in ("", "nan")]
 

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -94,8 +94,7 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
         from orbitfinder.families.point import FamilySettings
         from orbitfinder.problemfile.read import checked_name
 
-        if all(chosen[name] is None for name in ("event", "curve", "parameters")) and whole_family(file):
-            _asked_where(load_family(file), shown)
+        _asked_where(file, chosen, shown)
         settings = FamilySettings(directions=directions, points=points, **narrowest)
         if chosen["curve"] is None and chosen["parameters"] is None:
             origin, model = origin_of(file, chosen["trust"], chosen["event"], chosen["branch"])
@@ -141,10 +140,13 @@ def _listed(family: Family, places: list[int], shown: Display, most: int = MOST_
         shown.say(f"and {len(places) - most} more, up to --switch {places[-1]}")
 
 
-def _asked_where(family: Family, shown: Display) -> NoReturn:
+def _asked_where(file: Path, chosen: Mapping[str, Any], shown: Display) -> None:
     """`InputError` for a family without --switch, the events that it takes listed before."""
+    if any(chosen[name] is not None for name in ("event", "curve", "parameters")) or not whole_family(file):
+        return
     from orbitfinder.families.branches import SWITCHABLE, counted
 
+    family = load_family(file)
     places = [k for k, one in enumerate(family.events) if one.kind in SWITCHABLE]
     _listed(family, places, shown, len(places))
     raise InputError(f"--switch: missing; give the event to leave {family.name} at: {counted(places) or 'none'}")

@@ -26,7 +26,7 @@ EXTRAS = {
     "mp4": "animate -o FILE.mp4", "proof": "prove and refine", "cluster": "search --scheduler (Dask)",
     "parquet": "atlas export --to parquet", "robot": "URDF and MJCF files, SymPy's systems",
     "studio": "studio: mechanisms dragged to orbits",
-    "notebook": "the notebooks", "docs": "building the documentation",
+    "notebook": "orbit.widget(), the notebooks", "docs": "building the documentation",
     "browser": "tests of pages in a browser", "test": "the tests",
 }  # fmt: skip
 """What each optional extra is for; one that a release does not declare is not asked about."""

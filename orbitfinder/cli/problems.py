@@ -96,5 +96,5 @@ def copy(names: tuple[str, ...], out: Path, force: bool) -> None:
         text(f"{path}: written")
     if len(written) > 20:
         text(f"{plural(len(written), 'problem file')} written to {out}")
-    next_step(found[0].command, written[0])
+    next_step(found[0].command, written[0], *(["--trust"] if written[0].suffix == ".py" else []))
     finish("copies", {"written": [str(path) for path in written]})

@@ -17,7 +17,9 @@ from orbitfinder.cli.options import FILES, compile_option, out_option
 @click.option("--browser/--no-browser", default=True, show_default=True, help="Open the page in a browser.")
 @compile_option
 def studio(file: Path | None, out: Path, port: int | None, browser: bool) -> None:
-    """Drag, find, follow and save orbits on a page of this computer, from a problem FILE, orbit.json or family.json.
+    """Drag, find, follow and save orbits on a page of this computer.
+
+    FILE is a problem file, an orbit.json, a family.json, an atlas, or one orbit of these, FILE#K.
 
     Without a FILE it shows a double pendulum. Needs the extra `studio`. The page is served to this computer alone, at
     an address that is printed and known to nobody else; Ctrl-C ends it.
@@ -27,6 +29,7 @@ def studio(file: Path | None, out: Path, port: int | None, browser: bool) -> Non
       orbitfinder studio
       orbitfinder studio problems/examples/triple-mode-2-strong.toml
       orbitfinder studio orbits/triple-1/orbit.json --no-browser
+      orbitfinder studio problems/linkages/four-bar-rocking.toml
     """
     from orbitfinder.studio.serve import serve
 

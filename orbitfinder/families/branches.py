@@ -123,8 +123,10 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     moved = np.concatenate([np.zeros(size), event.tangent[size : size + 1] * event.order, moving])
     moved[:size] = _start_moved(curve, event, share)
     own = moved * np.sqrt(there.weights)
-    _, _, mixed = np.linalg.svd(np.atleast_2d(np.linalg.lstsq(heads.T, own, rcond=None)[0]))
-    across = mixed[1:] @ kernel
+    along = np.linalg.lstsq(heads.T, own, rcond=None)[0]
+    others = np.linalg.svd(np.atleast_2d(along))[2][1:]
+    others -= np.outer(others @ heads @ own, along) / (own @ own)  # a plane across one of them misses the old family
+    across = others @ kernel
     return Cover(there, place, tuple(_round(across, event.order)))
 
 

@@ -123,9 +123,9 @@ def connect(
         InputError: for orbits of different energies and a plane that they do not cross.
 
     Examples:
-        >>> found = of.connect(saddle, plane="theta1=0", most=1)
+        >>> found = of.connect(saddle, plane="theta1=0", returns=2, most=1)
         >>> [one.certificate.passed for one in found]
-        []
+        [True]
 
     See Also:
         `of.sections.follow_connection` follows one in the energy.

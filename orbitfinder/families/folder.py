@@ -104,10 +104,11 @@ def follow_family(
     See Also:
         `of.switch_branch` at its events, `of.follow_curve` in two parameters, `of.load_family`.
     """
-    if not isinstance(origin, Origin):
+    given: Any = origin
+    if not isinstance(given, Origin):
         made = {"Family": "give one of its points, or a branch: switch_branch(family, event)"}
-        remedy = made.get(type(origin).__name__, "give an Orbit, its file, a Problem, or what switch_branch gives")
-        raise InputError(f"origin: a {type(origin).__name__}; {remedy}")
+        remedy = made.get(type(given).__name__, "give an Orbit, its file, a Problem, or what switch_branch gives")
+        raise InputError(f"origin: a {type(given).__name__}; {remedy}")
     settings = replace(settings or FamilySettings(), parameter=_chosen(parameter, settings, origin))
     settings = settings if points is None else replace(settings, points=points)
     if isinstance(origin, (str, Path)):

@@ -31,6 +31,20 @@ WIDE = 2.0**16
 """Conditions that change by less than 256 with the unknowns, such as energies in J, are rows as they are."""
 
 
+DIMENSIONLESS = ("henon_heiles", "restricted_three_body", "planar_oscillator", "van_der_pol", "lorenz", "rossler",
+                 "brusselator", "fitzhugh_nagumo")  # fmt: skip
+"""Systems of orbitfinder.systems and .flows whose equations carry no units"""
+
+
+def units(system: Mapping[str, Any]) -> dict[str, str]:
+    """The units of energies, times, actions and lengths: SI, or none where the equations carry none."""
+    bare = system.get("kind") == "python" and system.get("function") in DIMENSIONLESS
+    return {"energy": "", "time": "", "action": "", "length": ""} if bare else SI
+
+
+SI = {"energy": "J", "time": "s", "action": "J s", "length": "m"}
+
+
 def snapped(values: np.ndarray | float, base: float = ALIKE**2) -> np.ndarray:
     """The powers of a base nearest to positive values, 1 for all others."""
     given = np.asarray(values, float)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,6 +30,8 @@ KINDS = {
 """Folder -> what is in it, in the order in which they are listed"""
 COMMANDS = {"families": "continue", "search": "search"}
 """Folder -> the command that its files are for, where that is not `run`"""
+FORMS = (".toml", ".py")
+"""Endings of problem files; other files lie beside one that names them"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,10 @@ class Shipped:
 
     @property
     def title(self) -> str:
-        """What its orbit is, in a line."""
+        """What its orbit is, in a line: its title, of a Python file its docstring's first."""
+        if self.path.suffix == ".py":
+            text = ast.get_docstring(ast.parse(self.path.read_text(encoding="utf-8"))) or self.name
+            return text.partition("\n")[0]
         return str(read_toml(self.path).get("title", self.name))
 
     @property
@@ -52,6 +58,8 @@ class Shipped:
     def files(self) -> Iterator[Path]:
         """The file itself, then those beside it that it names, such as the description of a robot."""
         yield self.path
+        if self.path.suffix == ".py":
+            return
         for word in sorted(set(_strings(read_toml(self.path)))):
             if Path(word).name == word and (beside := self.path.with_name(word)).is_file():
                 yield beside
@@ -75,7 +83,12 @@ def folder() -> Path:
 
 def shipped() -> list[Shipped]:
     """All of them, by kind."""
-    return [Shipped(kind, path.stem, path) for kind in KINDS for path in sorted((folder() / kind).glob("*.toml"))]
+    return [
+        Shipped(kind, path.stem, path)
+        for kind in KINDS
+        for path in sorted((folder() / kind).glob("*.*"))
+        if path.suffix in FORMS
+    ]
 
 
 def chosen(words: Sequence[str]) -> list[Shipped]:
@@ -85,7 +98,7 @@ def chosen(words: Sequence[str]) -> list[Shipped]:
 
 
 def _meant(word: str, every: Sequence[Shipped]) -> list[Shipped]:
-    plain = word.removesuffix(".toml").removeprefix("problems/").strip("/")
+    plain = word.removesuffix(".toml").removesuffix(".py").removeprefix("problems/").strip("/")
     if plain == "all" or plain in KINDS:
         return [one for one in every if plain in ("all", one.kind)]
     found = [one for one in every if plain in (one.name, f"{one.kind}/{one.name}")]
@@ -114,7 +127,7 @@ def copy(problems: Sequence[Shipped], out: Path, force: bool = False) -> list[Pa
     for to, file in pairs.items():
         to.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, to)
-    return [to for to in pairs if to.suffix == ".toml"]
+    return [to for to in pairs if to.suffix in FORMS]
 
 
 def _differs(path: Path, file: Path) -> bool:

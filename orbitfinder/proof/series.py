@@ -26,9 +26,12 @@ BALLS = Ring(
 )  # fmt: skip
 WHOLE: dict[str, Callable[..., Any]] = BALLS.functions | {
     "scale": mul, "shift": lambda u, c: u + c, "quotient": lambda u, c: c / u,
-    "power": lambda u, c: (u.log() * c).exp(),
+    "power": lambda u, c: (u.log() * c).exp(), "div": lambda a, b: a / b if a.length() or not b.length() else a,
 }  # fmt: skip
-"""The operations of a recurrence on whole series (but for sincos, which has two results)"""
+"""The operations of a recurrence on whole series (but for sincos, which has two results)
+
+A quotient without terms stays so: python-flint before 0.9 raises AttributeError there.
+"""
 Operation = tuple[str, int, int, int, Any]
 """kind, target, operand, second operand (or -1), constant (or None)"""
 

@@ -115,7 +115,8 @@ def _sweep(axes: Any, orbit: Orbit, model: Model) -> None:
     down, right = points[:, :, -1].T
     sweep(axes, points[::16], 0.12, 0.4, 0.9)
     trail(axes, points[:, :, -1], 1.3)
-    if "brake" not in orbit.symmetry:  # a brake orbit goes both ways along its path
+    speed = np.abs(orbit.samples[:, model.degrees_of_freedom :]).max(axis=1)
+    if speed.min() > 0.01 * speed.max():  # what comes to rest goes both ways along its path
         arrows(axes, right, -down, COLOURS[1])
     axes.plot(0, 0, "s", color="black", markersize=6)
     plane(axes)

@@ -185,19 +185,20 @@ def numbers(orbit: Orbit) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def motions(orbit: Orbit) -> list[str]:
-    """Mechanism (where one is declared) and phase portrait of a period; nothing for a system that no file describes."""
-    found = period_of(orbit)
+def motions(orbit: Orbit, model: Model | None = None) -> list[str]:
+    """Mechanism (where one is declared) and phase portrait of a period; `model` of a system that no file describes,
+    nothing without it."""
+    found = period_of(orbit, model)
     if found is None:
         return []
     model, seen = found
     return [*([] if model.points is None else [mechanism(model, seen)]), Portrait(model, seen).svg()]
 
 
-def period_of(orbit: Orbit) -> tuple[Model, Course] | None:
-    """The Model and the motion of an orbit; None for a system that no file describes."""
+def period_of(orbit: Orbit, model: Model | None = None) -> tuple[Model, Course] | None:
+    """The Model and the motion of an orbit; None for a system that no file describes and no `model` is."""
     try:
-        model = build_model(orbit.system)
+        model = model or build_model(orbit.system)
         return model, course(model, *_period(orbit, model), orbit.winding)
     except OrbitfinderError:
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from orbitfinder.loops.control import history
 from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, positions
 from orbitfinder.mechanics.scales import unit_names
+from orbitfinder.mechanics.scales import units as units_of
 from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
@@ -30,6 +31,7 @@ from orbitfinder.show.paths import family_paths, has_path, path_views
 from orbitfinder.show.style import (
     LEAST_SIDE,
     arrows,
+    bare,
     configuration,
     dress,
     line_style,
@@ -90,7 +92,13 @@ def save_figures(orbit: Orbit | Family, folder: str | Path, model: Model | None 
         figures["path"] = path_views(orbit, model)
     elif model.points is not None:
         figures["swept_configuration"] = swept_configuration(orbit, model)
-    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+    return _saved(figures, folder, orbit.system)
+
+
+def _saved(figures: Mapping[str, Figure], folder: str | Path, system: Mapping[str, Any]) -> list[Path]:
+    """Figures as PNG files; those of equations without units say none."""
+    shown = figures if units_of(system)["time"] else {name: bare(figure) for name, figure in figures.items()}
+    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in shown.items()]
 
 
 def heading(orbit: Orbit, what: str) -> tuple[str, str]:
@@ -355,7 +363,7 @@ def save_family_figures(family: Family, folder: str | Path, model: Model) -> lis
         figures["gallery"] = gallery(family, shown)
         if has_path(model):
             figures["paths"] = family_paths(family, shown, model)
-    return [save_png(figure, Path(folder) / f"{name}.png") for name, figure in figures.items()]
+    return _saved(figures, folder, family.system)
 
 
 def save_frequency_energy(families: Sequence[Family | Orbit], path: Path, level: float | None = None) -> Path:
@@ -404,7 +412,7 @@ def _draw(axes: Any, motion: Motion) -> None:
     fixed = motion.joints.shape[2] > 1 and np.ptp(motion.joints[:, :, -1], axis=0).max() < 1e-9
     trail(axes, motion.joints[:, :, -2 if fixed else -1], 1.1)
     axes.plot(right, -down, color="black", linewidth=1.6)
-    axes.plot(right[0], -down[0], "s", color="black", markersize=4)
+    axes.plot(right[0], -down[0], "s" if right.size > 1 else "o", color="black", markersize=4)  # a lone one is no pivot
     if fixed:
         axes.plot(right[-1], -down[-1], "s", color="black", markersize=4)
 

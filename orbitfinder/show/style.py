@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import textwrap
 from collections.abc import Sequence
 from itertools import product
@@ -13,6 +14,7 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from orbitfinder.records.reading import write_atomically
 from orbitfinder.show.strokes import Strokes, extent, outlines
@@ -46,6 +48,17 @@ def dress(axes: Any, across: str, up: str) -> None:
     axes.grid(True, color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+UNITS = re.compile(r"(?: \((?:J|s|m|1/s|m/s)\)|(?<=\d) (?:J|s)\b)")
+"""Units as figures write them: after a name in brackets, after a number"""
+
+
+def bare(figure: Figure) -> Figure:
+    """A figure of equations that carry no units, without any."""
+    for text in figure.findobj(Text):
+        text.set_text(UNITS.sub("", text.get_text()))
+    return figure
 
 
 def place_labels(

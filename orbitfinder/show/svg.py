@@ -13,7 +13,7 @@ import numpy as np
 
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
-from orbitfinder.records.family import Family, FamilyPoint
+from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.show.strokes import Strokes, extent, outlines
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -25,7 +25,7 @@ FRAMES = 60
 LARGEST = 150_000
 """Bytes of motion in one picture; mechanisms of many joints get fewer frames."""
 BODY, TIP = COLOURS[0], COLOURS[1]
-WIDTH, HEIGHT = 400, 250
+WIDTH, HEIGHT = 380, 250
 """Pixels of a family's diagram"""
 LEFT, BELOW, AROUND = 58, 38, 12
 """Pixels of the margins of what has axes"""
@@ -280,7 +280,7 @@ def plane_of(family: Family, model: Model | None) -> tuple[Axes, np.ndarray]:
     """
     names, places = family.parameters, family.places
     if len(names) < 2:
-        members = [*family.points, *family.events]
+        members: list[FamilyPoint | Event] = [*family.points, *family.events]
         moved, sizes = response(family, model) if model else ("", np.zeros(0))
         by_energy = family.by_energy and not moved
         along = np.nan_to_num([one.energy for one in members]) if by_energy else places[:, 0]

@@ -15,6 +15,7 @@ import numpy as np
 from orbitfinder._runtime import __version__
 from orbitfinder._runtime.caches import Kept
 from orbitfinder.errors import plural
+from orbitfinder.mechanics.scales import units
 from orbitfinder.records.family import Family
 from orbitfinder.records.section import Section
 from orbitfinder.site.gather import AtlasFile, Gathered, Verdict, evenly, judged, recorded
@@ -42,7 +43,6 @@ from orbitfinder.site.text import (
     script_data,
     size,
     slug_maker,
-    units,
     with_unit,
 )
 from orbitfinder.site.writing import MARK, mark

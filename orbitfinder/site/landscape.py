@@ -12,13 +12,18 @@ from orbitfinder.mechanics.model import Model, energies, positions
 
 CELLS, REACH = 60, 1.5
 """Cells of the grid each way, and how far it goes from the middle of the picture, in its larger side"""
+MANY, FOCUS = 76, 3.0
+"""Cells of a grid for motions of many sizes, and the sinh to which their places are stretched: fine in the middle"""
 SHARES = (0.01, 0.03, 0.07, 0.14, 0.25, 0.4)
 """What share of the grid lies below each of the lines that are drawn beside that of the motion's energy"""
 
 
-def landscape(model: Model | None, frame: Mapping[str, Sequence[float]] | None) -> dict[str, Any] | None:
+def landscape(
+    model: Model | None, frame: Mapping[str, Sequence[float]] | None, many: bool = False
+) -> dict[str, Any] | None:
     """Values of the potential energy on a grid about a `frame` (centre and spans: down, right), and levels to draw.
 
+    `many`: of all motions of a family, large and small, and so finer in the middle.
     None of what is no point in a plane whose energy at rest depends on where it is alone.
     """
     layout = None if frame is None or model is None else _layout(model)
@@ -26,7 +31,8 @@ def landscape(model: Model | None, frame: Mapping[str, Sequence[float]] | None) 
         return None
     origin, steps = layout
     half = REACH * max(max(frame["spans"]), 1e-12)
-    down, right = (middle + np.linspace(-half, half, CELLS + 1) for middle in frame["centre"])
+    share = np.sinh(FOCUS * np.linspace(-1, 1, MANY + 1)) / np.sinh(FOCUS) if many else np.linspace(-1, 1, CELLS + 1)
+    down, right = (middle + half * share for middle in frame["centre"])
     places = np.stack(np.meshgrid(down, right, indexing="ij"), axis=-1).reshape(-1, 2)
     rest = np.hstack([np.linalg.solve(steps, (places - origin).T).T, np.zeros_like(places)])
     values = np.sum(energies(model, rest), axis=0)
@@ -35,7 +41,7 @@ def landscape(model: Model | None, frame: Mapping[str, Sequence[float]] | None) 
         return None
     values = np.where(np.isfinite(values), values, known.max())
     return {
-        "corner": [float(down[0]), float(right[0])], "cell": 2 * half / CELLS, "cells": CELLS,
+        "down": [float(f"{x:.7g}") for x in down], "right": [float(f"{x:.7g}") for x in right],
         "levels": np.quantile(known, SHARES).tolist(),
         "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
     }  # fmt: skip

@@ -13,6 +13,7 @@ from orbitfinder.errors import plural
 from orbitfinder.families.branches import SWITCHABLE
 from orbitfinder.families.members import response
 from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import asked
@@ -20,14 +21,12 @@ from orbitfinder.site.gather import OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
 from orbitfinder.site.text import (
-    SI,
     article,
     coordinate,
     mechanism,
     number,
     plain_words,
     symmetry_words,
-    units,
     with_unit,
 )
 
@@ -117,6 +116,7 @@ def orbit_values(entry: Entry) -> dict[str, Any]:
         "commands": (f"orbitfinder run {name}.toml\n" if problem else "")
         + f"orbitfinder verify {name}.json\n"
         + (f"orbitfinder continue {name}.json\n" if problem and entry.conserved else "")
+        + (f"orbitfinder studio {name}.json\n" if problem else "")
         + (f"{entry.command}\n" if entry.command else ""),
         "checks": [_check(one) for one in entry.verdict.checks],
     }
@@ -329,7 +329,7 @@ def family_data(family: Family, simulator: Simulator) -> dict[str, Any]:
         "units": units(family.system),
         "conserved": simulator.conserves(family.system),
         "frame": frame,
-        "landscape": landscape(known, frame),
+        "landscape": landscape(known, frame, many=True),
         "curve": len(family.parameters) > 1,
         "columns": columns
         | {
@@ -423,7 +423,7 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Mod
     return {
         "page": "atlas", "name": name, "items": items, "conserved": all(entry.conserved for entry in entries),
         "units": entries[0].units if alike else SI, "frame": frame,
-        "landscape": landscape(model, frame),
+        "landscape": landscape(model, frame, many=True),
     }  # fmt: skip
 
 

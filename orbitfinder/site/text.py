@@ -87,20 +87,6 @@ def mechanism(system: Mapping[str, Any]) -> str:
     return str(kind)
 
 
-DIMENSIONLESS = ("henon_heiles", "restricted_three_body", "planar_oscillator", "van_der_pol", "lorenz", "rossler",
-                 "brusselator", "fitzhugh_nagumo")  # fmt: skip
-"""Systems of orbitfinder.systems and .flows whose equations carry no units"""
-
-
-def units(system: Mapping[str, Any]) -> dict[str, str]:
-    """The units of energies, times, actions and lengths: SI, or none where the equations carry none."""
-    bare = system.get("kind") == "python" and system.get("function") in DIMENSIONLESS
-    return {"energy": "", "time": "", "action": "", "length": ""} if bare else SI
-
-
-SI = {"energy": "J", "time": "s", "action": "J s", "length": "m"}
-
-
 def with_unit(text: str, unit: str) -> str:
     """A number with its unit, where it has one."""
     return f"{text} {unit}" if unit else text

@@ -13,6 +13,7 @@ import numpy as np
 
 from orbitfinder import site
 from orbitfinder.errors import InputError
+from orbitfinder.mechanics.scales import units
 from orbitfinder.orbits.course import course
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit, orbit_to_document
@@ -21,7 +22,6 @@ from orbitfinder.show import html
 from orbitfinder.show.svg import diagram
 from orbitfinder.site.motion import Motion, Simulator, framed, packed
 from orbitfinder.site.pages import before, pickable
-from orbitfinder.site.text import units
 
 try:
     import anywidget
@@ -74,7 +74,8 @@ class Stage(anywidget.AnyWidget):  # type: ignore[misc]
     @property
     def picked(self) -> Orbit | Event:
         """What is shown now."""
-        return self.members[self.index]
+        member: Orbit | Event = self.members[self.index]
+        return member
 
     def __repr__(self) -> str:
         return f"Stage({self.value!r})"
@@ -106,10 +107,16 @@ def _shown(value: Orbit | Family, members: list[Orbit | Event]) -> dict[str, Any
         _texts(family, one) | {"period": one.period, "motion": packed(motion) if motion else None, "portrait": portrait}
         for one, motion, portrait in zip(members, motions, _portraits(simulator, value.system, motions), strict=True)
     ]
-    found = {"items": items, "title": "", "below": "", "diagram": "", "time": units(value.system)["time"]}
-    if family is None:
-        found |= {"title": value.title or value.name, "below": value.source}  # type: ignore[union-attr]
-    else:
+    found: dict[str, Any] = {
+        "items": items,
+        "title": "",
+        "below": "",
+        "diagram": "",
+        "time": units(value.system)["time"],
+    }
+    if isinstance(value, Orbit):
+        found |= {"title": value.title or value.name, "below": value.source}
+    if family is not None:
         plane = html.plane(family)
         at = dict(zip(map(id, (*family.points, *family.events)), plane[1].round(1).tolist(), strict=True))
         for item, one in zip(items, members, strict=True):

@@ -110,9 +110,9 @@ var orbitfinder = (function () {
 
   // Lines of equal potential energy: through the triangles of the grid, that of the motion's own energy last.
   Scene.prototype.equal = function () {
-    var it = this.landscape, n = it.cells, scene = this, v = it.values = it.values || new Float32Array(bytes(it.data));
-    function place(i, j) { return [scene.width / 2 + (it.corner[1] + j * it.cell - scene.centre[1]) * scene.scale,
-      scene.height / 2 + (it.corner[0] + i * it.cell - scene.centre[0]) * scene.scale, v[i * (n + 1) + j]]; }
+    var it = this.landscape, n = it.down.length - 1, scene = this, v = it.values = it.values || new Float32Array(bytes(it.data));
+    function place(i, j) { return [scene.width / 2 + (it.right[j] - scene.centre[1]) * scene.scale,
+      scene.height / 2 + (it.down[i] - scene.centre[0]) * scene.scale, v[i * (n + 1) + j]]; }
     return it.levels.concat(this.level === null ? [] : [this.level]).map(function (level) {
       var path = new Path2D();
       function triangle(corners) {
@@ -259,7 +259,7 @@ var orbitfinder = (function () {
       pen.stroke();
       if (kind === "rod") at.forEach(function (one) {
         pen.beginPath();
-        pen.arc(one[0], one[1], 0.7 * r, 0, 2 * Math.PI);
+        pen.arc(one[0], one[1], at.length === 1 ? 1.6 * line : 0.7 * r, 0, 2 * Math.PI); // a mass in one point, or a pin
         pen.fill();
       });
     });

@@ -52,6 +52,7 @@
     var scene = player.add(part("stage"), new orbitfinder.Motion(it.motion));
     scene.landscape = it.landscape;
     scene.level = it.landscape ? it.energy : null;
+    if (it.landscape) scene.frame = { centre: it.motion.centre, spans: it.motion.spans, unit: it.units.length };
     player.controls();
     if (part("beside")) {
       var near = new orbitfinder.Motion(it.neighbour), show = function () {

@@ -11,7 +11,7 @@ function render({ model, el }) {
   make("b", "", head).textContent = it.title;
   if (it.below) make("div", "", head).textContent = it.below;
   var row = make("div", "of-row", root), canvas = make("canvas", "", make("div", "of-stage", row));
-  var diagram = it.diagram ? make("div", "of-diagram", row) : null, portrait = make("div", ""), circle = make("div", ""), table = make("table", "");
+  var diagram = it.diagram ? make("div", "of-diagram", row) : null, portrait = make("div", ""), circle = make("div", ""), table = make("table", "of-table");
   if (!diagram) row.append(portrait);
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", "the motion of " + it.title);
