@@ -3,6 +3,7 @@ what happens."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from nicegui import ui
 
 from orbitfinder.errors import InputError, OrbitfinderError
+from orbitfinder.mechanics.model import energy
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.studio.session import Session
 from orbitfinder.studio.worker import StoppedError, Worker
@@ -35,7 +37,10 @@ class Desk:
     def __init__(self, session: Session, taken: set[str]) -> None:
         self.session, self.taken = session, taken
         self.quick, self.long = Worker(), Worker()
-        self.source = Source(dict(session.model.system), [float(one) for one in session.opened.state], None)
+        model, state = session.model, session.opened.state
+        level = energy(model, state) if model.constraint is None and model.conservative else math.nan
+        known = level if math.isfinite(level) else None
+        self.source = Source(dict(model.system), [float(one) for one in state], known)
         self.dark = False
 
     async def told(self, work: Callable[[], Awaitable[Any] | None]) -> None:
