@@ -616,6 +616,7 @@ def test_words_and_numbers():
     assert mechanism({"kind": "linkage", "length": [1, 1, 1]}) == "four-bar linkage"
     assert mechanism({"kind": "python", "function": "rotating_hoop"}) == "rotating hoop"
     assert mechanism({"kind": "custom"}) == "custom"
+    assert mechanism({"kind": "python", "module": "my_leg", "function": "problem"}) == "my leg"
     assert [plural(1, "orbit"), plural(2, "family"), plural(2, "atlas")] == ["1 orbit", "2 families", "2 atlases"]
     assert [coordinate("theta3"), coordinate("y1"), coordinate("<x>")] == ["θ<sub>3</sub>", "y<sub>1</sub>", "x"]
     assert number(-0.5) == "\N{MINUS SIGN}0.5" and number(None) == number(float("inf")) == "not computed"
