@@ -7,6 +7,7 @@ what an index does before it meets another one is told apart from what it does a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import gcd
@@ -21,8 +22,6 @@ from orbitfinder.loops.continued import crossed
 
 LOCATION = 2e-11
 """Arclength within which an event is located."""
-PASSING = 0.1
-"""A root multiplier nearer to +1 than this may be what another family leaves with."""
 TOLD = 1e-4
 """Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family."""
 TOLD_APART = 1e-4
@@ -93,9 +92,9 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
     if ends[0] * ends[1] >= 0:  # within round-off of one end
         return interval.sample((low, high)[int(abs(ends[1]) < abs(ends[0]))])
     sample = interval.sample(_zero(value, low, high, interval.unit))
-    passing = np.abs(sample.about.values - 1.0).min(initial=np.inf) < PASSING
-    if passing and interval.curve.test is None and crossed(interval.curve, sample.found):
-        return _across(interval, measure, sample)
+    if interval.crossed(sample):
+        with suppress(ConvergenceError, IntegrationError):  # as of a step that is too short to look beyond
+            return _across(interval, measure, sample)
     return sample
 
 
