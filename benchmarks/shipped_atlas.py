@@ -234,7 +234,8 @@ def energies_of(name: str, atlas: of.Atlas) -> list[str]:
         rows = [row for row in atlas.rows() if abs(row.energy - energy) <= 1e-6 * max(1.0, abs(energy))]
         least, error = total(here)
         once, hits = sum(one.once for one in here), sum(one.hits for one in here)
-        starts = max(one.starts for one in here)
+        made = "SELECT count(*) FROM starts JOIN searches ON searches.id = search WHERE searches.energy = ?"
+        ((starts,),) = atlas.select([int], made, [energy])
         shell = f"{energy:g}" if atlas.model.invariants else "any"
         lines.append(
             f"| {name} | {shell} | {len(rows)} | {len(kinds(rows))} | {least:.0f} ± {error:.0f} | "
@@ -275,7 +276,7 @@ def tables(atlases: dict[str, of.Atlas]) -> dict[str, str]:
     head = "| atlas | energy | orbits | up to images | at least | coverage | starts | periods |\n" + "|---" * 8 + "|"
     shells = [line for one in ENTRIES for line in energies_of(one.name, atlases[one.name])]
     states = ", ".join(f"{one.name}: `{' '.join(atlases[one.name].model.state_names)}`" for one in ENTRIES)
-    fields = [f"| `{name}` | {unit or '-'} | {text} |" for name, (unit, text) in FIELDS.items()]
+    fields = [f"| `{name}` | {unit or '-'} | {escaped(text)} |" for name, (unit, text) in FIELDS.items()]
     fields.insert(list(FIELDS).index("strategy"), f"| components | {STATE[0]} | {STATE[1]} |")
     return {
         "counts": counts(atlases),
@@ -285,11 +286,18 @@ def tables(atlases: dict[str, of.Atlas]) -> dict[str, str]:
     }
 
 
+def escaped(text: str) -> str:
+    """Text in a table, whose columns are parted by bars."""
+    return text.replace("|", r"\|")
+
+
 def filled(text: str, parts: dict[str, str]) -> str:
     """A page with the text between `<!-- NAME -->` and `<!-- end -->` replaced."""
     for name, part in parts.items():
-        pattern = rf"(<!-- {name} -->\n).*?(\n<!-- end -->)"
-        text, count = re.subn(pattern, lambda found, part=part: found[1] + part + found[2], text, flags=re.DOTALL)
+        pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
+        text, count = re.subn(
+            pattern, lambda found, part=part: found[1] + part + "\n" + found[2], text, flags=re.DOTALL
+        )
         assert count == 1, name
     return text
 
