@@ -109,7 +109,7 @@ def test_every_extra_is_named_with_its_use_and_its_command(monkeypatch):
     monkeypatch.setattr(doctor, "declared_extras", lambda: declared)
     monkeypatch.setattr(doctor, "_installed", lambda _: False)
     said = [line for one in doctor.examine() for line in doctor.report(one)]
-    assert max(map(len, said)) <= 80
+    assert all(len(line) <= 80 or " " not in line[doctor.INDENT :] for line in said)  # a path is not broken
     for extra, use in doctor.EXTRAS.items():
         assert f"pip install 'orbitfinder[{extra}]', for {use}" in " ".join(" ".join(said).split())
 

@@ -51,6 +51,8 @@ def test_triple_1_by_commands_alone(second_mode, tmp_path):
     assert result.exit_code == 0, result.output
     family = load_family(tmp_path / "triple-mode-2-2-1" / "family.json")
     points = [one for one in family.points if one.role == "at"]  # on both sides of the fold in energy
+    shown = [f"family.json#{k}, period {one.period:.9g} s" for k, one in enumerate(family.points) if one in points]
+    assert len(shown) == 2 and all(line in result.stdout for line in shown), "the numbers that FILE#K takes"
     assert min(abs(one.period - period) for one in points) < 1e-11 and points[0].symmetry == "brake"
     assert family.source["kind"] == "branch" and family.source["family"] == "triple-mode-2"
     # the same command again finds its journal and adds nothing
@@ -113,6 +115,32 @@ def test_a_branch_is_sought_square_to_the_old_family():
         assert branch.start.found.place.period == pytest.approx(2 * family.events[doubling].period, rel=0.01)
         if rho > 220:
             family = follow_family(branch, until=217.0, settings=few)
+
+
+def test_a_branch_point_is_where_it_is_from_either_side():
+    """Of the doubled motion of two pendula, in two step sizes, and back along its mirror image in others.
+
+    Beside it orbits are told from those of the family that crosses by no more than round-off over their distance.
+    """
+    once = FamilySettings(certify=False, directions="backward", resonances=1)
+    family = follow_family(
+        problem := load_problem(FAMILIES / "coupled-pendula.toml"), "torque", settings=once, until=0.179
+    )
+    started, found = branches(family, 0, once)[0], []
+    for directions, step, points in (("both", 0.5, 68), ("away", 0.3, 90)):
+        asked = FamilySettings(certify=False, directions=directions, longest_step=step, resonances=1)
+        branch = follow_family(started, settings=asked, points=points)
+        ends = [end.kind for end in branch.ends]
+        assert ends == ["merged", "point limit"][-len(ends) :]  # what runs round twice joins what does so once
+        found.append(next(event for event in branch.events if event.kind == "branch_point"))
+    last = next(one for one in branch.points if one.arclength > found[1].arclength + 0.3)
+    guess = of.Guess(last.shooting_nodes[0][[1, 0, 3, 2]], last.period)
+    mirrored = of.Problem(problem.model, guess, pin=of.pin(torque=last.value), winding=(2, 2))
+    back = FamilySettings(certify=False, directions="forward", longest_step=0.4, resonances=1)
+    branch = follow_family(mirrored, "torque", settings=back, points=12)
+    found.append(next(event for event in branch.events if event.kind == "branch_point"))
+    assert [one.parameter for one in found] == pytest.approx([0.33144524063895] * 3, rel=1e-11)
+    assert np.ptp([one.period for one in found]) < 1e-9
 
 
 def test_no_branch_is_an_error(second_mode, monkeypatch):

@@ -1,6 +1,7 @@
 """The theorem on orbits of every symmetry, planted failures, the record and the commands."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.proof.balls import arb, arb_mat, flint, precision
+from orbitfinder.proof.record import write_entry
 from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 from orbitfinder.proof.trajectory import stability
 from orbitfinder.records.orbit import digest, save_orbit
@@ -208,6 +210,14 @@ def test_prove_records_and_verify_replays(saved):
     assert load_orbit(saved).name == document["name"]
 
 
+def test_a_proof_is_not_written_into_another_orbit(found, saved):
+    """As where the file was written anew while its first orbit was proved; the file stays as it is."""
+    proof, other = prove(found("pendulum")), saved.read_text()
+    with pytest.raises(InputError, match="changed while it was proved, the proof is not recorded"):
+        write_entry(saved, proof)
+    assert saved.read_text() == other
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -345,6 +355,7 @@ def test_refine_command(saved):
     """Text and JSON of the command; without enclosing, nothing is claimed."""
     text = run("refine", saved, "--digits", "25")
     assert text.exit_code == 0 and "25 digits, enclosed" in text.output and "period" in text.output
+    assert re.search(r"^  y +[\d.]+ \+/- [\d.]+e-\d+$", text.output, re.MULTILINE), "a name and how far it is known"
     found = CliRunner().invoke(cli, ["refine", str(saved), "--digits", "25", "--json", "--no-enclose"])
     document = json.loads(found.stdout)
     assert not document["enclosed"] and abs(float(document["period"]["value"]) - load_orbit(saved).period) < 1e-12

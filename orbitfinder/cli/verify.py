@@ -176,14 +176,17 @@ def prove(
         if record:
             check_writable(file.parent, "--record")
         model = provable_model(orbit, file.parent if trust else None)
+        book, number = member(file)
+        held = record and number is not None and kind_of(book) == "atlas"
+        if held:  # where it cannot be written to, that is said before the proof
+            Atlas(book, write=True, model=model).close()
         proof = proved(orbit, model, options, lambda line, name=orbit.name: note(f"{name}: {line}"))  # type: ignore[misc]
         interrupt.check()
-        book, number = member(file)
-        if proof.proved and record and file.exists():
-            write_entry(file, proof)
-        elif proof.proved and record and number is not None and kind_of(book) == "atlas":
+        if proof.proved and held and number is not None:
             with Atlas(book, write=True, model=model) as atlas:
                 atlas.describe(number, entry(proof))
+        elif proof.proved and record and file.exists():
+            write_entry(file, proof)
         elif proof.proved and record:
             note(f"{file}: the proof is not recorded, which only an orbit.json or an atlas can be given")
         results.append({"file": str(file), "name": orbit.name} | entry(proof))
@@ -325,9 +328,10 @@ def refine(
     document = refined_document(found)
     proved = "enclosed" if found.enclosed else f"not enclosed ({found.reason})"
     text(f"{file}: {plural(found.digits, 'digit')}, {proved}, {found.wall_time:.1f} s")
-    text(f"  {'period':<10}{document['period']['value']} s")
-    for k, one in enumerate(document["state"]):
-        text(f"  {f'x{k + 1}':<10}{one['value']}")
+    wide = max(map(len, ("period", *model.state_names))) + 2
+    for name, one in zip(("period", *model.state_names), (document["period"], *document["state"]), strict=True):
+        within = f" +/- {one['radius']:.1e}" if found.enclosed and float(one["value"]) else ""
+        text(f"  {name:<{wide}}{one['value']}{within}{' s' if name == 'period' else ''}")
     finish("refined", document, found.enclosed or not enclose)
 
 
