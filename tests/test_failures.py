@@ -72,6 +72,15 @@ def test_a_pin_far_from_the_guess_is_noticed():
     assert "and the pin asks for 5 J" in said(shooting, shooting.start)
 
 
+def test_a_pin_below_rest_is_named_as_such():
+    """Of a chain it is refused at once; of what somebody wrote the way down from the guess says it."""
+    q, v = ca.SX.sym("q"), ca.SX.sym("v")
+    model = lagrange(v**2 / 2, -9.8 * ca.cos(q - 0.4), Symbols(q, v))
+    problem = Problem(model, Guess([1.0, 0.0], 2.0), pin=pin(energy=-15.0))
+    shooting = transcribe(problem, np.array([[1.0, 0.0], [-0.2, 0.1]]))
+    assert "asks for -15 J and at rest the system has -9.8 J near the guess; pin more" in said(shooting, shooting.start)
+
+
 def test_an_unfolding_that_does_not_vanish_is_explained():
     """A loop that closes only with fictitious damping: the sentence says that no orbit is there."""
     from orbitfinder.loops.failure import advice

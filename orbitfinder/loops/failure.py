@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import minimize
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.integrate.cvodes import integration_error, sundials
 from orbitfinder.loops.problem import Problem, clocked
 from orbitfinder.loops.shooting import Shooting
-from orbitfinder.mechanics.model import energy
+from orbitfinder.mechanics.model import Model, energy
 
+SETTLED = 1e-4
+"""Slope of the potential, relative to its value, below which a way down has come to its end."""
 REST = 1e-6
 """Nodes whose rates and accelerations are all below this, relative to the guess's, are an equilibrium."""
 STEADY = 1e-6
@@ -152,10 +155,22 @@ def _energy_gap(shooting: Shooting) -> str:
     size = max(abs(own - min(potential)), abs(pinned[0] - min(potential)))
     if abs(own - pinned[0]) < 0.3 * size:
         return ""
+    lowest = _lowest(problem.model, state[:n]) if pinned[0] < own else -np.inf
+    if pinned[0] <= lowest:
+        return f"the pin asks for {pinned[0]:.6g} J and at rest the system has {lowest:.6g} J near the guess; pin more"
     return (
         f"the guess has energy {own:.6g} J and the pin asks for {pinned[0]:.6g} J; follow the family there in smaller "
         "steps, or scale the guess to that energy"
     )
+
+
+def _lowest(model: Model, place: np.ndarray) -> float:
+    """Least energy (J) of rest on the way down from a place (n), -inf where there is no floor or rods constrain it."""
+    if model.constraint is not None:
+        return -np.inf
+    down = minimize(lambda q: energy(model, np.concatenate([q, np.zeros(q.size)])), place)
+    settled = np.isfinite(down.fun) and np.abs(down.jac).max() <= SETTLED * abs(down.fun)
+    return float(down.fun) if settled else -np.inf
 
 
 def worst_defects(shooting: Shooting, w: np.ndarray) -> np.ndarray:
