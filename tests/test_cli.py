@@ -374,7 +374,8 @@ def test_names_that_lead_out_of_the_folder_are_refused(command, tmp_path, report
 def test_shared_options_are_written_once():
     """--json and --trust stand in one module; the commands take them from there."""
     modules = (ROOT / "orbitfinder" / "cli").glob("*.py")
-    written = [path.name for path in modules for name in ("json", "trust") if f'"--{name}"' in path.read_text("utf-8")]
+    texts = {path.name: path.read_text("utf-8") for path in modules}
+    written = [where for where, text in texts.items() for name in ("json", "trust") if f'"--{name}", is_flag' in text]
     assert written == ["options.py", "options.py"]
 
 

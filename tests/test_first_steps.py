@@ -21,7 +21,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("words", "answer"), [
     ("run mine", "mine: no such file; did you mean mine.toml?"),
-    ("run none", "none: no such file; check the path"),
+    ("run none", "none: no such file; check the path; `orbitfinder problems copy all` writes those that come with"),
     ("mine.toml", "'mine.toml' is a file, not a command. Did you mean: orbitfinder run mine.toml"),
     ("orbit.json", "'orbit.json' is a file, not a command. Did you mean: orbitfinder verify orbit.json"),
     ("verify mine.toml", "mine.toml: a problem file; run it, then give the orbit.json that was written"),

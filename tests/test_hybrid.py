@@ -746,3 +746,12 @@ def test_five_links_without_a_torso_are_four():
     assert other.floquet_multipliers == pytest.approx(one.floquet_multipliers, abs=1e-9)
     with pytest.raises(InputError, match="torso_mass: must not be negative, got -1"):
         five_link_walker(torso_mass=-1)
+
+
+def test_an_event_where_a_step_of_the_integrator_ends_is_one_moment(monkeypatch):
+    """Figures part a motion where a time comes twice; a motion that ended in such an event had an arc too many."""
+    ring = of.Transition("ring", "on", "on", lambda x, p: x.x - 1.0, lambda x, p: [0.0], direction=1)
+    model = of.hybrid({"on": of.ode(lambda t, x, p: [1.0], ["x"])}, [ring], ["ring"])
+    monkeypatch.setattr(Automaton, "_polished", lambda self, one, field, begin, moment: begin)  # where the step begins
+    for arc in Automaton(model, longest=0.125).arcs(np.zeros(1), "on", events=3):
+        assert np.diff(arc.times).min() > 0 and len(arc.times) == len(arc.states)

@@ -213,6 +213,8 @@ class Automaton:
             if found is None and solver.status != "finished":
                 continue
             spent, path = np.concatenate(times), np.vstack(states)
+            if len(spent) > 2 and t + spent[-2] == t + spent[-1]:  # the event where a step ended is one moment
+                spent, path = np.delete(spent, -2), np.delete(path, -2, axis=0)
             margins = tuple((name, -one.most / max(one.range, 1e-300)) for name, one in holds.items())
             if found is None:
                 return Arc(mode, t + spent, path, None, path[-1], 0.0, margins)

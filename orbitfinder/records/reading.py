@@ -58,6 +58,8 @@ def _opened(path: Path, what: str) -> BinaryIO:
     except FileNotFoundError as error:
         named = path.with_name(f"{path.name}.toml")
         meant = f"did you mean {named}?" if named.is_file() else "check the path"
+        if what == "problem file" and not named.is_file():
+            meant += "; `orbitfinder problems copy all` writes those that come with orbitfinder to problems/"
         raise InputError(f"{path}: no such file; {meant}") from error
     except InputError:
         raise
