@@ -214,13 +214,38 @@ def test_a_table_that_was_tampered_with_is_refused(book):
         Atlas(book)
 
 
+def claimed(orbit):
+    """The entry of a proof as far as it says of which orbit it is and what it decides."""
+    period, energy = ({"value": repr(one), "radius": 0.0} for one in (orbit.period, orbit.energy))
+    return {"proved": True, "stability": "unstable", "period": period, "period_distance": 0.0, "energy": energy}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"stability": "\x1b[32mstable"}, {"stability": {"a": 1}}, {"period": {"value": "2.5"}}, {"proved": 1},
+     {"energy": {"value": "-3"}}, {"energy": 4}, {"period": None}],
+)  # fmt: skip
+def test_a_doctored_proof_is_none(triples, tmp_path, wrong):
+    """A proof of other numbers, or of what no proof says, is not in the rows, nor in the table, nor on a page."""
+    planted = [replace(triples[0], proof=claimed(triples[0]) | wrong), replace(triples[1], proof=claimed(triples[1]))]
+    with Atlas(tmp_path / "planted.sqlite", triples[0].system, write=True) as atlas:
+        for orbit in planted:
+            atlas.add(orbit)
+        assert [row.proof for row in atlas.rows(order="id")] == ["", "unstable"]
+        atlas.connection.execute("UPDATE orbits SET proof = 'linearly stable'")  # what no document says
+        told = csv.DictReader(exported(atlas, "csv").decode().splitlines())
+        assert sorted(one["proof"] for one in told) == ["", "unstable"]
+
+
 def test_a_proof_goes_into_the_row_and_the_document(book, triples):
     """`describe` keeps the record's digest; a proof that failed is no proof; merging prefers the proved copy."""
     with Atlas(book, triples[0].system, write=True) as atlas:
         record = atlas.document(1)["record"]
         atlas.describe(1, {"proved": False, "reason": "planted"})
         assert atlas.row(1).proof == ""
-        atlas.describe(1, {"proved": True, "stability": "unstable"})
+        atlas.describe(1, claimed(atlas.orbit(1)))
+        with pytest.raises(InputError, match="orbit 2: proof: it is of another orbit; prove this one again"):
+            atlas.describe(2, claimed(atlas.orbit(1)))
         assert atlas.row(1).proof == "unstable" and atlas.row(2).proof == ""
         assert atlas.document(1)["record"] == record and atlas.orbit(1).proof["stability"] == "unstable"
         with pytest.raises(InputError, match="id: no orbit 7"):
@@ -370,8 +395,8 @@ def test_the_cost_of_an_insertion_stays_flat(tmp_path, triples, monkeypatch):
 
     The document is compressed beforehand, which would hide the rest.
     """
-    data = store.packed(triples[0])
-    monkeypatch.setattr(store, "packed", lambda orbit: data)
+    data = store.compressed(orbit_to_document(triples[0]))
+    monkeypatch.setattr(store, "compressed", lambda document: data)
     random, times = np.random.default_rng(0), []
     with Atlas(tmp_path / "large.sqlite", triples[0].system, write=True) as atlas:
         for _ in range(100_500):

@@ -31,6 +31,10 @@ class Planted(Interval):
     def computed(self, distance):
         return read(self.family, distance, self.first.about.root)
 
+    def crossed(self, sample):
+        """Maps have no equations that another family could cross."""
+        return False
+
 
 def read(family, s, root):
     """What is read at one map."""

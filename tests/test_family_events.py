@@ -36,6 +36,10 @@ class Planted(Interval):
         """The map at a distance, its indices matched as those of an orbit are."""
         return read(self.family, self.start + distance, self.indices(distance), distance, self.first.about.root)
 
+    def crossed(self, sample: Sample) -> bool:
+        """Maps have no equations that another family could cross."""
+        return False
+
 
 def read(family: Family, s: float, expected: np.ndarray | None, distance: float, root: int) -> Sample:
     """A sample of a map: indices, and which multiplier of each has Krein sign +1."""

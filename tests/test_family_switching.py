@@ -117,6 +117,32 @@ def test_a_branch_is_sought_square_to_the_old_family():
             family = follow_family(branch, until=217.0, settings=few)
 
 
+def test_a_branch_point_is_where_it_is_from_either_side():
+    """Of the doubled motion of two pendula, in two step sizes, and back along its mirror image in others.
+
+    Beside it orbits are told from those of the family that crosses by no more than round-off over their distance.
+    """
+    once = FamilySettings(certify=False, directions="backward", resonances=1)
+    family = follow_family(
+        problem := load_problem(FAMILIES / "coupled-pendula.toml"), "torque", settings=once, until=0.179
+    )
+    started, found = branches(family, 0, once)[0], []
+    for directions, step, points in (("both", 0.5, 68), ("away", 0.3, 90)):
+        asked = FamilySettings(certify=False, directions=directions, longest_step=step, resonances=1)
+        branch = follow_family(started, settings=asked, points=points)
+        ends = [end.kind for end in branch.ends]
+        assert ends == ["merged", "point limit"][-len(ends) :]  # what runs round twice joins what does so once
+        found.append(next(event for event in branch.events if event.kind == "branch_point"))
+    last = next(one for one in branch.points if one.arclength > found[1].arclength + 0.3)
+    guess = of.Guess(last.shooting_nodes[0][[1, 0, 3, 2]], last.period)
+    mirrored = of.Problem(problem.model, guess, pin=of.pin(torque=last.value), winding=(2, 2))
+    back = FamilySettings(certify=False, directions="forward", longest_step=0.4, resonances=1)
+    branch = follow_family(mirrored, "torque", settings=back, points=12)
+    found.append(next(event for event in branch.events if event.kind == "branch_point"))
+    assert [one.parameter for one in found] == pytest.approx([0.33144524063895] * 3, rel=1e-11)
+    assert np.ptp([one.period for one in found]) < 1e-9
+
+
 def test_no_branch_is_an_error(second_mode, monkeypatch):
     """When nothing is found at an event, that is said."""
     monkeypatch.setattr("orbitfinder.families.branches.switch", lambda *_: [])

@@ -523,13 +523,17 @@ def test_an_orbit_that_cannot_be_drawn_still_has_a_page(tmp_path):
 
 
 def test_a_proof_is_shown(tmp_path):
-    proof = {"proved": True, "theorem": "<1>", "period": {"value": "1.6553389883", "radius": 2e-30}}
+    """Where it is of this orbit: of another period it is none."""
+    energy, stability = {"value": repr(document()["energy"])}, {"stability": "unstable", "period_distance": 1e-9}
+    proof = {"proved": True, "theorem": "<1>", "energy": energy} | stability
+    proof |= {"period": {"value": "1.6553389883", "radius": 2e-30}}
     (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof}))
     text = build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
     assert ">proof recorded</span>" in text and "not replayed here" in text
     assert "theorem &lt;1&gt; of" in text and "1.6553389883 s within 2e" in text
-    (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof | {"proved": False}}))
-    assert "proof recorded" not in build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
+    for wrong in ({"proved": False}, {"period": {"value": "1.6553", "radius": 2e-30}}):
+        (tmp_path / "orbit.json").write_text(json.dumps(document() | {"proof": proof | wrong}))
+        assert "proof recorded" not in build_site(gather([tmp_path]))[0].files["orbits/triple-1.html"].decode()
 
 
 FORGED = {"proof": {"proved": True, "theorem": "1"}}
@@ -645,6 +649,7 @@ def test_words_and_numbers():
     assert mechanism({"kind": "linkage", "length": [1, 1, 1]}) == "four-bar linkage"
     assert mechanism({"kind": "python", "function": "rotating_hoop"}) == "rotating hoop"
     assert mechanism({"kind": "custom"}) == "custom"
+    assert mechanism({"kind": "python", "module": "my_leg", "function": "problem"}) == "my leg"
     assert [plural(1, "orbit"), plural(2, "family"), plural(2, "atlas")] == ["1 orbit", "2 families", "2 atlases"]
     assert [coordinate("theta3"), coordinate("y1"), coordinate("<x>")] == ["θ<sub>3</sub>", "y<sub>1</sub>", "x"]
     assert number(-0.5) == "\N{MINUS SIGN}0.5" and number(None) == number(float("inf")) == "not computed"

@@ -17,6 +17,7 @@ from orbitfinder.errors import InputError
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.proof.balls import arb, arb_mat, flint, precision
+from orbitfinder.proof.record import write_entry
 from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 from orbitfinder.proof.trajectory import stability
 from orbitfinder.records.orbit import digest, save_orbit
@@ -207,6 +208,14 @@ def test_prove_records_and_verify_replays(saved):
     assert again.exit_code == 0, again.output
     assert json.loads(again.output)["results"][0]["proof"]["passed"]
     assert load_orbit(saved).name == document["name"]
+
+
+def test_a_proof_is_not_written_into_another_orbit(found, saved):
+    """As where the file was written anew while its first orbit was proved; the file stays as it is."""
+    proof, other = prove(found("pendulum")), saved.read_text()
+    with pytest.raises(InputError, match="changed while it was proved, the proof is not recorded"):
+        write_entry(saved, proof)
+    assert saved.read_text() == other
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_fifty_orbits_of_the_shipped_atlas_are_proved():
     assert len(marks & shipped) >= WANTED
 
 
-def test_a_proof_is_recorded_in_the_atlas(tmp_path):
+def test_a_proof_is_recorded_in_the_atlas(tmp_path, monkeypatch):
     """`prove ATLAS.sqlite#K` writes row and document, which `verify --proof` replays; --no-record leaves it alone."""
     book = Path(shutil.copy(RESULTS / "atlas" / "lorenz.sqlite", tmp_path / "lorenz.sqlite"))
     with Atlas(book) as atlas:
@@ -51,6 +51,10 @@ def test_a_proof_is_recorded_in_the_atlas(tmp_path):
             assert atlas.row(row.id).proof == verdict
     said = CliRunner().invoke(cli, ["verify", "--proof", f"{book}#{row.id}"])
     assert said.exit_code == 0 and "proof replayed" in said.output, said.output
+    book.chmod(0o444)
+    monkeypatch.setattr("orbitfinder.proof.theorem.prove", None)  # not begun where it cannot be recorded
+    said = CliRunner().invoke(cli, ["prove", f"{book}#{row.id}"])
+    assert said.exit_code == 2 and "read-only; make it writable" in said.stderr
 
 
 @pytest.mark.slow

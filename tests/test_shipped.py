@@ -64,6 +64,16 @@ def test_all_are_copied(tmp_path):
     assert copied == {path.relative_to(PROBLEMS) for path in PROBLEMS.glob("*/*.*")}
 
 
+def test_an_interrupted_copy_leaves_no_half_file(tmp_path, monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("os.replace", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        shipped.copy(shipped.chosen(["triple-1"]), tmp_path)
+    assert [one for one in tmp_path.rglob("*") if one.is_file()] == []
+
+
 def test_nothing_is_overwritten_unless_told(tmp_path):
     """A changed file stays, and nothing else is written with it; an equal one is no hindrance."""
     mine = tmp_path / "report" / "triple-1.toml"

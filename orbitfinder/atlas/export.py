@@ -8,7 +8,7 @@ import json
 from typing import Any
 
 from orbitfinder.atlas.signature import in_words
-from orbitfinder.atlas.store import Atlas, Filter, Row, named_state
+from orbitfinder.atlas.store import Atlas, Filter, Row, named_state, proved
 from orbitfinder.errors import InputError
 from orbitfinder.loops.symmetry import SYMMETRIES
 from orbitfinder.records.orbit import orbit_from_document
@@ -55,7 +55,7 @@ def flat(atlas: Atlas, row: Row, state_names: tuple[str, ...]) -> dict[str, Any]
     """One row: numbers in SI units and rad, the state at t = 0 and where the orbit came from."""
     document = atlas.document(row.id)
     origin = dict(document.get("provenance") or {})
-    known = vars(row) | document | {"strategy": origin.get("strategy", ""), "proof": row.proof}
+    known = vars(row) | document | {"strategy": origin.get("strategy", ""), "proof": proved(document)}
     known |= {"seed": origin.get("seed"), "start": origin.get("index")}
     known["floquet_multipliers"] = json.dumps(document["floquet_multipliers"])
     known["signature"] = row.signature or in_words(orbit_from_document(document), atlas.signature(row.id))

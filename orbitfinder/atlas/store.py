@@ -23,7 +23,14 @@ from orbitfinder.mechanics.catalogue import build_model
 from orbitfinder.mechanics.model import Model, energies
 from orbitfinder.orbits.floquet import STABILITIES
 from orbitfinder.records import store
-from orbitfinder.records.orbit import Orbit, orbit_from_document, orbit_in, orbit_to_document, refuse_controlled
+from orbitfinder.records.orbit import (
+    Orbit,
+    orbit_from_document,
+    orbit_in,
+    orbit_to_document,
+    recorded_proof,
+    refuse_controlled,
+)
 from orbitfinder.records.reading import LARGEST_INTEGER, inflated, is_number, json_document, read_as, walked
 from orbitfinder.records.store import kind_of, member
 
@@ -317,11 +324,11 @@ class Atlas(Shown):
         """Store an orbit without further questions; the id. To be called inside a transaction."""
         if orbit.certificate is None or not orbit.certificate.passed:
             raise InputError("orbit: not certified; an atlas holds certified orbits only, certify it first")
-        periods, actions = signature.bins
+        (periods, actions), document = signature.bins, orbit_to_document(orbit)
         numbers = [
             periods, actions, signature.energy, orbit.period, orbit.action, orbit.symmetry, orbit.stability,
             float(np.abs(orbit.floquet_multipliers).max(initial=1.0)), orbit.closure, in_words(orbit, signature),
-            proved(orbit.proof), packed(orbit),
+            proved(document), compressed(document),
         ]  # fmt: skip
         cursor = self.connection.execute(
             "INSERT INTO orbits (period_bin, action_bin, energy, period, action, symmetry, stability, instability, "
@@ -332,11 +339,16 @@ class Atlas(Shown):
         return cursor.lastrowid
 
     def describe(self, number: int, proof: Mapping[str, Any] | None = None) -> None:
-        """Write the signature of a stored orbit again, which atlases made before 0.2 lack, and a proof of it."""
-        document = self.document(number) | ({} if proof is None else {"proof": dict(proof)})
-        orbit = orbit_from_document(document)
-        values = [in_words(orbit, self.signature(number)), proved(orbit.proof), compressed(document), number]
+        """Write the signature of a stored orbit again, which atlases made before 0.2 lack, and a proof of it.
+
+        Raises `InputError` for a proof of another orbit, as where a merge has numbered them anew meanwhile.
+        """
+        told = in_words(self.orbit(number), self.signature(number))
         with explained(self.path), transaction(self.connection):
+            document = self.document(number) | ({} if proof is None else {"proof": dict(proof)})
+            if proof is not None and proof.get("proved") is True and not proved(document):
+                raise InputError(f"{self.path}: orbit {number}: proof: it is of another orbit; prove this one again")
+            values = [told, proved(document), compressed(document), number]
             self.connection.execute("UPDATE orbits SET signature = ?, proof = ?, document = ? WHERE id = ?", values)
 
     def add(self, orbit: Orbit) -> tuple[int, bool]:
@@ -375,23 +387,18 @@ def load_orbit(path: str | Path) -> Orbit:
         return atlas.orbit(number)
 
 
-def packed(orbit: Orbit) -> bytes:
-    """The orbit.json document of an orbit, compressed."""
-    return compressed(orbit_to_document(orbit))
-
-
 def compressed(document: Mapping[str, Any]) -> bytes:
     """A document as an atlas keeps it."""
     return zlib.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), 9)
 
 
-def proved(proof: Mapping[str, Any] | None) -> str:
-    """The stability that a proof of an orbit's existence decides ("linearly stable", ..., "open"), "" without one."""
-    return str(proof["stability"]) if proof and proof.get("proved") is True and "stability" in proof else ""
+def proved(document: Mapping[str, Any]) -> str:
+    """The stability that the recorded proof of an orbit decides ("linearly stable", ..., "open"), "" without one."""
+    return str((recorded_proof(document) or {}).get("stability", ""))
 
 
 def unpacked(data: bytes, where: str) -> dict[str, Any]:
-    """The document that `packed` made; `InputError` when it is damaged."""
+    """The document that `compressed` packed; `InputError` when it is damaged."""
     document: dict[str, Any] = json_document(inflated(data, where, RESTORE), where, RESTORE)
     orbit_in(document, where)
     return document

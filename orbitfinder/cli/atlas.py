@@ -123,7 +123,7 @@ def show(book: Path, number: int, trust: bool) -> None:
     Example:
       orbitfinder atlas show triple.sqlite 12 --json > orbit.json && orbitfinder verify orbit.json
     """
-    from orbitfinder.atlas.store import Atlas, named_state
+    from orbitfinder.atlas.store import Atlas, named_state, proved
 
     with Atlas(book, trusted=book.parent if trust else None) as opened:
         document = opened.document(number)
@@ -140,7 +140,9 @@ def show(book: Path, number: int, trust: bool) -> None:
     for name, value in named_state(document, names).items():
         text(f"  {name:<22}{value:.12g}")
     text(f"  {'signature':<22}{row.signature}")
-    text(f"  {'proof':<22}{row.proof or 'none'}")
+    claim = proved(document)
+    said = f"{claim}, as recorded; orbitfinder verify --proof {book}#{number} does it again" if claim else "none"
+    text(f"  {'proof':<22}{said}")
     multipliers = ", ".join(f"{complex(*mu):.6g}" for mu in document["floquet_multipliers"])
     text(f"  {'floquet multipliers':<22}{multipliers}")
     if "cycle" in document["system"]:

@@ -176,14 +176,17 @@ def prove(
         if record:
             check_writable(file.parent, "--record")
         model = provable_model(orbit, file.parent if trust else None)
+        book, number = member(file)
+        held = record and number is not None and kind_of(book) == "atlas"
+        if held:  # where it cannot be written to, that is said before the proof
+            Atlas(book, write=True, model=model).close()
         proof = proved(orbit, model, options, lambda line, name=orbit.name: note(f"{name}: {line}"))  # type: ignore[misc]
         interrupt.check()
-        book, number = member(file)
-        if proof.proved and record and file.exists():
-            write_entry(file, proof)
-        elif proof.proved and record and number is not None and kind_of(book) == "atlas":
+        if proof.proved and held and number is not None:
             with Atlas(book, write=True, model=model) as atlas:
                 atlas.describe(number, entry(proof))
+        elif proof.proved and record and file.exists():
+            write_entry(file, proof)
         elif proof.proved and record:
             note(f"{file}: the proof is not recorded, which only an orbit.json or an atlas can be given")
         results.append({"file": str(file), "name": orbit.name} | entry(proof))

@@ -32,7 +32,7 @@ from orbitfinder.families.start import (
     symmetry_of,
     unknown_parameters,
 )
-from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, correct, plane, scaled
+from orbitfinder.loops.continued import CRITICAL, Curve, Solution, advanced, at_place, correct, plane, scaled
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
 from orbitfinder.mechanics.catalogue import build_model
@@ -53,8 +53,6 @@ UNFOLDED = 1e-8
 """Largest fictitious damping, per period, with which a motion is still an orbit."""
 ROUND_OFF = 1e-13
 """Share of an event's energy, period and parameters that differences of theirs are not known to."""
-CRITICAL = 1e-3
-"""A singular value below this, relative to the next larger ones, belongs to the kernel."""
 
 
 @dataclass(frozen=True)

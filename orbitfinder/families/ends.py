@@ -312,9 +312,11 @@ def merged(interval: Interval, at: float) -> End | None:
     curve, found = interval.curve, interval.sample(at).found
     model, symmetry = curve.equations.model, curve.equations.symmetry
     times, states = full_samples(curve, found)
-    name, states = recognise(times, states, model), states / curve.units
+    name, parts = recognise(times, states, model), range(2, MOST_COVERS + 1)
+    gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in parts}
+    states = states / curve.units
     extent = float(np.ptp(states, axis=0).max())
-    covers = [k for k in range(2, MOST_COVERS + 1) if return_gaps(states, k).max() < JOINED * extent]
+    covers = [k for k in parts if gaps_of[k] < JOINED * extent]
     what = ""
     if covers:
         what = f"of period T/{max(covers)}"

@@ -7,7 +7,8 @@ what an index does before it meets another one is told apart from what it does a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import gcd
 
@@ -17,9 +18,12 @@ from scipy.optimize import brentq, minimize_scalar
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.run import Interval, Sample, is_real, real_indices
 from orbitfinder.families.stability import matching
+from orbitfinder.loops.continued import crossed
 
 LOCATION = 2e-11
 """Arclength within which an event is located."""
+TOLD = 1e-4
+"""Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family."""
 TOLD_APART = 1e-4
 """An index located at a level is this near to it, unless two indices were taken for each other."""
 UNTOLD = 1e-3
@@ -87,9 +91,37 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
     ends = [value(low), value(high)]
     if ends[0] * ends[1] >= 0:  # within round-off of one end
         return interval.sample((low, high)[int(abs(ends[1]) < abs(ends[0]))])
-    # round-off may keep the last bracket wider than asked for
-    tight = {"xtol": LOCATION * interval.unit, "rtol": 1e-14, "maxiter": 60, "disp": False}
-    return interval.sample(float(brentq(value, low, high, **tight)))
+    sample = interval.sample(_zero(value, low, high, interval.unit))
+    if interval.crossed(sample):
+        with suppress(ConvergenceError, IntegrationError):  # as of a step that is too short to look beyond
+            return _across(interval, measure, sample)
+    return sample
+
+
+def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
+    """The orbit `near` a crossing of two families at which a measure vanishes, as orbits on both sides tell."""
+    first, head = interval.first.found.place.head, interval.curve.weights * interval.first.head
+    about = interval.about(near.distance)
+    if any(crossed(interval.curve, one.found, TOLD) for one in (about.first, about.last)):
+        return near  # the families part too slowly
+
+    def sample(distance: float) -> Sample:
+        found = about.sample(distance)
+        return replace(found, distance=float(head @ (found.found.place.head - first)))
+
+    def value(distance: float) -> float:
+        return measure(sample(distance))
+
+    if value(0.0) * value(about.length) >= 0:
+        return near
+    found = sample(_zero(value, 0.0, about.length, interval.unit))
+    interval.seen[found.distance] = found
+    return found
+
+
+def _zero(value: Callable[[float], float], low: float, high: float, unit: float) -> float:
+    """Where a function of arclength vanishes; round-off may keep the last bracket wider than asked for."""
+    return float(brentq(value, low, high, xtol=LOCATION * unit, rtol=1e-14, maxiter=60, disp=False))
 
 
 @dataclass(frozen=True)

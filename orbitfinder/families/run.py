@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,13 +12,18 @@ from orbitfinder.errors import ConvergenceError
 from orbitfinder.families.point import FamilySettings, make_point, span, unknowns_of
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
-from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, bend, correct, plane, tangent
+from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, bend, correct, crossed, plane, tangent
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import FamilyPoint
 
 REAL = 1e-7
 """An index counts as real when its imaginary part is below this, relative to its size."""
+PASSING = 0.1
+"""A root multiplier nearer to +1 than this may be what another family leaves with."""
+JUNCTION = 2e-3
+"""Arclength from a crossing of two families at which an orbit is told from the other family's: its rows are singular
+there in proportion to it, and what errors of 1e-14 make of that and a cubic's of the fourth order are both small."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,7 @@ class Interval:
         reach = max(0.5 * self.length, 1e-6 * self.unit)
         aim = plane(curve, place, first.head, distance)
         found = correct(curve, self.guess(distance), aim, place, reach, self.slope(distance))
-        whole = tangent(curve, found, first.head)
+        whole = tangent(curve, found, self.heading(distance))
         sample = make_sample(curve, distance, found, whole, self.indices(distance))
         if sample.indices.shape != first.indices.shape:
             raise ConvergenceError("the orbit is a relative equilibrium, whose flow is one of its symmetries")
@@ -109,10 +114,33 @@ class Interval:
         bent = self.curvature + (distance - self.length) * self.twist
         return advanced(self.first.found.place, self.first.whole, distance, bent)
 
+    def heading(self, distance: float) -> np.ndarray:
+        """The tangent of that cubic over the head."""
+        d, place = distance, self.first.found.place
+        return place.head_of(self.first.whole + 2 * d * self.curvature + (3 * d - 2 * self.length) * d * self.twist)
+
     def slope(self, distance: float) -> np.ndarray | None:
         """The Jacobian between those of the ends."""
+        if self.curve.degenerate and self.curve.test is None:  # it would lead along the family that crosses
+            return None
         share, (a, b) = distance / self.length, (self.first.found.jacobian, self.last.found.jacobian)
         return np.asarray((1 - share) * a + share * b) if a.shape == b.shape else None
+
+    def crossed(self, sample: Sample) -> bool:
+        """Whether another family crosses at an orbit of the interval."""
+        passing = np.abs(sample.about.values - 1.0).min(initial=np.inf) < PASSING
+        return bool(passing) and self.curve.test is None and crossed(self.curve, sample.found)
+
+    def about(self, distance: float) -> Interval:
+        """The interval about a place where another family crosses, between orbits that can each be told from it.
+
+        There the aim no longer says which family is meant; the orbits inside stay on the cubic in that direction.
+        """
+        half = JUNCTION * self.unit
+        first, last = (self.computed(one) for one in (distance - half, distance + half))
+        length = float((self.curve.weights * first.head) @ (last.found.place.head - first.found.place.head))
+        curve = replace(self.curve, degenerate=True)
+        return make_interval(curve, replace(first, distance=0.0), replace(last, distance=length))
 
     def indices(self, distance: float) -> np.ndarray:
         """Indices between those of the ends."""

@@ -358,10 +358,11 @@ def _linked_samples(curve: Curve, found: Solution, count: int) -> tuple[np.ndarr
 
 
 def return_gaps(states: np.ndarray, parts: int) -> np.ndarray:
-    """|x(T / parts) - x(0)| (2n) of states at equal times over a period T."""
+    """|x(T / parts) - x(0)| (2n) of states at equal times over a period T, but for whole turns of what runs round."""
     low, share = divmod((len(states) - 1) / parts, 1.0)
     before, after = states[int(low)], states[int(low) + 1]
-    return np.asarray(np.abs(before + share * (after - before) - states[0]))
+    turns = 2 * np.pi * np.round((states[-1] - states[0]) / (2 * np.pi * parts))
+    return np.asarray(np.abs(before + share * (after - before) - states[0] - turns))
 
 
 def reformulated(start: Start, symmetry: Symmetry) -> Start:

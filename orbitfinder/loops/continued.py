@@ -36,6 +36,8 @@ SLOW = 0.1
 """A step that leaves more than this share of the residual asks for the differences of a test function anew."""
 ACROSS = 1e-3
 """A step of which less than this share, squared, leads off the surface of orbits tells how a test changes along it."""
+CRITICAL = 1e-3
+"""A singular value below this, relative to the next larger ones, belongs to the kernel."""
 DIFFERENCE = 1e-4
 """Half of a central difference of a test function, in the metric: its error and round-off are both some 1e-8."""
 
@@ -337,6 +339,12 @@ def kernel(curve: Curve, found: Solution) -> np.ndarray:
         last = np.linalg.svd(last[:, -found.place.free.size :])[0].T[:1] @ last
     whole = units * last[-1]
     return np.asarray(whole / np.sqrt(curve.weights @ found.place.head_of(whole) ** 2))
+
+
+def crossed(curve: Curve, found: Solution, share: float = CRITICAL) -> bool:
+    """Whether another family crosses there: the rows without an aim have a kernel of two dimensions."""
+    sizes = np.linalg.svd(scaled(curve, found)[0], compute_uv=False)
+    return bool(sizes[-1] < share * sizes[-2:][0])
 
 
 def advanced(w: Unknowns, whole: np.ndarray, length: float, curvature: np.ndarray | None = None) -> Unknowns:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -12,6 +11,7 @@ from typing import Any
 
 from orbitfinder.errors import InputError, closest
 from orbitfinder.problemfile.read import read_toml
+from orbitfinder.records.reading import write_atomically
 
 KINDS = {
     "report": "the four orbits of the report that this began with",
@@ -126,7 +126,7 @@ def copy(problems: Sequence[Shipped], out: Path, force: bool = False) -> list[Pa
         )
     for to, file in pairs.items():
         to.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, to)
+        write_atomically(to, file.read_bytes())
     return [to for to in pairs if to.suffix in FORMS]
 
 

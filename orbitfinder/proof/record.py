@@ -15,7 +15,7 @@ from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import FLINT, arb, precision
 from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, prove
-from orbitfinder.records.orbit import Orbit, read_document
+from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
 from orbitfinder.records.reading import read_as, write_json
 
 DIGITS = 30
@@ -74,8 +74,14 @@ def _proved(proof: Proof) -> dict[str, Any]:
 
 
 def write_entry(path: Path, proof: Proof) -> None:
-    """Put the entry into an orbit.json; everything else in the file, its digest included, stays as it is."""
-    write_json(path, read_document(path) | {"proof": entry(proof)})
+    """Put the entry into an orbit.json; everything else in the file, its digest included, stays as it is.
+
+    Raises `InputError` where the file holds another orbit by now.
+    """
+    document = read_document(path) | {"proof": entry(proof)}
+    if proof.proved and recorded_proof(document) is None:
+        raise InputError(f"{path}: changed while it was proved, the proof is not recorded; prove it again")
+    write_json(path, document)
 
 
 def read_entry(orbit: Orbit, path: Path) -> Mapping[str, Any]:

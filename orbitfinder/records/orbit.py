@@ -60,6 +60,10 @@ class Check:
     note: str = ""
 
 
+VERDICTS = ("linearly stable", "asymptotically stable", "unstable", "open")
+"""What a proof decides of an orbit's stability"""
+
+
 @dataclass(frozen=True)
 class Certificate(Shown):
     """Every check of one orbit; `passed` only when all of them did, `failures` names the others.
@@ -257,6 +261,23 @@ def digest(document: Mapping[str, Any]) -> str:
     """SHA-256 of the numbers of an orbit document, independent of its layout on disk."""
     relative = {name: document[name] for name in ("shift", "control") if document.get(name)}
     return content_digest({name: document.get(name) for name in DIGESTED} | relative)
+
+
+def recorded_proof(document: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """The proof that an orbit document says it has; None without one, and where it is of another orbit's numbers.
+
+    It is a claim until `orbitfinder verify --proof` does it again.
+    """
+    proof = document.get("proof")
+    if not isinstance(proof, Mapping) or proof.get("proved") is not True or proof.get("stability") not in VERDICTS:
+        return None
+    try:
+        level, period = proof["energy"], float(document["period"])
+        apart = abs(float(proof["period"]["value"]) - period)
+        near = apart <= float(proof["period_distance"]) + np.spacing(period)
+        return proof if near and (level is None or float(level["value"]) == document["energy"]) else None
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def save_orbit(orbit: Orbit, path: str | Path) -> Path:

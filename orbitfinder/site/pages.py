@@ -16,7 +16,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
-from orbitfinder.records.orbit import asked
+from orbitfinder.records.orbit import asked, recorded_proof
 from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
@@ -187,10 +187,7 @@ SYMPLECTIC = "\N{GREEK CAPITAL LETTER PHI}\N{MODIFIER LETTER CAPITAL T}J\N{GREEK
 
 def _recorded_proof(entry: Entry) -> Mapping[str, Any] | None:
     """What `orbitfinder prove` recorded, where it proved something; of a rejected orbit nothing is proved."""
-    proof = entry.document.get("proof")
-    if not isinstance(proof, Mapping) or proof.get("proved") is not True or entry.verdict.certified is False:
-        return None
-    return proof
+    return None if entry.verdict.certified is False else recorded_proof(entry.document)
 
 
 def orbit_data(entry: Entry) -> dict[str, Any]:
