@@ -66,10 +66,10 @@ class Entry:
 ENTRIES = (
     Entry("triple", "triple pendulum", "search/triple-three-energies", 4600, SI, ("--workers", "2")),
     Entry("quadruple", "quadruple pendulum", "search/quadruple", 4000, SI, ("--workers", "2")),
-    Entry("double", "double pendulum", "search/double-atlas", 150, SI),
+    Entry("double", "double pendulum", "search/double-atlas", 500, SI),
     Entry("coupled-oscillators", "two springs coupled at fourth order", "search/coupled-oscillators-atlas", 400, FREE),
     Entry("cart-chain", "Fermi-Pasta-Ulam chain of three carts", "search/cart-chain-atlas", 200, FREE),
-    Entry("henon-heiles", "Hénon-Heiles system", "search/henon-heiles-atlas", 60, FREE),
+    Entry("henon-heiles", "Hénon-Heiles system", "search/henon-heiles-atlas", 400, FREE),
     Entry("spring-pendulum", "swinging spring", "search/spring-pendulum-atlas", 150, SI),
     Entry("lorenz", "Lorenz attractor (first order)", "search/lorenz-atlas", 1500, FREE),
     Entry("rossler", "Rössler's attractor (first order)", "search/rossler-atlas", 150, FREE),

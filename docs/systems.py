@@ -279,8 +279,8 @@ def short(entry: Entry, fresh: bool) -> Iterator[str]:
 
 
 def plain(text: str) -> str:
-    """Text that Markdown leaves as it is."""
-    return re.sub(r"([\\`*_<>#|\[\]{}])", r"\\\1", text)
+    """Text that Markdown leaves as it is, but for words in backquotes."""
+    return re.sub(r"(`[^`]+`)|([\\`*_<>#|\[\]{}])", lambda m: m[1] or f"\\{m[2]}", text)
 
 
 def files(entry: Entry) -> Iterator[str]:

@@ -104,6 +104,7 @@ def test_filters_and_order(book, triples):
     [
         ("stability", "eliptic", r"stability: unknown 'eliptic', did you mean 'elliptic'\?; use elliptic, unstable"),
         ("stability", ("elliptic", "no such"), r"stability: unknown 'no such'; use elliptic, unstable, marginal"),
+        ("stability", "stable", r"stability: unknown 'stable', stable orbits are elliptic where .*; use elliptic"),
         ("symmetry", ("brakes",), r"symmetry: unknown 'brakes', did you mean 'brake'\?; use none, reflection, brake"),
         ("period", (3.0, 2.0), r"period: must be two increasing numbers, got \(3.0, 2.0\)"),
         ("energy", (float("nan"), 2.0), r"energy: must be two increasing numbers"),
@@ -256,6 +257,16 @@ def test_a_proof_goes_into_the_row_and_the_document(book, triples):
         merge_atlases(pair, book.with_name(name))
         with Atlas(book.with_name(name)) as atlas:
             assert sorted(row.proof for row in atlas.rows()) == ["", "unstable"]
+
+
+def test_a_look_leaves_nothing_beside_the_atlas(book):
+    """The files of SQLite's log go with the last connection, also of one that only asked, which changes nothing."""
+    before = book.read_bytes()
+    with Atlas(book) as one, Atlas(book) as two:
+        assert len(one) == len(two) > 0
+        with pytest.raises(sqlite3.OperationalError, match="readonly"):
+            one.connection.execute("DELETE FROM orbits")
+    assert [file.name for file in book.parent.glob(f"{book.name}*")] == [book.name] and book.read_bytes() == before
 
 
 def test_a_read_only_atlas_can_be_read_only(book, triples):

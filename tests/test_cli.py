@@ -173,6 +173,30 @@ def test_trusted_python_file(tmp_path):
     assert done.exit_code == 0 and (tmp_path / "out" / "swing" / "orbit.json").is_file()
 
 
+def test_what_a_trusted_program_found_is_verified_followed_and_shown_by_that_program(tmp_path, monkeypatch):
+    """At a freed parameter too, which its problem() knows nothing of; never without --trust."""
+    text = (
+        "import casadi as ca\nimport orbitfinder as of\n"
+        "q, v, p = ca.SX.sym('q'), ca.SX.sym('v'), ca.SX.sym('p')\n"
+        "model = of.lagrange(v**2 / 2, p * q**2 / 2 + q**4 / 4, of.Symbols(q, v, p, ('k',), (1.0,)), names=['x'])\n"
+        "def problem():\n"
+        "    pins = of.pin(x=1.0, period=4.5)\n"
+        "    return of.Problem(model, of.Guess([1.0, 0.0], 4.6), pins, free=('k',), name='spring')\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert invoke("run", problem(tmp_path, text, "hard.py"), "--trust", "--no-figures").exit_code == 0
+    found = json.loads(Path("orbits/spring/orbit.json").read_text())
+    assert found["system"]["function"] == "problem" and found["system"]["arguments"]["k"] != 1.0
+    refused = invoke("verify", "orbits/spring/orbit.json")
+    assert refused.exit_code == 2 and "'hard' is a program that is not part of orbitfinder" in refused.stderr
+    assert invoke("verify", "orbits/spring/orbit.json", "--trust").exit_code == 0
+    follow = ("continue", "orbits/spring/orbit.json", "--parameter", "k", "--points", "1", "--no-figures", "--trust")
+    assert invoke(*follow).exit_code == 0
+    assert invoke("verify", "families/spring/family.json#0", "--trust").exit_code == 0
+    (tmp_path / "hard.py").write_text(text.replace("q**4 / 4", "q**4 / 5"))
+    assert invoke("verify", "orbits/spring/orbit.json", "--trust").exit_code == 1  # another spring is not that one
+
+
 def test_simulate_reports_the_energy_drift(tmp_path):
     done = invoke("simulate", TRIPLE, "--duration", "2", "--json", "--out", tmp_path)
     document = json.loads(done.stdout)

@@ -51,6 +51,8 @@ def test_triple_1_by_commands_alone(second_mode, tmp_path):
     assert result.exit_code == 0, result.output
     family = load_family(tmp_path / "triple-mode-2-2-1" / "family.json")
     points = [one for one in family.points if one.role == "at"]  # on both sides of the fold in energy
+    shown = [f"family.json#{k}, period {one.period:.9g} s" for k, one in enumerate(family.points) if one in points]
+    assert len(shown) == 2 and all(line in result.stdout for line in shown), "the numbers that FILE#K takes"
     assert min(abs(one.period - period) for one in points) < 1e-11 and points[0].symmetry == "brake"
     assert family.source["kind"] == "branch" and family.source["family"] == "triple-mode-2"
     # the same command again finds its journal and adds nothing

@@ -649,6 +649,51 @@ def test_a_drawing_in_millimetres_returns_when_the_one_in_metres_does():
     assert found[1] == pytest.approx(found[0], rel=1e-2) and found[0] > 0.7  # half of it is another pose
 
 
+OPEN = """
+[system]
+kind = "mechanism"
+gravity = [{gravity}, 0.0]
+bodies = {{ {body} }}
+joints = {{ {joint} }}
+{more}
+[guess]
+angles = {{ a = {start} }}
+"""
+
+
+@pytest.mark.parametrize(
+    ("parts", "period"),
+    [  # T = 4 K(sin^2 15 deg) sqrt(J / m g c) swinging, 2 pi sqrt(m / k) on a slow and minute spring
+        (
+            {"body": "b = { mass = 2.0, inertia = 0.5, com = [0.5, 0.0] }", "start": np.pi / 6, "gravity": G,
+             "joint": "a = { kind = 'revolute', between = ['ground', 'b'] }", "more": ""},
+            4 * ellipk(np.sin(np.pi / 12) ** 2) * np.sqrt(1.0 / (2.0 * G * 0.5)),
+        ),
+        (
+            {"joint": "a = { kind = 'prismatic', between = ['ground', 'b'], axis = [0, 1] }",
+             "body": "b = { mass = 2e-3 }", "gravity": G, "start": 1e-3, "more": "springs = { s = { joint = 'a', stiffness = 3e-8 } }"},
+            2 * np.pi * np.sqrt(2e-3 / 3e-8),
+        ),
+    ],
+)  # fmt: skip
+def test_without_loops_the_period_of_angles_is_that_of_the_first_return_too(parts, period, tmp_path):
+    (tmp_path / "open.toml").write_text(OPEN.format(**parts))
+    assert load_problem(tmp_path / "open.toml").guess.period == pytest.approx(period, rel=0.05)
+    (tmp_path / "loose.toml").write_text(OPEN.format(**{**parts, "gravity": 0.0, "more": ""}))
+    with pytest.raises(InputError, match=r"guess.period: missing, and nothing holds this mechanism near a pose; give"):
+        load_problem(tmp_path / "loose.toml")
+
+
+def test_a_body_is_drawn_as_far_as_its_spring():
+    drawing = {"b": {"mass": 1.0, "inertia": 0.1, "com": [0.2, 0.05]}}
+    spring = {"s": {"between": ["ground", "b"], "at": [[0.1, 0.6], [0.4, 0.0]], "stiffness": 30.0}}
+    model = of.mechanism(drawing, {"a": revolute("ground", "b")}, springs=spring)
+    places = of.positions(model, np.zeros((1, 2)))[0].T
+    (pulled,) = (places[list(which)[1]] for kind, which in model.strokes if kind == "spring")
+    (body,) = (places[list(which)] for kind, which in model.strokes if kind == "rod")
+    assert list(pulled) == [0.4, 0.0] and [0.4, 0.0] in body.tolist()
+
+
 def test_a_scara_in_its_plane_is_a_lagrangian_written_by_hand():
     problem = load_problem(GALLERY / "scara.toml")
     model, q, v = problem.model, ca.SX.sym("q", 2), ca.SX.sym("v", 2)

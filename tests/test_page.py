@@ -17,7 +17,7 @@ from jinja2 import UndefinedError
 
 from orbitfinder import systems
 from orbitfinder._runtime import locks
-from orbitfinder.atlas.store import Atlas
+from orbitfinder.atlas.store import Atlas, Filter, load_orbit
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError, plural
 from orbitfinder.families.folder import follow_family
@@ -32,7 +32,6 @@ from orbitfinder.problemfile.read import load_problem
 from orbitfinder.problemfile.write import orbit_name, orbit_text, toml
 from orbitfinder.records.family import Event, load_family
 from orbitfinder.records.orbit import asked, orbit_to_document
-from orbitfinder.records.store import load_orbit
 from orbitfinder.site import writing
 from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import evenly, gather
@@ -271,6 +270,35 @@ def test_a_failed_write_leaves_the_former_page(failure, tmp_path, monkeypatch):
         write_site(made.files, out)
     assert (out / "index.html").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
+
+
+def test_part_of_an_atlas_keeps_its_numbers(material, tmp_path):
+    """The filters of `atlas list` choose what a page shows; exports were chosen from already."""
+    with Atlas(material / "triples.sqlite") as atlas:
+        (row,) = atlas.rows(Filter(symmetry="brake"))
+        assert len(atlas) == 2
+    asked = ["page", str(material / "triples.sqlite"), "-o", str(tmp_path / "site"), "--no-verify"]
+    result = CliRunner().invoke(cli, [*asked, "--symmetry", "brake"])
+    assert result.exit_code == 0 and "1 orbit, 1 atlas" in result.output
+    _, told = embedded(tmp_path / "site" / "data" / "atlases" / "triples.js")
+    assert [one["command"] for one in told["items"]] == [f"orbitfinder atlas show triples.sqlite {row.id}"]
+    for more, says in (
+        (["--energy", "900,901"], "triples.sqlite: none of its 2 orbits is chosen"),
+        (["--stability", "stable"], "unknown 'stable', stable orbits are elliptic"),
+        ([str(material / "quadruples.json"), "--symmetry", "brake"], "an export, of which nothing is chosen again"),
+    ):  # fmt: skip
+        wrong = CliRunner().invoke(cli, [*asked, *more])
+        assert wrong.exit_code == 2 and says in wrong.output
+
+
+def test_every_point_of_a_family_says_how_a_command_takes_it(site, material, monkeypatch):
+    (name,) = (path.name for path in (material / "families").iterdir())
+    _, told = embedded(site / "data" / "families" / f"{name}.js")
+    points = [one for one in told["items"] if one["key"].startswith("point=")]
+    monkeypatch.chdir(material)
+    assert points and all(one["command"].startswith("orbitfinder verify families/") for one in points)
+    taken = [load_orbit(Path(one["command"].split()[-1])) for one in (points[0], points[-1])]
+    assert [one.period for one in taken] == [points[0]["period"], points[-1]["period"]]
 
 
 @pytest.mark.parametrize(
@@ -620,6 +648,7 @@ def test_words_and_numbers():
     assert mechanism({"kind": "linkage", "length": [1, 1, 1]}) == "four-bar linkage"
     assert mechanism({"kind": "python", "function": "rotating_hoop"}) == "rotating hoop"
     assert mechanism({"kind": "custom"}) == "custom"
+    assert mechanism({"kind": "python", "module": "my_leg", "function": "problem"}) == "my leg"
     assert [plural(1, "orbit"), plural(2, "family"), plural(2, "atlas")] == ["1 orbit", "2 families", "2 atlases"]
     assert [coordinate("theta3"), coordinate("y1"), coordinate("<x>")] == ["θ<sub>3</sub>", "y<sub>1</sub>", "x"]
     assert number(-0.5) == "\N{MINUS SIGN}0.5" and number(None) == number(float("inf")) == "not computed"

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from test_page import NASTY, SHIPPED, material, site  # noqa: F401  (fixtures)
+from test_page import NASTY, SHIPPED, document, material, site  # noqa: F401  (fixtures)
 
 import orbitfinder as of
 from orbitfinder.orbits.certify import certify
@@ -366,6 +366,26 @@ def test_filters_of_the_atlas_find_what_they_name(browser, pages, site):  # noqa
             found.append(int(find(browser, "#item-text").text.split(" of ")[1].split(",")[0]))
         assert found[0] == sum(found[1:]) == 2 and min(found) > 0
         browser.execute_script(f"document.getElementById('{field}').selectedIndex = 0")
+
+
+def test_round_off_is_no_axis(browser, tmp_path):
+    """Multipliers that are 1 but for their last digits are not spread over a plot, nor what it begins with."""
+    alike = {"energy": -30.0, "stability": "elliptic"}
+    orbits = [
+        document(name) | alike | {"floquet_multipliers": [[0.6, size], [0.6, -size]]}
+        for name, size in (("quadruple-1", 0.8), ("quadruple-2", 0.8 + 1e-14))
+    ]
+    (tmp_path / "stable.json").write_text(json.dumps(orbits))
+    made, _ = build_site(gather([tmp_path / "stable.json"]), Settings(verify=False))
+    write_site(made.files, tmp_path / "site")
+    go(browser, tmp_path / "site" / "atlases" / "stable.html")
+    wait(browser, "return document.getElementById('plot').layout")
+    assert browser.execute_script("return document.getElementById('up').value") == "action"
+    browser.execute_script(
+        "const up = document.getElementById('up'); up.value = 'largest'; up.dispatchEvent(new Event('change'))"
+    )
+    low, high = browser.execute_script("return document.getElementById('plot').layout.yaxis.range")
+    assert low < -0.01 and high > 0.01
 
 
 def test_a_pick_is_held_has_an_address_and_back_returns(browser, pages):

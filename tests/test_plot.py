@@ -19,6 +19,7 @@ from orbitfinder.mechanics.chain import chain
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.records.family import load_family
 from orbitfinder.show import plot
+from orbitfinder.show.strokes import tip
 from orbitfinder.show.style import arrows, bare, line_style, new_figure, place_labels
 from orbitfinder.show.svg import COLOURS
 
@@ -212,3 +213,13 @@ def test_figures_of_equations_without_units_say_none():
     assert "energy (J)" in said and any(text.endswith(" s") for text in said)
     left = [text.get_text() for text in bare(figure).findobj(Text)]
     assert "energy" in left and "time" in left and not any(re.search(r"\((J|s|m)\)|\d s$", text) for text in left)
+
+
+def test_the_path_of_the_tip_is_that_of_the_last_point_that_moves():
+    """Of an outline that ends in its own hinge the corner before; nan between arcs and what stands still count not."""
+    turn = np.linspace(0.0, 1.0, 7)
+    arm, pin_ = np.stack([np.cos(turn), np.sin(turn)]), np.zeros((2, 7))
+    assert tip(np.stack([pin_, arm, 2 * arm, pin_], axis=-1).transpose(1, 0, 2)) == 2
+    walked = np.stack([pin_, arm], axis=-1).transpose(1, 0, 2)
+    walked[3] = np.nan
+    assert tip(walked) == 1 and tip(np.zeros((7, 2, 3))) == -1

@@ -1,6 +1,7 @@
 """The theorem on orbits of every symmetry, planted failures, the record and the commands."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -354,6 +355,7 @@ def test_refine_command(saved):
     """Text and JSON of the command; without enclosing, nothing is claimed."""
     text = run("refine", saved, "--digits", "25")
     assert text.exit_code == 0 and "25 digits, enclosed" in text.output and "period" in text.output
+    assert re.search(r"^  y +[\d.]+ \+/- [\d.]+e-\d+$", text.output, re.MULTILINE), "a name and how far it is known"
     found = CliRunner().invoke(cli, ["refine", str(saved), "--digits", "25", "--json", "--no-enclose"])
     document = json.loads(found.stdout)
     assert not document["enclosed"] and abs(float(document["period"]["value"]) - load_orbit(saved).period) < 1e-12

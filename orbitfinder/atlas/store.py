@@ -108,7 +108,8 @@ class Filter:
         for name, known in KINDS.items():
             for one in named(getattr(self, name)):
                 if one not in known:
-                    raise InputError(f"{name}: unknown {one!r}{closest(one, known)}; use {', '.join(known)}")
+                    meant = STABLE if one == "stable" else closest(one, known)
+                    raise InputError(f"{name}: unknown {one!r}{meant}; use {', '.join(known)}")
 
     def condition(self) -> tuple[str, list[Any]]:
         """The same as an SQL condition with its values."""
@@ -124,6 +125,7 @@ class Filter:
         return " AND ".join(parts), values
 
 
+STABLE = ", stable orbits are elliptic where an energy is kept and asymptotically stable elsewhere"
 KINDS = {"stability": STABILITIES, "symmetry": tuple(SYMMETRIES)}
 """What a filter chooses by name."""
 

@@ -95,12 +95,16 @@ def connect(path: Path, write: bool) -> sqlite3.Connection:
 
 
 def _reading(path: Path) -> sqlite3.Connection:
-    """A read-only connection; of a file in a folder that cannot be written as a file that nobody changes."""
+    """A connection that only asks; of a file in a folder that cannot be written as a file that nobody changes.
+
+    It is not opened read-only: only who may write takes the files -wal and -shm away with the last connection.
+    """
     if not path.is_file():
         raise InputError(f"{path}: no such atlas; check the path, or make one with orbitfinder search")
     address = path.resolve().as_uri()
-    connection = sqlite3.connect(f"{address}?mode=ro", timeout=PATIENCE, isolation_level=None, uri=True)
+    connection = sqlite3.connect(f"{address}?mode=rw", timeout=PATIENCE, isolation_level=None, uri=True)
     try:
+        connection.execute("PRAGMA query_only = ON")
         connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
         return connection
     except sqlite3.OperationalError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -119,13 +119,23 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
     text(f"{folder / 'family.json'}: {family.counts}")
     for end in family.ends:
         text(f"  ended: {end.kind} ({end.reason})")
+    for k in (asked := reached(family, values)):
+        point = family.points[k]
+        where = f"{family.parameter} {with_unit(point.value, family.parameter)}"
+        text(f"  {where}: {folder / 'family.json'}#{k}, period {point.period:.9g} s, {point.stability}")
     if written:
         text(f"  and {plural(len(written), 'figure')}")
     if places and family.curve.get("test") is None:
         next_step("continue", folder / "family.json", "--switch", places[0])
     else:
         next_step("page", folder, "-o site")
-    finish("continue", summary(family) | {"written": [str(folder / "family.json"), *map(str, written)]})
+    finish("continue", summary(family) | {"at": asked, "written": [str(folder / "family.json"), *map(str, written)]})
+
+
+def reached(family: Family, values: Sequence[float]) -> list[int]:
+    """The numbers of the points at which the parameter has one of the values that were asked for."""
+    near = 1e-9 * max((abs(one.value) for one in family.points), default=0.0)
+    return [k for k, one in enumerate(family.points) if any(abs(one.value - value) <= near for value in values)]
 
 
 MOST_LISTED, LAST_EVENTS = 20, 6

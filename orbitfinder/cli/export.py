@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from orbitfinder._runtime import interrupt
+from orbitfinder.cli.atlas import chosen, filters
 from orbitfinder.cli.console import Progress, display
 from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, SYSTEM_TRUST, orbit_files, out_option, text, trust_option
@@ -130,17 +131,19 @@ SPEAK_EVERY = 2.0
     "--verify/--no-verify", default=True, show_default=True,
     help="Recompute the certificate of every orbit that gets a page, or say that it is the file's word.",
 )  # fmt: skip
-def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool) -> None:
+@filters
+def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verify: bool, **options: Any) -> None:
     """Make a static site from any mixture of orbits, families and atlases.
 
     PATH is an orbit.json, a family.json, an atlas (database or JSON export), or a folder that holds
-    such files; FILE#K is one point of a family (from 0) or orbit of an atlas. The site opens from disk: no network,
-    no server.
+    such files; FILE#K is one point of a family (from 0) or orbit of an atlas. --stability, --symmetry,
+    --energy and --period choose orbits of atlas databases. The site opens from disk: no network, no server.
 
     \b
     Examples:
       orbitfinder page orbits -o site
       orbitfinder page orbits families atlas.sqlite -o site --title "Triple pendulum"
+      orbitfinder page triple.sqlite --stability elliptic -o site
     """
     with display(f"{out}: reading {plural(len(paths), 'path')}", SPEAK_EVERY) as shown:
         from orbitfinder.site.build import Settings, build_site
@@ -153,7 +156,7 @@ def page(paths: tuple[Path, ...], out: Path, title: str, atlas_pages: int, verif
             shown.show(Progress(f"{out}: {line}"))
 
         check_target(out)
-        site, summary = build_site(gather(paths), Settings(title, atlas_pages, verify), report)
+        site, summary = build_site(gather(paths, chosen(options)), Settings(title, atlas_pages, verify), report)
         write_site(site.files, out)
     counts = {
         "orbit": summary.orbits,

@@ -328,9 +328,10 @@ def refine(
     document = refined_document(found)
     proved = "enclosed" if found.enclosed else f"not enclosed ({found.reason})"
     text(f"{file}: {plural(found.digits, 'digit')}, {proved}, {found.wall_time:.1f} s")
-    text(f"  {'period':<10}{document['period']['value']} s")
-    for k, one in enumerate(document["state"]):
-        text(f"  {f'x{k + 1}':<10}{one['value']}")
+    wide = max(map(len, ("period", *model.state_names))) + 2
+    for name, one in zip(("period", *model.state_names), (document["period"], *document["state"]), strict=True):
+        within = f" +/- {one['radius']:.1e}" if found.enclosed and float(one["value"]) else ""
+        text(f"  {name:<{wide}}{one['value']}{within}{' s' if name == 'period' else ''}")
     finish("refined", document, found.enclosed or not enclose)
 
 

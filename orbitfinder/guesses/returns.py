@@ -95,13 +95,25 @@ def first_return(model: Model, state: np.ndarray, longest: float | None = None) 
     Of a linkage of one degree of freedom that is its period, to the sampling. Without a `longest` time (s) it is looked
     for in 20 s, of a mechanism in 400 times of its own pace. Raises `InputError` when it does not come back.
     """
-    pace = float(model.system["baumgarte"][0]) if model.system.get("kind") == "mechanism" else 20.0
+    pace = _pace(model)
     longest = 400.0 / pace if longest is None else longest
     for share in (1 / 16, 1 / 4, 1.0):
         found = _returned(model, state, share * longest, 10 * pace)
         if found is not None:
             return found
     raise InputError(f"guess.period: the motion does not come back within {longest:g} s; give a period")
+
+
+def _pace(model: Model) -> float:
+    """How fast a mechanism goes, in 1/s: what stabilises its loops, without loops its fastest small oscillation."""
+    if model.system.get("kind") != "mechanism":
+        return 20.0
+    if model.constraint is not None:
+        return float(model.system["baumgarte"][0])
+    fastest = float(normal_modes(model)[0].max())
+    if fastest <= 0:
+        raise InputError("guess.period: missing, and nothing holds this mechanism near a pose; give a period in s")
+    return float(np.sqrt(fastest))
 
 
 def _returned(model: Model, state: np.ndarray, longest: float, often: float) -> float | None:
@@ -116,7 +128,8 @@ def _returned(model: Model, state: np.ndarray, longest: float, often: float) -> 
     units = _units(model, states[:, :n])
     rates = away[:, n:] / units
     clock = np.ptp(states[:, n:] / units) or 1.0
-    distance = np.maximum(np.abs(away[:, :n] / units).max(axis=1), np.abs(rates).max(axis=1) / clock)
+    gone = np.abs(away[:, :n] / units).max(axis=1)
+    distance = np.maximum(gone / (gone.max() or 1.0), np.abs(rates).max(axis=1) / clock)
     near = NEAR_RETURN * float(distance.max())
     left = int(np.argmax(distance > near))
     lowest = (distance[1:-1] < near) & (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])

@@ -82,7 +82,7 @@ class Task:
 class Control:
     """How a model's controls are chosen: so that the integral of `cost` over the period, or its mean, is least.
 
-    Costs and tasks are text of states, controls and physical parameters by name ("torque1**2 + 0.1 * theta1**2").
+    Costs and tasks are text of states, controls and physical parameters by name (`"torque1**2 + 0.1 * theta1**2"`).
     Controls keep within the model's limits.
 
     Args:

@@ -30,6 +30,8 @@ REBUILDABLE = ("chain", "linkage", "mechanism")
 """Kinds that take their description as arguments; python systems are rebuilt by `python_model`."""
 REMADE = ("chain", "linkage")
 """Those whose description is read again where a parameter changes"""
+PROBLEM = "problem"
+"""The function of a Python problem file, which returns a Problem and not a Model"""
 
 
 def build_model(system: Mapping[str, Any], trusted: Path | None = None) -> Model:
@@ -69,8 +71,8 @@ def _built(builder: Callable[..., Model], system: Mapping[str, Any]) -> Model:
     if (kind := system.get("kind")) not in REBUILDABLE:
         raise InputError(
             f"system.kind: cannot rebuild {kind!r} from a file; in Python give the Model itself (model=...), and for "
-            "commands find the orbit by a problem file of kind = 'python' (module, function), rebuilt with --trust, or "
-            "of kind = " + " or ".join(repr(known) for known in REBUILDABLE)
+            "commands find the orbit by a program with problem() (run FILE.py --trust), or by a problem file "
+            "of kind = " + " or ".join(repr(known) for known in ("python", *REBUILDABLE))
         )
     try:
         return builder(**{key: value for key, value in system.items() if key != "kind"})
@@ -82,7 +84,8 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
     """The Model of a `kind = "python"` description {module, function, arguments}.
 
     `orbitfinder.systems` is always allowed and only its registered functions are. With `trusted`
-    (the folder of a file that the user vouches for) any other module is imported (see `module_file`).
+    (the folder of a file that the user vouches for) any other module is imported (see `module_file`). The function
+    `problem` is that of a Python problem file: its Problem's Model, arguments being physical parameters.
     Raises `InputError`, also for whatever the function raises.
     """
     module, name = system.get("module", BUILT_IN), system.get("function")
@@ -91,7 +94,7 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         raise InputError("system: a python system needs module and function (text) and arguments (a table)")
     function = _built_in(name) if module == BUILT_IN else _foreign(module, name, trusted)
     try:
-        model = function(**arguments)
+        model = with_parameters(function().model, arguments) if name == PROBLEM else function(**arguments)
     except InputError:
         raise
     except TypeError as error:
@@ -102,12 +105,19 @@ def python_model(system: Mapping[str, Any], trusted: Path | None = None) -> Mode
         raise InputError(f"system.function: {module}.{name} returned {type(model).__name__}; return a Model")
     scales = system.get("scales", model.scales)
     if module != BUILT_IN:
-        described = {"kind": "python", "module": module, "function": name, "arguments": dict(arguments)}
-        model = replace(model, system=described)
+        model = replace(model, system=described({}, module, name, arguments))
     if not isinstance(scales, Mapping):
         raise InputError("system.scales: must be a table of names and sizes")
     model = with_scales(_controlled(model, system), scales)
     return with_cycle(model, system["cycle"]) if "cycle" in system else model
+
+
+def described(
+    system: Mapping[str, Any], module: str, function: str, arguments: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The description of a system that a module's function makes, with what else (a cycle) was said of it."""
+    made = {"kind": "python", "module": module, "function": function, "arguments": dict(arguments or {})}
+    return {**system, **made}
 
 
 def _controlled(model: Model, system: Mapping[str, Any]) -> Model:
@@ -154,7 +164,10 @@ def _foreign(module: str, name: str, trusted: Path | None) -> Callable[..., Any]
         else:
             found = importlib.import_module(module)
     except Exception as error:
-        raise InputError(f"system.module: {module!r} cannot be imported ({type(error).__name__}: {error})") from error
+        raise InputError(
+            f"system.module: {module!r} cannot be imported ({type(error).__name__}: {error}); "
+            f"work in the folder of {module}.py, or put it beside the file"
+        ) from error
     function = getattr(found, name, None)
     if not callable(function):
         raise InputError(f"system.function: {module} has no function {name!r}; define it there")

@@ -946,7 +946,7 @@ def _picture(
     for name, table in system["joints"].items():
         for body, at in zip(table["between"], made.places[name], strict=True):
             slides = body == GROUND and table["kind"] in ("prismatic", "slot", "cylindrical", "free")
-            if not slides and not any(ca.is_equal(ca.densify(at), ca.densify(one), 9) for one in held[body]):
+            if not slides and not _among(at, held[body]):
                 held[body].append(at)
             if table["kind"] in ("prismatic", "slot", "cylindrical") and body == table["between"][1]:
                 strokes.append(("slider", (place(body, at),)))
@@ -954,10 +954,12 @@ def _picture(
             strokes.append(
                 ("rod", tuple(place(b, at) for b, at in zip(table["between"], made.places[name], strict=True)))
             )
+    pulled: dict[str, list[ca.SX]] = {name: [] for name in made.bodies}
     for name in system.get("springs", {}):
         if name in made.places:
             pair = system["springs"][name]["between"]
-            held[GROUND] += [at for one, at in zip(pair, made.places[name], strict=True) if one == GROUND]
+            for one, at in zip(pair, made.places[name], strict=True):
+                (held if one == GROUND else pulled)[one].append(at)
             strokes.append(("spring", tuple(place(b, at) for b, at in zip(pair, made.places[name], strict=True))))
     strokes += [("ground", (place(GROUND, at),)) for at in held.pop(GROUND)]
     for name, table in system["bodies"].items():
@@ -968,11 +970,18 @@ def _picture(
         points = [_plain_point(one, made.dimension) for one in table["shape"]] if "shape" in table else held[name]
         if len(points) < 2 and "disc" not in table:
             points = [*points, com]
+        if not {"shape", "disc"} & set(table):  # a spring does not end in the air
+            points = [*points, *(at for at in pulled[name] if not _among(at, points))]
         chain = [place(name, at) for at in points]
         strokes.append(("rod", tuple(chain + chain[:1] * (len(chain) > 2 and "shape" not in table))))
     if made.dimension == 2:
         return ca.horzcat(*(ca.densify(one)[:2] for one in columns)), tuple(strokes)
     return ca.horzcat(*(ca.mtimes(ISOMETRIC, ca.densify(one)) for one in columns)), tuple(strokes)
+
+
+def _among(at: ca.SX, points: Sequence[ca.SX]) -> bool:
+    """Whether a point is one of some, as an expression."""
+    return any(ca.is_equal(ca.densify(at), ca.densify(one), 9) for one in points)
 
 
 def _plain_point(entry: Any, dimension: int) -> ca.SX:

@@ -25,7 +25,7 @@ from orbitfinder.guesses.returns import first_return, normal_mode_sum, recurrenc
 from orbitfinder.loops.conditions import pin
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.problem import Guess, Problem
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import PROBLEM, build_model, described
 from orbitfinder.mechanics.chain import maximal_states
 from orbitfinder.mechanics.linkage import assemble, dimensions, linkage_rates, linkage_state
 from orbitfinder.mechanics.mechanism import mechanism_state
@@ -272,7 +272,7 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
         )
     file_bytes(source, "problem file")
     try:
-        made = runpy.run_path(str(source))["problem"]()
+        made = runpy.run_path(str(source))[PROBLEM]()
     except KeyError as error:
         raise InputError(f"{source}: problem: missing ({error}); define a function problem() in it") from error
     except Exception as error:
@@ -282,6 +282,8 @@ def _load_python(source: Path, trust: bool) -> ProblemFile:
     with _located(source):
         checked_name(made.name)
         made.check_count()
+    if made.model.system.get("kind") == "custom" and source.stem.isidentifier():
+        made = replace(made, model=replace(made.model, system=described(made.model.system, source.stem, PROBLEM)))
     return ProblemFile(source, made.name, made.model, made, start=made.guess.state)
 
 
@@ -333,9 +335,7 @@ def _linkage_guess(given: GuessTable, model: Model, folder: Path) -> Guess:
         found = linkage_mode(model, given.mode, given.amplitude, linkage_equilibrium(model, near))
         return found if given.period is None else Guess(found.state, given.period)
     state = _assembled(given, model) if given.angles is not None else _state(model, given.state or [])
-    if given.period is None and (model.forced or "baumgarte" not in model.system):
-        if model.forcing_period is None:
-            raise InputError("guess.period: missing; give one in s with the angles of a mechanism without loops")
+    if given.period is None and model.forcing_period is not None:
         return Guess(state, float(model.forcing_period(model.parameter_values)))
     return Guess(state, given.period or first_return(model, state, given.duration))
 

@@ -13,7 +13,8 @@ from orbitfinder.problemfile.proposals import Proposal, Proposals
 from orbitfinder.problemfile.read import ProblemFile, checked_name
 from orbitfinder.problemfile.schema import SYSTEMS
 
-TEMPLATE = """# Every key is explained in docs/problem-file.md. SI units, angles in rad from the downward vertical.
+TEMPLATE = """# The documentation's page "Problem file" (docs/problem-file.md) explains every key.
+# SI units, angles in rad from the downward vertical.
 name = "{name}"
 title = "Triple pendulum, second normal mode"
 source = "orbitfinder init"

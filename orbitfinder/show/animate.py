@@ -25,7 +25,7 @@ from orbitfinder.mechanics.model import Model
 from orbitfinder.orbits.course import course_of
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.records.reading import write_atomically
-from orbitfinder.show.strokes import Strokes, outlines
+from orbitfinder.show.strokes import Strokes, outlines, tip
 from orbitfinder.show.svg import COLOURS
 
 
@@ -190,10 +190,10 @@ def _pictures(clip: Clip, settings: AnimationSettings) -> Iterator[Any]:
     view = _View.around(clip.points, settings, clip.ground is not None and not clip.loops)
     count = len(clip.points)
     fading = 0 if clip.loops else min(count // 2, round(settings.fade * clip.rate))
-    first = None
+    first, end = None, tip(clip.points)
     for k in range(count):
         back = [(k - j) % count if clip.loops else max(0, k - j) for j in range(clip.trace, -1, -1)]
-        trails = [smooth(clip.points[one, :, -1]) for one in _unbroken(back, clip.cuts)]
+        trails = [smooth(clip.points[one, :, end]) for one in _unbroken(back, clip.cuts)]
         picture = _draw(clip, k, trails, view, settings.dark)
         first = first or picture
         left = count - k

@@ -28,6 +28,7 @@ from orbitfinder.orbits.course import Course, course_of
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import Orbit
 from orbitfinder.show.paths import family_paths, has_path, path_views
+from orbitfinder.show.strokes import tip
 from orbitfinder.show.style import (
     LEAST_SIDE,
     arrows,
@@ -262,7 +263,8 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
         _, states = orbit.times, orbit.samples
         joints, paths = positions(model, states[:: max(1, (len(states) - 1) // SNAPSHOTS)]), positions(model, states)
     sweep(axes, joints, strokes=model.strokes)
-    trail(axes, paths[:, :, -1], 1.4, label="path of the tip")
+    end = tip(paths)
+    trail(axes, paths[:, :, end], 1.4, label="path of the tip")
     down, right = joints[0]
     marks = "o" if right.size <= 12 else None
     if model.strokes:
@@ -273,7 +275,7 @@ def swept_configuration(orbit: Orbit, model: Model) -> Figure:
             axes.plot(right[0], -down[0], "s", color="black", markersize=8, label="fixed joint")
     plane(axes)
     axes.margins(0.06)
-    seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, -1]])
+    seen = np.concatenate([joints[:, 1].ravel(), paths[:, 1, end]])
     if course.grounds(np.zeros(1)) is None:
         widen(axes, np.nanmax(seen) - np.nanmin(seen), float(np.ptp(joints[:, 0])))
     draw_ground(axes, course)
@@ -403,14 +405,12 @@ def _draw(axes: Any, motion: Motion) -> None:
         axes.plot(motion.states[:, 0], motion.states[:, 1], color=COLOURS[1], linewidth=1.2)  # (q, v) for n = 1
         return
     sweep(axes, motion.joints[:: max(1, len(motion.joints) // 30)], width=0.8, strokes=motion.strokes)
+    trail(axes, motion.joints[:, :, tip(motion.joints)], 1.1)
     if motion.strokes:
-        trail(axes, motion.joints[:, :, -1], 1.1)
         configuration(axes, motion.joints, motion.strokes, width=1.6)
         return
     down, right = motion.joints[0]
-    # the last joint of a linkage is a pivot on the ground
-    fixed = motion.joints.shape[2] > 1 and np.ptp(motion.joints[:, :, -1], axis=0).max() < 1e-9
-    trail(axes, motion.joints[:, :, -2 if fixed else -1], 1.1)
+    fixed = 0 <= tip(motion.joints) < right.size - 1  # the last joint of a linkage is a pivot on the ground
     axes.plot(right, -down, color="black", linewidth=1.6)
     axes.plot(right[0], -down[0], "s" if right.size > 1 else "o", color="black", markersize=4)  # a lone one is no pivot
     if fixed:

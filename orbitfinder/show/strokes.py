@@ -45,6 +45,17 @@ def _spring(begin: np.ndarray, end: np.ndarray, half: float) -> np.ndarray:
     return np.asarray(begin[:, None] + along[:, None] * places + across[:, None] * sides)
 
 
+STILL = 1e-9
+"""Of all that is seen, the share within which a point stands still."""
+
+
+def tip(points: np.ndarray) -> int:
+    """Which point of positions (k x 2 x m, nan between arcs) is the tip, whose path is drawn: the last that moves."""
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    moving = np.flatnonzero((high - low).max(axis=0) > STILL * (high.max(axis=1) - low.min(axis=1)).max())
+    return int(moving[-1]) if moving.size else -1
+
+
 def extent(points: np.ndarray) -> float:
     """The larger side of a box about positions (k x 2 x m)."""
     return max(float((points.max(axis=(0, 2)) - points.min(axis=(0, 2))).max()), 1e-9)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orbitfinder._runtime import __version__
-from orbitfinder.atlas.store import Atlas, load_orbit
+from orbitfinder.atlas.store import Atlas, Filter, load_orbit
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.families.members import whole
 from orbitfinder.mechanics.catalogue import build_model
@@ -81,11 +81,11 @@ def evenly(count: int, most: int) -> list[int]:
     return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))] if count else []
 
 
-def gather(paths: Sequence[Path]) -> Gathered:
+def gather(paths: Sequence[Path], chosen: Filter | None = None) -> Gathered:
     """Read orbit.json, family.json, atlas exports and atlas databases, FILE#K for one orbit, or folders of files.
 
     Of a folder every orbit, family and *.sqlite below it is taken, in alphabetical order; what `run` wrote as
-    rejected.json is left out.
+    rejected.json is left out. Of atlas databases only the orbits that pass `chosen` are taken.
     Raises `InputError`.
     """
     found, seen = Gathered(), set()
@@ -94,7 +94,7 @@ def gather(paths: Sequence[Path]) -> Gathered:
         for file in files:
             if (place := file.resolve()) not in seen:
                 seen.add(place)
-                _take(file, found)
+                _take(file, found, chosen or Filter())
     found.orbits = _distinct(found.orbits)
     return found
 
@@ -127,14 +127,14 @@ def _holds_results(file: Path) -> bool:
     return single and kind_of(file) in ("orbit", "family")
 
 
-def _take(file: Path, found: Gathered) -> None:
+def _take(file: Path, found: Gathered, chosen: Filter) -> None:
     if member(file)[1] is not None:
         one = load_orbit(file)
         one = whole(one, build_model(one.system))
         found.orbits.append(replace(_orbit(orbit_to_document(one), str(file)), dense=(one.times, one.samples)))
         return
     if file.suffix in DATABASES:
-        found.atlases.append(_from_database(file))
+        found.atlases.append(_from_database(file, chosen))
         return
     if (kind := kind_of(file)) == "section":
         found.sections.append(load_section(file))
@@ -144,6 +144,8 @@ def _take(file: Path, found: Gathered) -> None:
         return
     document = json_file(file, "result file", AGAIN)
     if isinstance(document, list):
+        if chosen != Filter():
+            raise InputError(f"{file}: an export, of which nothing is chosen again; give the database (*.sqlite)")
         found.atlases.append(_from_export(document, file))
     elif isinstance(document, dict) and document.get("format") == FAMILY:
         found.families.append(load_family(file))
@@ -188,12 +190,14 @@ def _order(energy: float, period: float) -> tuple[float, float]:
     return float(f"{energy:.9g}"), period
 
 
-def _from_database(file: Path) -> AtlasFile:
-    """The atlas of a database. Raises `InputError`."""
+def _from_database(file: Path, wanted: Filter) -> AtlasFile:
+    """The orbits of a database that are wanted. Raises `InputError`."""
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:
-        rows = sorted(atlas.rows(), key=lambda row: _order(row.energy, row.period))
+        rows = sorted(atlas.rows(wanted), key=lambda row: _order(row.energy, row.period))
+        if not rows and wanted != Filter():
+            raise InputError(f"{file}: none of its {plural(len(atlas), 'orbit')} is chosen; ask for less")
         chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
     return AtlasFile(file.stem, len(rows), orbits, file.name)

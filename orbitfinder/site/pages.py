@@ -259,7 +259,8 @@ def family_items(family: Family, simulator: Simulator, reach: Mapping[int, float
         key = {"key": f"{kind}={k}"}
         if kind == "point":
             point = family.points[k]
-            found.append(_item(point, family.system, point, simulator, reach) | key)
+            command = f"orbitfinder verify families/{family.name}/family.json#{k}"
+            found.append(_item(point, family.system, point, simulator, reach) | key | {"command": command})
             continue
         event = family.events[k]
         item = _item(event, family.system, before(family, event), simulator, reach)

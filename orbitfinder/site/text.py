@@ -83,6 +83,7 @@ def mechanism(system: Mapping[str, Any]) -> str:
         return f"{'spatial' if system.get('dimension') == 3 else 'planar'} mechanism"
     if kind == "python":
         name = str(system.get("function", "python"))
+        name = str(system.get("module", name)) if name == "problem" else name  # the program of a Python problem file
         return NAMES.get(name, name.replace("_", " "))
     return str(kind)
 

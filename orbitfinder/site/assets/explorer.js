@@ -32,7 +32,7 @@
   var levels = new Set(items.map(function (one) { return one.energy.toPrecision(6); })).size;
   if (!family && items.length > 1 && (alike("energy") || levels <= items.length / 10)) {
     part("across").value = "period";
-    part("up").value = "largest";
+    part("up").value = alike("largest") ? "action" : "largest";
   }
   function number(one, name) {
     if (name === "frequency") return 1 / one.period;
@@ -61,10 +61,10 @@
   }
   function scale(name, box) {
     if (name === "angles") return { range: [-6, 186], dtick: 30 };
-    if (always(name) || (part(box).checked && positive(name))) return { type: "log" };
-    if (!items.length || !alike(name)) return {};
+    var log = always(name) || (part(box).checked && positive(name));
+    if (!items.length || name === "moduli" || !alike(name)) return log ? { type: "log" } : {};
     var one = number(items[0], name), room = Math.max(0.05 * Math.abs(one), 1e-6);
-    return { range: [one - room, one + room] };
+    return log ? { type: "log", range: [Math.log10(one) - 0.05, Math.log10(one) + 0.05] } : { range: [one - room, one + room] };
   }
 
   // The curve in runs of one stability each, joined to the next: solid where stable, dashed where not.
