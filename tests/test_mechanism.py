@@ -671,7 +671,8 @@ angles = {{ a = {start} }}
         ),
         (
             {"joint": "a = { kind = 'prismatic', between = ['ground', 'b'], axis = [0, 1] }",
-             "body": "b = { mass = 2e-3 }", "gravity": G, "start": 1e-3, "more": "springs = { s = { joint = 'a', stiffness = 3e-8 } }"},
+             "body": "b = { mass = 2e-3 }", "gravity": G, "start": 1e-3,
+             "more": "springs = { s = { joint = 'a', stiffness = 3e-8 } }"},
             2 * np.pi * np.sqrt(2e-3 / 3e-8),
         ),
     ],
