@@ -117,12 +117,12 @@ def test_what_is_wrong_is_refused_and_nothing_is_written(triple, shards, tmp_pat
     of.search(chain(2), -15.0, (0.5, 3.0), foreign, starts=1, workers=0)
     other = tmp_path / "seed.sqlite"
     of.search(triple, ENERGY, PERIODS, other, starts=1, workers=0, seed=1)
-    damaged, old = copied(shards[0], tmp_path, "damaged.sqlite"), copied(shards[0], tmp_path, "old.sqlite")
+    damaged, newer = copied(shards[0], tmp_path, "damaged.sqlite"), copied(shards[0], tmp_path, "newer.sqlite")
     lost, torn = copied(shards[0], tmp_path, "lost.sqlite"), tmp_path / "torn.sqlite"
     torn.write_bytes(shards[0].read_bytes()[:5000])
     for path, order in (
         (damaged, "UPDATE orbits SET document = substr(document, 1, 200) WHERE id = 1"),
-        (old, "DROP INDEX orbits_by_energy; DROP INDEX starts_by_orbit; PRAGMA user_version = 1"),
+        (newer, "PRAGMA user_version = 99"),
         (lost, "DELETE FROM orbits WHERE id = 1"),
     ):
         with sqlite3.connect(path) as connection:
@@ -135,7 +135,7 @@ def test_what_is_wrong_is_refused_and_nothing_is_written(triple, shards, tmp_pat
         (foreign, r"double.sqlite: system: holds orbits of chain"),
         (other, r"seed.sqlite: searches: at -30 J.*seed 1.*leave it out, or give --union"),
         (damaged, r"damaged.sqlite: orbit 1: damaged"),
-        (old, r"old.sqlite: version: an atlas of version 1"),
+        (newer, r"newer.sqlite: version: an atlas of version 99"),
         (lost, r"lost.sqlite: starts: of searches or orbits that are not there"),
         (torn, r"torn.sqlite: (damaged|not an SQLite file)"),
         (tmp_path / "none.sqlite", r"none.sqlite: no such atlas"),

@@ -258,7 +258,7 @@ def test_every_verb_takes_one_orbit_of_a_file(path, tmp_path):
     rows = np.loadtxt(table, delimiter=",", skiprows=1)
     assert rows[-1, 0] == pytest.approx(load_orbit(path).period) and np.abs(rows[0, 1:] - rows[-1, 1:]).max() < 1e-6
     assert "time_histories.png" in run("plot", path, "-o", tmp_path / "figures")
-    assert ": 1 orbit, " in run("page", path, "-o", tmp_path / "site")
+    assert "index.html: 1 orbit, " in run("page", path, "-o", tmp_path / "site")
     assert "refined" not in run("verify", path, "--proof", code=2) and not list(Path(path).parent.glob("*#*"))
 
 

@@ -282,6 +282,7 @@ def test_part_of_an_atlas_keeps_its_numbers(material, tmp_path):
     assert result.exit_code == 0 and "1 orbit, 1 atlas" in result.output
     _, told = embedded(tmp_path / "site" / "data" / "atlases" / "triples.js")
     assert [one["command"] for one in told["items"]] == [f"orbitfinder atlas show triples.sqlite {row.id}"]
+    assert "1 of 2 distinct orbits" in (tmp_path / "site" / "atlases" / "triples.html").read_text(encoding="utf-8")
     for more, says in (
         (["--energy", "900,901"], "triples.sqlite: none of its 2 orbits is chosen"),
         (["--stability", "stable"], "unknown 'stable', stable orbits are elliptic"),

@@ -14,6 +14,8 @@ PAPER = Path(__file__).parents[1] / "paper"
 NUMBERS = run_path(str(PAPER / "numbers.py"))
 TEXT = (PAPER / "paper.md").read_text(encoding="utf-8")
 BODY = TEXT.split("---\n", 2)[2]
+UNCONFIRMED = {"munoz"}
+"""Entries whose DOI could not be looked up: none is better than one from memory."""
 
 
 def test_every_number_is_that_of_the_result_pages():
@@ -58,7 +60,10 @@ def test_what_is_cited_is_in_the_list_and_the_other_way_round():
     assert {key for key, _ in entries} == set(re.findall(r"@([a-z]+)\b", BODY))
     assert len(entries) == len({key for key, _ in entries}) >= 10
     for key, entry in entries:
-        assert "doi = {10." in entry or "url = {https://" in entry, key
+        if key in UNCONFIRMED:
+            assert "volume = {" in entry and "pages = {" in entry and "doi" not in entry, key
+        else:
+            assert "doi = {10." in entry or "url = {https://" in entry, key
     for picture in re.findall(r"\]\(([^)]+\.png)\)", BODY.replace("\n", " ")):
         assert (PAPER / picture).is_file()
 

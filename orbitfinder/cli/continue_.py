@@ -121,8 +121,8 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
         text(f"  ended: {end.kind} ({end.reason})")
     for k in (asked := reached(family, values)):
         point = family.points[k]
-        where = f"{family.parameter} {with_unit(point.value, family.parameter)}"
-        text(f"  {where}: {folder / 'family.json'}#{k}, period {point.period:.9g} s, {point.stability}")
+        where = f"{family.parameter} {with_unit(point.value, family.parameter)}: {folder / 'family.json'}#{k}"
+        text(f"  {where}, period {point.period:.9g} s, {point.stability}, symmetry {point.symmetry}")
     if written:
         text(f"  and {plural(len(written), 'figure')}")
     if places and family.curve.get("test") is None:

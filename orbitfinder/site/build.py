@@ -170,7 +170,7 @@ def build_site(found: Gathered, settings: Settings | None = None, say: Progress 
         links.append(_add_family(site, family, own, simulator, motions, named))
     atlases = slug_maker()
     for k, atlas in enumerate(found.atlases, 1):
-        tell(f"atlas {k} of {len(found.atlases)}, {atlas.name}: {plural(atlas.total, 'orbit')}")
+        tell(f"atlas {k} of {len(found.atlases)}, {atlas.name}: {atlas.counted('orbit')}")
         link, shown = _add_atlas(site, atlas, simulator, (atlases(atlas.name), slug), motions)
         links.insert(found.atlases.index(atlas), link)
         entries += shown
@@ -316,10 +316,10 @@ def _add_atlas(
     systems = {same(one.document["system"]) for one in entries}
     model = simulator.known(entries[0].document["system"]) if len(systems) == 1 else None
     data, path = atlas_data(atlas.name, entries, {one.slug for one in own}, model), f"atlases/{slugs[0]}.html"
-    about = f"An atlas of {plural(atlas.total, 'periodic orbit')}, energy against period."
-    values = atlas_values(entries, atlas.total) | {"title": f"Atlas {atlas.name}", "landscape": data["landscape"]}
+    about = f"An atlas of {atlas.counted('periodic orbit')}, energy against period."
+    values = atlas_values(entries, atlas) | {"title": f"Atlas {atlas.name}", "landscape": data["landscape"]}
     site.add("atlas", path, values, ("explorer", data), about)
-    words, note = ", ".join(sorted({one.mechanism for one in entries})), plural(atlas.total, "distinct orbit")
+    words, note = ", ".join(sorted({one.mechanism for one in entries})), atlas.counted("distinct orbit")
     cover = _cover(f"atlas/{slugs[0]}", data, motions)
     return Link("Atlas", path, atlas.name, words, note, cover, systems.pop() if len(systems) == 1 else ""), own
 

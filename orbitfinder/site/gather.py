@@ -55,13 +55,19 @@ class OrbitFile:
 
 @dataclass(frozen=True)
 class AtlasFile:
-    """An atlas: how many orbits it holds, and those to be shown in order of energy, each with its K of FILE#K."""
+    """An atlas: how many orbits are wanted, and those to be shown in order of energy, each with its K of FILE#K."""
 
     name: str
     total: int
     orbits: tuple[tuple[int, OrbitFile], ...]
     file: str = ""
     """its file's name, for commands"""
+    held: int = 0
+    """orbits in the file, where not all are wanted"""
+
+    def counted(self, noun: str) -> str:
+        """`8 orbits`, or `3 of 8 orbits` where not all are wanted."""
+        return f"{self.total} of {plural(self.held, noun)}" if self.held > self.total else plural(self.total, noun)
 
 
 @dataclass
@@ -195,12 +201,13 @@ def _from_database(file: Path, wanted: Filter) -> AtlasFile:
     if not file.is_file():
         raise InputError(f"{file}: no such file; check the path")
     with Atlas(file) as atlas:
+        held = len(atlas)
         rows = sorted(atlas.rows(wanted), key=lambda row: _order(row.energy, row.period))
         if not rows and wanted != Filter():
-            raise InputError(f"{file}: none of its {plural(len(atlas), 'orbit')} is chosen; ask for less")
+            raise InputError(f"{file}: none of its {plural(held, 'orbit')} is chosen; ask for less")
         chosen = [rows[k].id for k in evenly(len(rows), MOST_ITEMS)]
         orbits = tuple((number, _orbit(atlas.document(number), f"{file}: orbit {number}")) for number in chosen)
-    return AtlasFile(file.stem, len(rows), orbits, file.name)
+    return AtlasFile(file.stem, len(rows), orbits, file.name, held)
 
 
 @dataclass(frozen=True)

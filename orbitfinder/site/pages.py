@@ -17,7 +17,7 @@ from orbitfinder.mechanics.scales import SI, units
 from orbitfinder.problemfile.write import orbit_name, orbit_text
 from orbitfinder.records.family import Event, Family, FamilyPoint
 from orbitfinder.records.orbit import asked, recorded_proof
-from orbitfinder.site.gather import OrbitFile, Verdict, evenly
+from orbitfinder.site.gather import AtlasFile, OrbitFile, Verdict, evenly
 from orbitfinder.site.landscape import landscape
 from orbitfinder.site.motion import Motion, Simulator, framed, histories, packed
 from orbitfinder.site.text import (
@@ -425,13 +425,13 @@ def atlas_data(name: str, entries: Sequence[Entry], linked: set[str], model: Mod
     }  # fmt: skip
 
 
-def atlas_values(entries: Sequence[Entry], total: int) -> dict[str, Any]:
+def atlas_values(entries: Sequence[Entry], atlas: AtlasFile) -> dict[str, Any]:
     """What the template of an atlas page is filled with."""
     energies, periods = ([float(one.document[key] or 0.0) for one in entries] for key in ("energy", "period"))
     kinds = sorted({one.mechanism for one in entries})
     unstable = sum(one.document["stability"] == "unstable" for one in entries)
-    part = "" if total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
-    summary = f"{plural(total, 'distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
+    part = "" if atlas.total == len(entries) else f" Shown: {len(entries)}, evenly chosen in order of energy."
+    summary = f"{atlas.counted('distinct orbit')} ({', '.join(kinds) or 'none yet'}).{part} {unstable} unstable."
     if entries:
         unit = entries[0].units if len(kinds) == 1 else SI
         summary += (

@@ -77,6 +77,8 @@ var orbitfinder = (function () {
     this.pen = canvas.getContext("2d");
     this.motion = motion;
     this.frame = null; // { centre, spans } that several motions share, drawn with a scale bar
+    this.landscape = null; // potential energies on a grid; see site/landscape.py
+    this.level = null; // the energy of the motion, beyond which it cannot go
     this.trace = true;
     this.width = 0;
   }
@@ -95,6 +97,7 @@ var orbitfinder = (function () {
     this.centre = frame.centre;
     this.scale = 0.84 * Math.min(this.height / frame.spans[0], this.width / frame.spans[1]);
     this.path = null;
+    this.lines = this.landscape ? this.equal() : [];
     if (!m.tip) return;
     this.path = new Path2D();
     var steps = Math.max(240, 4 * m.count), cut = true;
@@ -103,6 +106,30 @@ var orbitfinder = (function () {
       if (cut) this.path.moveTo(at[0], at[1]); else this.path.lineTo(at[0], at[1]);
       cut = m.broken; // the next point is after the jump
     }
+  };
+
+  // Lines of equal potential energy: through the triangles of the grid, that of the motion's own energy last.
+  Scene.prototype.equal = function () {
+    var it = this.landscape, n = it.down.length - 1, scene = this, v = it.values = it.values || new Float32Array(bytes(it.data));
+    function place(i, j) { return [scene.width / 2 + (it.right[j] - scene.centre[1]) * scene.scale,
+      scene.height / 2 + (it.down[i] - scene.centre[0]) * scene.scale, v[i * (n + 1) + j]]; }
+    return it.levels.concat(this.level === null ? [] : [this.level]).map(function (level) {
+      var path = new Path2D();
+      function triangle(corners) {
+        var cuts = [];
+        for (var k = 0; k < 3; k++) {
+          var a = corners[k], b = corners[(k + 1) % 3], share = (level - a[2]) / (b[2] - a[2]);
+          if ((a[2] < level) !== (b[2] < level)) cuts.push([a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])]);
+        }
+        if (cuts.length === 2) { path.moveTo(cuts[0][0], cuts[0][1]); path.lineTo(cuts[1][0], cuts[1][1]); }
+      }
+      for (var i = 0; i < n; i++) for (var j = 0; j < n; j++) {
+        var a = place(i, j), b = place(i, j + 1), c = place(i + 1, j), d = place(i + 1, j + 1);
+        triangle([a, b, d]);
+        triangle([a, d, c]);
+      }
+      return path;
+    });
   };
 
   Scene.prototype.release = function () { this.width = 0; this.canvas.width = this.canvas.height = 0; };
@@ -122,7 +149,7 @@ var orbitfinder = (function () {
     var pen = this.pen, wanted = this.width / 6 / this.scale, ten = Math.pow(10, Math.floor(Math.log10(wanted)));
     var long = [5, 2, 1].map(function (k) { return k * ten; }).find(function (x) { return x <= wanted; });
     var y = this.height - 10, x = 10;
-    pen.strokeStyle = pen.fillStyle = colours().muted;
+    pen.strokeStyle = pen.fillStyle = colours(this.canvas).muted;
     pen.lineWidth = 2;
     pen.beginPath();
     pen.moveTo(x, y);
@@ -134,11 +161,19 @@ var orbitfinder = (function () {
 
   Scene.prototype.draw = function (time) {
     if (this.canvas.clientWidth !== this.width) this.fit();
-    var pen = this.pen, m = this.motion, c = colours();
+    var pen = this.pen, m = this.motion, c = colours(this.canvas);
     pen.clearRect(0, 0, this.width, this.height);
     if (!m || !this.width) return;
     var small = Math.min(this.width, this.height), many = m.points > 20, line = Math.max(1.5, small / (many ? 130 : 75));
     pen.lineCap = pen.lineJoin = "round";
+    (this.lines || []).forEach(function (path, k, all) {
+      var own = this.level !== null && k === all.length - 1;
+      pen.strokeStyle = c.muted;
+      pen.lineWidth = own ? 1.8 : 1;
+      pen.globalAlpha = own ? 1 : 0.4;
+      pen.stroke(path);
+      pen.globalAlpha = 1;
+    }, this);
     if (m.ground) this.floor(time, line);
     if (this.trace && this.path) {
       pen.strokeStyle = c.trace;
@@ -183,7 +218,7 @@ var orbitfinder = (function () {
     var pen = this.pen, scene = this, m = this.beside, now = m.at(time), all = [];
     for (var p = 0; p < m.points; p++) all.push(p);
     var lines = m.strokes ? m.strokes.map(function (stroke) { return stroke[0] === "disc" ? [] : stroke[1]; }) : [all];
-    pen.strokeStyle = pen.fillStyle = colours().muted;
+    pen.strokeStyle = pen.fillStyle = colours(this.canvas).muted;
     pen.lineWidth = line * 0.7;
     pen.globalAlpha = 0.6;
     lines.forEach(function (line) {
@@ -201,7 +236,7 @@ var orbitfinder = (function () {
 
   // Rods with pins at their ends, springs and discs as thin lines, sliders and the ground filled.
   Scene.prototype.mechanism = function (now, line) {
-    var pen = this.pen, scene = this, c = colours(), r = line * 0.9;
+    var pen = this.pen, scene = this, c = colours(this.canvas), r = line * 0.9;
     this.motion.strokes.forEach(function (stroke) {
       var kind = stroke[0], at = stroke[1].map(function (p) { return [scene.across(now, p), scene.down(now, p)]; });
       var x = at[0][0], y = at[0][1], far = at[at.length - 1], dx = far[0] - x, dy = far[1] - y;
@@ -224,7 +259,7 @@ var orbitfinder = (function () {
       pen.stroke();
       if (kind === "rod") at.forEach(function (one) {
         pen.beginPath();
-        pen.arc(one[0], one[1], 0.7 * r, 0, 2 * Math.PI);
+        pen.arc(one[0], one[1], at.length === 1 ? 1.6 * line : 0.7 * r, 0, 2 * Math.PI); // a mass in one point, or a pin
         pen.fill();
       });
     });
@@ -234,7 +269,7 @@ var orbitfinder = (function () {
   Scene.prototype.floor = function (time, line) {
     var pen = this.pen, m = this.motion, all = m.ground, place = ((time / m.period) % 1 + 1) % 1;
     var one = all[Math.floor(place * all.length) % all.length];
-    pen.strokeStyle = colours().muted;
+    pen.strokeStyle = colours(this.canvas).muted;
     pen.lineWidth = line * 0.5;
     pen.beginPath();
     for (var k = 0; k < one[0].length; k++) {
@@ -247,7 +282,7 @@ var orbitfinder = (function () {
   // The last quarter period of the tip's path, fading away from it.
   Scene.prototype.tail = function (time, line) {
     var pen = this.pen, m = this.motion, parts = 4, steps = Math.max(12, Math.round(m.count / 12)), span = m.period / 4;
-    pen.strokeStyle = colours().trace;
+    pen.strokeStyle = colours(this.canvas).trace;
     pen.lineWidth = line * 0.6;
     for (var part = 0; part < parts; part++) {
       pen.globalAlpha = (part + 1) / parts;
@@ -263,15 +298,18 @@ var orbitfinder = (function () {
     pen.globalAlpha = 1;
   };
 
-  var known = null;
-  function colours() {
-    if (known) return known;
-    var style = getComputedStyle(document.documentElement);
+  // The palette of a page, or of what a scene stands in; read once a theme.
+  var known = new Map();
+  function colours(element) {
+    var from = element || document.documentElement;
+    if (known.has(from)) return known.get(from);
+    var style = getComputedStyle(from);
     function read(name) { return style.getPropertyValue("--" + name).trim(); }
-    known = { link: read("link"), joint: read("joint"), trace: read("trace"), ground: read("ground"), ink: read("ink"),
+    var found = { link: read("link"), joint: read("joint"), trace: read("trace"), ground: read("ground"), ink: read("ink"),
       muted: read("muted"), line: read("line"), surface: read("surface"),
       series: ["s1", "s2", "s3", "s4", "s5", "s6"].map(read) };
-    return known;
+    known.set(from, found);
+    return found;
   }
 
   // Only scenes on the screen are drawn; `follow` gets the time whenever it changes.
@@ -298,6 +336,7 @@ var orbitfinder = (function () {
     function tick(moment) {
       var passed = last === null ? 0 : Math.min(0.1, (moment - last) / 1000), began;
       last = moment;
+      if (self.closed) return;
       if (self.playing) self.time += passed * self.speed;
       if (self.playing || self.stale) {
         began = performance.now();
@@ -310,9 +349,16 @@ var orbitfinder = (function () {
       requestAnimationFrame(tick);
     }
     requestAnimationFrame(tick);
-    function refresh() { known = null; self.stale = true; self.scenes.forEach(function (scene) { scene.width = 0; }); }
+    function refresh() { known.clear(); self.stale = true; self.scenes.forEach(function (scene) { scene.width = 0; }); }
     document.addEventListener("orbitfinder-theme", refresh);
     window.addEventListener("resize", refresh);
+    this.close = function () {
+      self.closed = true;
+      self.watcher.disconnect();
+      document.removeEventListener("orbitfinder-theme", refresh);
+      window.removeEventListener("resize", refresh);
+      self.scenes.forEach(function (scene) { known.delete(scene.canvas); });
+    };
   }
 
   Player.prototype.add = function (canvas, motion) {
@@ -324,6 +370,9 @@ var orbitfinder = (function () {
   };
 
   Player.prototype.seek = function (time) { this.time = time; this.stale = true; };
+
+  // From a period to another: the same share of it goes on, so that along a family the shape changes and not the instant.
+  Player.prototype.turn = function (from, to) { this.seek(from ? (this.time / from - Math.floor(this.time / from)) * to : 0); };
 
   // The play button, speed and trace that every page has.
   Player.prototype.controls = function () {

@@ -2,11 +2,12 @@
 (function () {
   "use strict";
   var it = orbitfinder.data.explorer, plots = orbitfinder.plots, player = new orbitfinder.Player();
-  var family = it.page === "family", figure = orbitfinder.figure, items = it.items, shown = [], picked = -1;
+  var family = it.page === "family", figure = orbitfinder.figure, items = it.items, shown = [], picked = -1, kept = -1;
   orbitfinder.player = player;
   orbitfinder.picked = function () { return items[picked]; };
   function part(id) { return document.getElementById(id); }
   var plot = part("plot"), slider = part("item"), scene = player.add(part("stage"), null);
+  var beside = player.add(part("kept"), null);
   player.controls();
   player.scrubber(function () { return picked < 0 ? 0 : items[picked].period; });
 
@@ -20,7 +21,7 @@
   var LOOKS = { fold: ["triangle-down", 1, 11], branch_point: ["circle-open", 2, 12], period_doubling: ["square", 3, 9],
     torus: ["cross", 4, 10], collision: ["x", 1, 9], stability_change: ["diamond", 5, 10], resonance: ["circle", 4, 7],
     cusp: ["triangle-up", 3, 11], strong_resonance: ["pentagon", 2, 10], isola_centre: ["hexagon", 4, 10] };
-  var locked = false, highest = Math.max.apply(null, items.map(function (one) { return one.energy; }));
+  var highest = Math.max.apply(null, items.map(function (one) { return one.energy; }));
 
   function axes() { return { x: part("across").value, y: part("up").value }; }
   function alike(name) {
@@ -31,7 +32,7 @@
   var levels = new Set(items.map(function (one) { return one.energy.toPrecision(6); })).size;
   if (!family && items.length > 1 && (alike("energy") || levels <= items.length / 10)) {
     part("across").value = "period";
-    part("up").value = "largest";
+    part("up").value = alike("largest") ? "action" : "largest";
   }
   function number(one, name) {
     if (name === "frequency") return 1 / one.period;
@@ -60,10 +61,10 @@
   }
   function scale(name, box) {
     if (name === "angles") return { range: [-6, 186], dtick: 30 };
-    if (always(name) || (part(box).checked && positive(name))) return { type: "log" };
-    if (!items.length || !alike(name)) return {};
+    var log = always(name) || (part(box).checked && positive(name));
+    if (!items.length || name === "moduli" || !alike(name)) return log ? { type: "log" } : {};
     var one = number(items[0], name), room = Math.max(0.05 * Math.abs(one), 1e-6);
-    return { range: [one - room, one + room] };
+    return log ? { type: "log", range: [Math.log10(one) - 0.05, Math.log10(one) + 0.05] } : { range: [one - room, one + room] };
   }
 
   // The curve in runs of one stability each, joined to the next: solid where stable, dashed where not.
@@ -153,12 +154,14 @@
     }
     if (picked >= 0 && !many) traces.push({ x: [number(items[picked], chosen.x)], y: [number(items[picked], chosen.y)], mode: "markers",
       hoverinfo: "skip", showlegend: false, marker: { size: 18, symbol: "circle-open", color: c.ink, line: { width: 2.2 } } });
+    if (kept >= 0 && !many) traces.push({ x: [number(items[kept], chosen.x)], y: [number(items[kept], chosen.y)], mode: "markers",
+      hoverinfo: "skip", showlegend: false, marker: { size: 16, symbol: "square-open", color: c.ink, line: { width: 2 } } });
     var up = scale(chosen.y, "log-y");
     if (chosen.y === "moduli") up.range = moduliRange();
     return { traces: traces, layout: plots.layout(plots.axis(NAMES[chosen.x], Object.assign(scale(chosen.x, "log-x"), { fixedrange: false })),
       plots.axis(NAMES[chosen.y], Object.assign(up, { fixedrange: false })),
       { uirevision: [chosen.x, chosen.y, part("log-x").checked, part("log-y").checked].join(), showlegend: true,
-        dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom", legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, margin: { l: 64, r: 16, t: 60, b: 48 } }) };
+        dragmode: plots.drag, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, margin: { l: 64, r: 16, t: 60, b: 48 } }) };
   });
   plots.plot(part("circle"), function () { return plots.circle(picked < 0 ? [] : items[picked].multipliers); });
 
@@ -168,13 +171,14 @@
     return [-wide, wide];
   }
 
-  // The same share of the period goes on, so that along a family the shape changes and not the instant.
   function pick(k) {
     if (k === picked || k < 0 || k >= items.length) return;
-    var one = items[k], before = picked < 0 ? 0 : player.time / items[picked].period;
+    var one = items[k], before = picked < 0 ? 0 : items[picked].period;
     picked = k;
     scene.show(one.motion ? new orbitfinder.Motion(one.motion) : null);
-    player.seek((before - Math.floor(before)) * one.period);
+    scene.landscape = it.landscape;
+    scene.level = one.energy;
+    player.turn(before, one.period);
     part("still").hidden = !!one.motion;
     facts(one);
     slider.value = shown.indexOf(k);
@@ -186,24 +190,26 @@
     plots.redraw(part("circle"));
   }
 
-  // The address of what was picked: a new entry of the browser's history by a click, the same while sliding.
-  function keyed() {
-    var wanted = decodeURIComponent(location.hash.slice(1));
-    return items.findIndex(function (one) { return one.key === wanted; });
-  }
-  var writing = null;
-  function address(anew) {
-    clearTimeout(writing);
-    function write() {
-      if (picked < 0 || location.hash === "#" + items[picked].key) return;
-      if (anew) location.hash = items[picked].key; else location.replace("#" + items[picked].key);
-    }
-    if (anew) write(); else writing = setTimeout(write, 250);
-  }
-  addEventListener("hashchange", function () { clearTimeout(writing); if (keyed() >= 0) { lock(true); pick(keyed()); } });
+  var picker = plots.picker(plot, { items: items, pick: pick, picked: function () { return picked; },
+    place: function (k) { var chosen = axes(); return [number(items[k], chosen.x), number(items[k], chosen.y)]; },
+    more: function () { return kept < 0 ? "" : "&with=" + encodeURI(items[kept].key); }, read: keep });
 
-  function facts(one) {
-    var rows = [["Period", figure(one.period, 10) + " " + S]], list = part("picked");
+  // A second orbit beside the picked one, at the same clock; its numbers stand in a column of their own.
+  function keep(k) {
+    kept = k;
+    part("kept-box").hidden = k < 0;
+    part("keep").setAttribute("aria-pressed", String(k >= 0));
+    beside.show(k >= 0 && items[k].motion ? new orbitfinder.Motion(items[k].motion) : null);
+    beside.landscape = it.landscape;
+    beside.level = k >= 0 ? items[k].energy : null;
+    player.stale = true;
+    if (picked >= 0) facts(items[picked]);
+    plots.redraw(plot);
+  }
+  part("keep").addEventListener("click", function () { keep(kept < 0 ? picked : -1); picker.address(true); });
+
+  function told(one) {
+    var rows = [["Period", figure(one.period, 10) + " " + S]];
     if (it.conserved || !one.event) rows.push([it.conserved ? "Energy" : "Energy at t = 0", figure(one.energy, 10) + " " + E]);
     if (family && it.parameter !== "energy" && it.parameter !== "period") rows.push([it.parameter, figure(one.value, 10)]);
     if (one.event) rows.unshift(["Event", one.event]);
@@ -216,10 +222,15 @@
       rows[rows.length - 1][0] = "Closure in one turn";
       rows.push(["Closure piece by piece", figure(one.defect, 3)], ["Why two", "one turn multiplies errors too much to say anything; between its nodes it closes"]);
     }
+    return rows;
+  }
+
+  function facts(one) {
+    var list = part("picked"), other = kept < 0 ? [] : told(items[kept]);
     part("command").textContent = one.command || "";
     part("command-box").hidden = !one.command;
     list.textContent = "";
-    rows.forEach(function (row) {
+    told(one).forEach(function (row) {
       var group = document.createElement("div"), name = document.createElement("dt"), value = document.createElement("dd");
       name.textContent = row[0];
       value.textContent = row[1];
@@ -230,6 +241,13 @@
         value.replaceChildren(link);
       }
       group.append(name, value);
+      var same = other.find(function (one) { return one[0] === row[0]; });
+      if (kept >= 0) {
+        var second = document.createElement("dd");
+        second.className = "kept";
+        second.textContent = same ? same[1] : "\u2013";
+        group.append(second);
+      }
       list.append(group);
     });
   }
@@ -256,42 +274,16 @@
     plots.redraw(plot);
   }
 
-  // The pointer picks until a click holds the pick; Escape or the button lets go.
-  function lock(on) {
-    locked = on;
-    part("lock").setAttribute("aria-pressed", String(on));
-    part("lock").textContent = on ? "Held" : "Hold";
-  }
-  part("lock").addEventListener("click", function () { lock(!locked); });
-  addEventListener("keydown", function (event) { if (event.key === "Escape") lock(false); });
-  plot.on("plotly_click", function (event) {
-    var k = event.points[0].customdata;
-    if (typeof k === "number") { pick(k); lock(true); address(true); }
-  });
-  plot.on("plotly_hover", function (event) {
-    var k = event.points[0].customdata;
-    if (typeof k === "number" && !locked) { pick(k); address(false); }
-  });
-  part("near").addEventListener("click", function () {
-    if (picked < 0) return;
-    var full = plot._fullLayout, change = {}, chosen = axes();
-    [["xaxis", chosen.x], ["yaxis", chosen.y]].forEach(function (one) {
-      var axis = full[one[0]], at = axis.d2l(number(items[picked], one[1])), half = (axis.range[1] - axis.range[0]) / 6;
-      if (isFinite(at)) change[one[0] + ".range"] = [at - half, at + half];
-    });
-    Plotly.relayout(plot, change);
-  });
-  part("whole").addEventListener("click", function () { plots.redraw(plot, true); });
   part("alike").hidden = part("alike-label").hidden = !it.frame;
   function frame() {
-    scene.frame = part("alike").checked && it.frame ? Object.assign({ unit: it.units.length }, it.frame) : null;
-    scene.width = 0;
+    scene.frame = beside.frame = part("alike").checked && it.frame ? Object.assign({ unit: it.units.length }, it.frame) : null;
+    scene.width = beside.width = 0;
     player.stale = true;
   }
   part("alike").addEventListener("change", frame);
   frame();
-  slider.addEventListener("input", function () { pick(shown[+slider.value]); address(false); });
-  function step(by) { var place = shown.indexOf(picked) + by; if (place >= 0 && place < shown.length) { pick(shown[place]); address(false); } }
+  slider.addEventListener("input", function () { pick(shown[+slider.value]); picker.address(false); });
+  function step(by) { var place = shown.indexOf(picked) + by; if (place >= 0 && place < shown.length) { pick(shown[place]); picker.address(false); } }
   part("previous").addEventListener("click", function () { step(-1); });
   part("next").addEventListener("click", function () { step(1); });
   function heading() {
@@ -308,8 +300,8 @@
   document.querySelectorAll(".pick").forEach(function (button) {
     button.addEventListener("click", function () {
       pick(+button.dataset.item);
-      lock(true);
-      address(true);
+      picker.lock(true);
+      picker.address(true);
       part("stage").scrollIntoView({ block: "center", behavior: orbitfinder.calm ? "auto" : "smooth" });
     });
   });
@@ -326,6 +318,6 @@
     orbitfinder.save(it.name.replace(/[^A-Za-z0-9_.-]+/g, "-") + ".csv", "text/csv", rows.join("\n") + "\n");
   });
   choose();
-  if (keyed() >= 0) { lock(true); pick(keyed()); }
+  picker.open();
   addEventListener("pageshow", function () { heading(); choose(); });
 })();

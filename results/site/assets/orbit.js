@@ -50,6 +50,9 @@
       return states[o + i] * (1 - u) + states[o + Math.min(i + 1, count - 1)] * u;
     }
     var scene = player.add(part("stage"), new orbitfinder.Motion(it.motion));
+    scene.landscape = it.landscape;
+    scene.level = it.landscape ? it.energy : null;
+    if (it.landscape) scene.frame = { centre: it.motion.centre, spans: it.motion.spans, unit: it.units.length };
     player.controls();
     if (part("beside")) {
       var near = new orbitfinder.Motion(it.neighbour), show = function () {

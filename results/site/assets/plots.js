@@ -90,5 +90,55 @@ orbitfinder.plots = (function () {
       axis("imaginary part", { range: [-edge, edge], dtick: 1, scaleanchor: "x", zeroline: true })) };
   }
 
-  return { plot: plot, redraw: redraw, axis: axis, layout: layout, Mark: Mark, circle: circle };
+  // What is picked from a plot: by the pointer until a click or the button holds it, and by the address of the page,
+  // which gets a new entry in the browser's history by a click. `on` has items with a key each, pick(k), picked(),
+  // place(k) and maybe more(), what else the address says, with read(text) to take it in.
+  function picker(plot, on) {
+    var held = false, writing = null;
+    function part(id) { return document.getElementById(id); }
+    function lock(now) {
+      held = now;
+      part("lock").setAttribute("aria-pressed", String(now));
+      part("lock").textContent = now ? "Held" : "Hold";
+    }
+    function address(anew) {
+      clearTimeout(writing);
+      function write() {
+        if (on.picked() < 0) return;
+        var wanted = "#" + encodeURI(on.items[on.picked()].key) + (on.more ? on.more() : "");
+        if (location.hash === wanted) return;
+        if (anew) location.hash = wanted; else location.replace(wanted);
+      }
+      if (anew) write(); else writing = setTimeout(write, 250);
+    }
+    function open() {
+      var parts = decodeURIComponent(location.hash.slice(1)).split("&with="), find = function (wanted) {
+        return on.items.findIndex(function (one) { return one.key === wanted; }); };
+      if (find(parts[0]) < 0) return;
+      lock(true);
+      on.pick(find(parts[0]));
+      if (on.read) on.read(parts.length > 1 ? find(parts[1]) : -1);
+    }
+    function near() {
+      if (on.picked() < 0) return;
+      var full = plot._fullLayout, change = {}, place = on.place(on.picked());
+      [full.xaxis, full.yaxis].forEach(function (axis, k) {
+        var at = axis.d2l(place[k]), half = (axis.range[1] - axis.range[0]) / 6;
+        if (isFinite(at)) change[axis._name + ".range"] = [at - half, at + half];
+      });
+      Plotly.relayout(plot, change);
+    }
+    addEventListener("hashchange", function () { clearTimeout(writing); open(); });
+    addEventListener("keydown", function (event) { if (event.key === "Escape") lock(false); });
+    part("lock").addEventListener("click", function () { lock(!held); address(false); });
+    part("near").addEventListener("click", near);
+    part("whole").addEventListener("click", function () { redraw(plot, true); });
+    function number(event) { var k = event.points[0].customdata; return typeof k === "number" ? k : -1; }
+    plot.on("plotly_click", function (event) { if (number(event) >= 0) { on.pick(number(event)); lock(true); address(true); } });
+    plot.on("plotly_hover", function (event) { if (number(event) >= 0 && !held) { on.pick(number(event)); address(false); } });
+    return { lock: lock, address: address, open: open };
+  }
+  var drag = matchMedia("(pointer: coarse)").matches ? false : "zoom";
+
+  return { plot: plot, redraw: redraw, axis: axis, layout: layout, Mark: Mark, circle: circle, picker: picker, drag: drag };
 })();

@@ -42,8 +42,8 @@
     var traces = kinds.map(function (kind) { return points(kind, c); }).concat(curves(c), [points("orbit", c)]);
     if (picked >= 0) traces.push({ x: it.items[picked].x, y: it.items[picked].y, mode: "markers", hoverinfo: "skip",
       showlegend: false, marker: { size: 6, color: c.series[1], line: { width: 1, color: c.ink } } });
-    return { traces: traces, layout: plots.layout(plots.axis(it.axes[0], { zeroline: false }), plots.axis(it.axes[1], { zeroline: false }),
-      { showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, itemsizing: "constant" },
+    return { traces: traces, layout: plots.layout(plots.axis(it.axes[0], { zeroline: false, fixedrange: false }), plots.axis(it.axes[1], { zeroline: false, fixedrange: false }),
+      { uirevision: "section", dragmode: plots.drag, showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, itemsizing: "constant" },
         margin: { l: 64, r: 16, t: 60, b: 48 } }) };
   });
 
@@ -52,6 +52,8 @@
     var one = it.items[k], list = part("picked");
     picked = k;
     scene.show(one.motion ? new orbitfinder.Motion(one.motion) : null);
+    scene.landscape = it.landscape;
+    scene.level = it.energy;
     player.seek(0);
     part("still").hidden = !!one.motion;
     list.textContent = "";
@@ -69,11 +71,12 @@
     plots.redraw(plot);
   }
 
-  plot.on("plotly_click", function (event) { var k = event.points[0].customdata; if (typeof k === "number") pick(k); });
+  var picker = plots.picker(plot, { items: it.items, pick: pick, picked: function () { return picked; },
+    place: function (k) { return [it.items[k].x[0], it.items[k].y[0]]; } });
   slider.max = Math.max(0, it.items.length - 1);
-  slider.addEventListener("input", function () { pick(+slider.value); });
-  part("previous").addEventListener("click", function () { pick(picked - 1); });
-  part("next").addEventListener("click", function () { pick(picked + 1); });
+  slider.addEventListener("input", function () { pick(+slider.value); picker.address(false); });
+  part("previous").addEventListener("click", function () { pick(picked - 1); picker.address(false); });
+  part("next").addEventListener("click", function () { pick(picked + 1); picker.address(false); });
   part("save-csv").addEventListener("click", function () {
     var rows = ["item,kind,across,up"];
     it.items.forEach(function (one, k) {
@@ -82,4 +85,5 @@
     orbitfinder.save(it.name.replace(/[^A-Za-z0-9_.-]+/g, "-") + ".csv", "text/csv", rows.join("\n") + "\n");
   });
   pick(0);
+  picker.open();
 })();
