@@ -148,7 +148,7 @@ def test_a_driven_pendulum_loses_its_symmetry(pendulum):
     assert symmetric.events[0].parameter == pytest.approx(1.00432, abs=1e-5)
     assert lopsided.curve["symmetry"] == "none"
     (end,) = lopsided.ends
-    assert end.kind == "merged" and end.reason.startswith("joins a family that is its own mirror image at torque 2.178")
+    assert end.kind == "merged" and end.reason.startswith("joins a family of symmetry reflection at torque 2.178")
     assert "branch_point" not in kinds(lopsided) and kinds(lopsided).count("period_doubling") == 2
 
 

@@ -46,6 +46,10 @@ EDGE = 1e-2
 """Share of a step that a fold must be away from its ends to be looked at from both sides."""
 MIRRORED = 1e-4
 """Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
+KNOWN = 3e-10
+"""Share of a period or an action by which orbits beside the family that is joined are off, being told from it badly."""
+UNSURE = 2e-3
+"""... but no more than this share of how much they have changed."""
 SAME = 1e-7
 """Orbits nearer than this in the family's metric are one orbit."""
 FEWEST_STEPS = 5
@@ -300,7 +304,9 @@ def mirrored(interval: Interval, at: float) -> bool:
         raise ConvergenceError("the family turns at the edge of a step")
     level = ends[near]
     other = read(float(brentq(lambda distance: float(read(distance)[0] - level[0]), at, far, rtol=1e-12)))
-    return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
+    change = abs(level[1] - turn[1])
+    allowed = max(MIRRORED * change, min(UNSURE * change, KNOWN * abs(turn[1])))
+    return bool(abs(other[1] - level[1]) < allowed)
 
 
 def merged(interval: Interval, at: float) -> End | None:

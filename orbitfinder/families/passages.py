@@ -24,6 +24,8 @@ LOCATION = 2e-11
 """Arclength within which an event is located."""
 TOLD = 1e-4
 """Smallest singular value, relative to the next, with which an orbit is known to 1e-10 beside a crossing family."""
+STRAIGHT = 0.02
+"""Share of the little way past a crossing family by which a measure that vanishes there is off its straight line."""
 TOLD_APART = 1e-4
 """An index located at a level is this near to it, unless two indices were taken for each other."""
 UNTOLD = 1e-3
@@ -112,9 +114,15 @@ def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     def value(distance: float) -> float:
         return measure(sample(distance))
 
-    if value(0.0) * value(about.length) >= 0:
+    low, high = sample(0.0), sample(about.length)
+    before, after = measure(low), measure(high)
+    if not before * after < 0:
         return near
     found = sample(_zero(value, 0.0, about.length, interval.unit))
+    straight = low.distance + (high.distance - low.distance) * before / (before - after)
+    vanishes = abs(measure(found)) < STRAIGHT * (abs(before) + abs(after))
+    if not (vanishes and abs(found.distance - straight) < STRAIGHT * about.length):
+        return near  # between them orbits of the other family were met
     interval.seen[found.distance] = found
     return found
 

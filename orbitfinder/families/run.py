@@ -101,7 +101,9 @@ class Interval:
         reach = max(0.5 * self.length, 1e-6 * self.unit)
         aim = plane(curve, place, first.head, distance)
         found = correct(curve, self.guess(distance), aim, place, reach, self.slope(distance))
-        whole = tangent(curve, found, self.heading(distance))
+        whole = (
+            self.heading(distance) if self.crossing else tangent(curve, found, place.head_of(self.heading(distance)))
+        )
         sample = make_sample(curve, distance, found, whole, self.indices(distance))
         if sample.indices.shape != first.indices.shape:
             raise ConvergenceError("the orbit is a relative equilibrium, whose flow is one of its symmetries")
@@ -115,13 +117,19 @@ class Interval:
         return advanced(self.first.found.place, self.first.whole, distance, bent)
 
     def heading(self, distance: float) -> np.ndarray:
-        """The tangent of that cubic over the head."""
+        """The tangent of that cubic, of unit length in its head."""
         d, place = distance, self.first.found.place
-        return place.head_of(self.first.whole + 2 * d * self.curvature + (3 * d - 2 * self.length) * d * self.twist)
+        whole = self.first.whole + 2 * d * self.curvature + (3 * d - 2 * self.length) * d * self.twist
+        return np.asarray(whole / np.sqrt(self.curve.weights @ place.head_of(whole) ** 2))
+
+    @property
+    def crossing(self) -> bool:
+        """Whether another family crosses inside, so that the rows there tell neither family's tangent."""
+        return self.curve.degenerate and self.curve.test is None
 
     def slope(self, distance: float) -> np.ndarray | None:
         """The Jacobian between those of the ends."""
-        if self.curve.degenerate and self.curve.test is None:  # it would lead along the family that crosses
+        if self.crossing:  # it would lead along the family that crosses
             return None
         share, (a, b) = distance / self.length, (self.first.found.jacobian, self.last.found.jacobian)
         return np.asarray((1 - share) * a + share * b) if a.shape == b.shape else None
