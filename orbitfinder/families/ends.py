@@ -49,7 +49,7 @@ MIRRORED = 1e-4
 KNOWN = 3e-10
 """Share of a period or an action by which orbits beside the family that is joined are off, being told from it badly."""
 UNSURE = 2e-3
-"""... but no more than this share of how much they have changed: a join had 6e-4, the fold of an isola, which is none, 1.5."""
+"""... but no more than this share of how much they have changed: a join had 6e-4, an isola's fold 1.5."""
 SAME = 1e-7
 """Orbits nearer than this in the family's metric are one orbit."""
 FEWEST_STEPS = 5
