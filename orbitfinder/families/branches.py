@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
-from orbitfinder.families.point import FamilySettings, extent, parameter_value, shift_at, unknowns_of
+from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
 from orbitfinder.families.start import (
     Start,
@@ -32,7 +32,7 @@ from orbitfinder.families.start import (
     symmetry_of,
     unknown_parameters,
 )
-from orbitfinder.loops.continued import CRITICAL, Curve, Solution, advanced, at_place, correct, plane, scaled
+from orbitfinder.loops.continued import CRITICAL, Curve, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
 from orbitfinder.mechanics.catalogue import build_model
@@ -44,7 +44,9 @@ from orbitfinder.records.reading import finite
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
-"""How far from the old family, relative to its orbit, the new one is looked for; the first that succeeds is taken."""
+"""How far from the old family, in extents of its orbit, the new one is looked for; the first that succeeds is taken."""
+DIFFERENCE = 1e-4
+"""Arclength of the differences by which the old family's own direction is told."""
 ALIKE = 0.25
 """Orbits nearer to each other than this share of their distance from the old one are one branch."""
 MIRRORED = 1e-7
@@ -105,7 +107,6 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     free, held = unknown_parameters(model, settings, momenta_of(symmetry, model))
     place = _repeated(curve, event, symmetry, share)
     equations = Equations(repeated(model, event.order), symmetry, free, action=True)
-    moving = curve.equations.links.repeated(event.tangent[curve.equations.size + 1 :], event.order, 0.0)
     again = curve.equations.links.repeated(place.free, event.order)
     place = replace(place, unfolding=np.zeros(equations.march.unfolding), free=again)
     there = curve_at(equations, place, held, _turns(curve, event))
@@ -116,27 +117,29 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     sizes = np.concatenate([sizes, np.zeros(len(rows) - len(sizes))])
     # the largest kernel possible: tangent, and two directions of a circle
     kernel = units * rows[-3:][sizes[-3:] < CRITICAL * sizes[-4]]
-    heads = np.stack([place.head_of(row) * np.sqrt(there.weights) for row in kernel])
-    size = there.equations.size
-    moved = np.concatenate([np.zeros(size), event.tangent[size : size + 1] * event.order, moving])
-    moved[:size] = _start_moved(curve, event, share)
-    own = moved * np.sqrt(there.weights)
-    along = np.linalg.lstsq(heads.T, own, rcond=None)[0]
-    others = np.linalg.svd(np.atleast_2d(along))[2][1:]
-    others -= np.outer(others @ heads @ own, along) / (own @ own)  # a plane across one of them misses the old family
+    weights = np.sqrt(there.scales.metric(place))
+    vectors, own = kernel * weights, _moved_along(curve, event, place, share) * weights
+    along = np.linalg.lstsq(vectors.T, own, rcond=None)[0]
+    own, others = along @ vectors, np.linalg.svd(np.atleast_2d(along))[2][1:]
+    others -= np.outer(others @ vectors @ own, along) / (own @ own)  # a plane across one of them misses the old family
     across = others @ kernel
     return Cover(there, place, tuple(_round(across, event.order)))
 
 
-def _start_moved(curve: Curve, event: Event, share: float) -> np.ndarray:
-    """How the state (2n) at a share of the period moves along the old family, by differencing its orbits."""
+def _moved_along(curve: Curve, event: Event, place: Unknowns, share: float) -> np.ndarray:
+    """How the unknowns of a cover, which begins at a share of the period, move along the old family, by differences."""
     base = unknowns_of(curve, event)
-    step, ends = 1e-4 * _reach(curve, at_place(curve, base)), []
+    whole, ends = tangent(curve, at_place(curve, base), event.tangent), []
+    moments = (share + place.edges[:-1] * event.order) % 1.0
     for sign in (-1.0, 1.0):
-        shifted = correct(curve, base, plane(curve, base, event.tangent, sign * step), base)
+        shifted = correct(curve, base, plane(curve, base, whole, sign * DIFFERENCE), base)
         times, states = full_samples(curve, shifted)
-        ends.append(np.array([np.interp(share * shifted.place.period, times, column) for column in states.T]))
-    return np.asarray((ends[1] - ends[0]) / (2 * step))
+        ends.append(np.array([np.interp(moments * shifted.place.period, times, column) for column in states.T]).T)
+    nodes = (ends[1] - ends[0]) / (2 * DIFFERENCE)
+    head, size = base.head_of(whole), curve.equations.size
+    moving = curve.equations.links.repeated(head[size + 1 :], event.order, 0.0)
+    tail = [head[size] * event.order, *np.zeros(place.unfolding.size), *moving]
+    return np.concatenate([nodes.ravel(), tail])
 
 
 def _round(across: np.ndarray, order: int) -> Iterator[np.ndarray]:
@@ -169,21 +172,13 @@ def _repeated(curve: Curve, event: Event, symmetry: Symmetry, share: float) -> U
     return Unknowns(nodes, event.period * event.order, np.zeros(0), base.place.free, times)
 
 
-def _reach(curve: Curve, found: Solution) -> float:
-    """What distances from an orbit are relative to, in the family's metric: its own extent, of angles at most 1 rad."""
-    size = extent(curve, found)
-    return min(size, 1.0) if any(curve.equations.model.angles) else size
-
-
 def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
     """The new family in one direction, or None when what is found is the old one or nothing."""
     curve, place = cover.curve, cover.place
-    size = curve.equations.size
-    moved = direction[: place.nodes.size].reshape(-1, size) ** 2 @ curve.weights[:size]
+    moved = ((direction[: place.nodes.size].reshape(place.nodes.shape) / curve.scales.states) ** 2).sum(axis=1)
     direction = direction / np.sqrt(moved.max())  # the start may be where the two families part least
-    head, reach = place.head_of(direction), _reach(curve, at_place(curve, place))
-    for length in (share * reach for share in DISTANCES):
-        aim = plane(curve, place, head, length * float((curve.weights * head) @ head))
+    for length in DISTANCES:
+        aim = plane(curve, place, direction, length * float(curve.scales.metric(place) @ direction**2))
         try:
             start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
         except (ConvergenceError, IntegrationError):
@@ -213,15 +208,20 @@ def _symmetric(start: Start) -> Start:
 def _is_cover(start: Start, order: int, length: float) -> bool:
     """Whether the orbit closes already after a part of its period."""
     _, states = full_samples(start.curve, start.found)
-    scale = np.sqrt(start.curve.weights[: states.shape[1]])
-    gaps = [return_gaps(states, k) * scale for k in range(2, order + 1) if order % k == 0]
+    gaps = [return_gaps(states, k) / start.curve.scales.states for k in range(2, order + 1) if order % k == 0]
     return bool(np.min(np.max(gaps, axis=1)) < 0.05 * length)
 
 
 def _outwards(start: Start, origin: Unknowns) -> Start:
     """The same start, directed away from the orbit that it was born from."""
-    moved = start.found.place.head - origin.head
-    same = np.sum(start.curve.weights * moved * start.direction) >= 0
+    curve, place = start.curve, start.found.place
+    whole = tangent(curve, start.found, start.direction)
+    moved = (
+        place.vector - origin.vector
+        if np.array_equal(place.edges, origin.edges)
+        else place.spread(place.head - origin.head)
+    )
+    same = np.sum(curve.scales.metric(place) * moved * whole) >= 0
     return start if same else replace(start, direction=-start.direction)
 
 
@@ -231,9 +231,9 @@ def _same(one: Start, other: Start, cover: Cover, event: Event) -> bool:
     sizes = np.abs([np.nan_to_num(event.energy), event.period * event.order, *_freed(event)])
     if np.all(np.abs(a - b) <= MIRRORED * np.maximum(np.abs(a), np.abs(b)) + ROUND_OFF * sizes):
         return True
-    scale = np.sqrt(cover.curve.weights[: cover.curve.equations.size])
-    mine, theirs = (full_samples(start.curve, start.found)[1] * scale for start in (one, other))
-    old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] * scale
+    scale = cover.curve.scales.states
+    mine, theirs = (full_samples(start.curve, start.found)[1] / scale for start in (one, other))
+    old = full_samples(cover.curve, at_place(cover.curve, cover.place))[1] / scale
     model, size = cover.curve.equations.model, _apart(mine, old)
     images = [theirs, *(theirs @ each.matrix(model.degrees_of_freedom).T for each in involutions(model))]
     feet = [_foot(image, old) for image in images]  # told apart at the same distance from the old orbit

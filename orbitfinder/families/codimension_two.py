@@ -179,7 +179,7 @@ def _is_centre(interval: Interval, sample: Sample, name: str) -> bool:
     found, bent = at_place(family, place), 0.0
     whole = kernel(family, found)
     for length in (-ASIDE, ASIDE):
-        aim = plane(family, place, place.head_of(whole), length)
+        aim = plane(family, place, whole, length)
         aside = correct(family, advanced(place, whole, length), aim, place, slope=found.jacobian)
         bent += parameter_value(curve, aside.place, name) - parameter_value(curve, place, name)
     return bent * (interval.last.slopes[name] - interval.first.slopes[name]) > 0

@@ -9,10 +9,10 @@ from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
-from orbitfinder.families.point import LEAST, extents, freed, parameter_value, span
-from orbitfinder.families.run import Interval, Run, Step
+from orbitfinder.families.point import LEAST, extents, freed, parameter_value
+from orbitfinder.families.run import Interval, Run, Step, portrait
 from orbitfinder.families.start import full_samples, return_gaps
-from orbitfinder.loops.continued import Curve, Solution, correct, distance
+from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.loop import Condition
 from orbitfinder.loops.symmetry import NONE, beside, half_period_gaps, involutions, recognise
 from orbitfinder.records.family import End, FamilyPoint
@@ -50,8 +50,8 @@ KNOWN = 3e-10
 """Share of a period or an action by which orbits beside the family that is joined are off, being told from it badly."""
 UNSURE = 2e-3
 """... but no more than this share of how much they have changed: a join had 6e-4, an isola's fold 1.5."""
-SAME = 1e-7
-"""Orbits nearer than this in the family's metric are one orbit."""
+SAME, ALIKE = 1e-7, 1e-4
+"""Orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit."""
 FEWEST_STEPS = 5
 """A closed family has at least so many steps."""
 HOMOCLINIC_STEP = 1e-2
@@ -257,28 +257,30 @@ def _steady(curve: Curve, before: Step) -> End:
 def returned(curve: Curve, before: Step, after: Step) -> End | None:
     """The end of a closed family: the last step passed an earlier one again, going the same way.
 
-    What looks near is confirmed by an orbit on the family in the plane through the earlier one: it must be the same.
+    What looks near, by numbers that do not depend on where t = 0 lies, is confirmed by an orbit of the family with the
+    period and the parameters of the earlier one: it must be the same.
     """
-    one, other, heads = before.found.place, after.found.place, before.heads
-    if len(heads) < FEWEST_STEPS:
+    place, past = before.found.place, before.portraits[: 1 - FEWEST_STEPS]
+    if len(past) < 2:
         return None
-    step, past = other.head - one.head, heads[: 1 - FEWEST_STEPS]
-    normal, square = curve.weights * step, float(np.sum(curve.weights * step**2))
+    here, step = before.portraits[-1], after.portraits[-1] - before.portraits[-1]
+    square, ahead = float(step @ step), np.diff(before.portraits[: 2 - FEWEST_STEPS], axis=0)
     if not square > 0.0:
         return None
-    shares = (past - one.head) @ normal / square
-    if not np.any((shares >= 0.0) & (shares <= 1.0)):
-        return None
-    ahead = np.diff(heads[: 2 - FEWEST_STEPS], axis=0)
-    aside = np.sqrt(np.maximum(((past - one.head) ** 2) @ curve.weights - shares**2 * square, 0.0))
-    near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ normal > 0)
+    shares = (past - here) @ step / square
+    aside = np.sqrt(np.maximum(((past - here) ** 2).sum(axis=1) - shares**2 * square, 0.0))
+    near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ step > 0)
+    count, size = 1 + place.free.size, curve.equations.size
+    normal, units = np.zeros(size + count), np.concatenate([[curve.scales.period], curve.scales.free])
+    normal[size:] = step[:count] / units
     for k in np.flatnonzero(near):
-        guess, aim = one.blended(other, float(shares[k])), Condition(float(normal @ past[k]), normal)
+        aim = Condition(float(step[:count] @ past[k][:count]), normal)
         try:
-            again = correct(curve, guess, aim, one, slope=before.found.jacobian)
+            again = correct(curve, place.blended(after.found.place, float(shares[k])), aim, place)
         except (ConvergenceError, IntegrationError):
             continue
-        if distance(curve, again.place.head, past[k]) < SAME * span(curve, after.found):
+        apart = np.abs(portrait(curve, again) - past[k])
+        if apart[: count + 1].max() < SAME and apart.max() < ALIKE:
             where, length = "its start" if k == 0 else f"its step {k}", abs(after.point.arclength)
             return End("returned", f"a closed family: back at {where} after an arclength of {length:.6g}")
     return None

@@ -90,7 +90,7 @@ def find_events(interval: Interval, settings: FamilySettings) -> list[Event]:
     found += bifurcations(interval, settings.resonances)
     found.sort(key=lambda pair: pair[0].distance)
     turns = [sample.distance for sample, test in found if test.kind == "fold" and test.detail != "period"]
-    found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns, interval.unit))]
+    found = [(p, t) for p, t in found if not (t.kind == "branch_point" and _near(p.distance, turns))]
     found = [(p, t) for p, t in found if t.kind != "branch_point" or _told(interval)]
     found += _changes(interval, found)
     events = [event_at(interval.curve, sample, test, settings.parameter) for sample, test in found]
@@ -107,9 +107,9 @@ def _told(interval: Interval) -> bool:
     return not (np.any(first == 0.0) and np.array_equal(first, last))
 
 
-def _near(distance: float, places: list[float], unit: float) -> bool:
+def _near(distance: float, places: list[float]) -> bool:
     """Whether a branch point is only the multiplier +1 that every fold has."""
-    return any(abs(distance - other) < 1e-5 * unit for other in places)
+    return any(abs(distance - other) < 1e-5 for other in places)
 
 
 def event_at(curve: Curve, sample: Sample, test: Test, parameter: str) -> Event:
@@ -143,7 +143,7 @@ def _changes(interval: Interval, found: list[tuple[Sample, Test]]) -> list[tuple
     edges = [0.0, *(p.distance for p, _ in critical), interval.length]
     verdicts = [a]
     for before, after in pairwise(edges[1:-1]):
-        inner = interval.sample(0.5 * (before + after)) if after - before > 1e-7 * interval.unit else None
+        inner = interval.sample(0.5 * (before + after)) if after - before > 1e-7 else None
         verdicts.append(verdicts[-1] if inner is None else inner.about.floquet.stability == "unstable")
     verdicts.append(b)
     details = ("becomes stable", "becomes unstable")
@@ -196,7 +196,7 @@ def _between(interval: Interval, low: float, high: float, depth: int) -> list[tu
     if all(_parity(found, sign) == (_beyond(a, sign) + _beyond(b, sign)) % 2 for sign in (1, -1)):
         return found
     if depth == 0:
-        if interval.share > UNTOLD:
+        if interval.length > UNTOLD:
             raise ConvergenceError("multipliers on the unit circle cannot be told apart within one step")
         return found
     middle = 0.5 * (low + high)

@@ -20,10 +20,10 @@ from orbitfinder.families.codimension_two import find_special, left_circle
 from orbitfinder.families.ends import end_at, end_of_failure, merged, returned, shortest_step
 from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.passages import avoided
-from orbitfinder.families.point import FamilySettings, make_point, parameter_value, span
-from orbitfinder.families.run import Interval, Run, Sample, Step, make_interval, make_sample, step_at, trend_of
+from orbitfinder.families.point import FamilySettings, make_point, parameter_value
+from orbitfinder.families.run import Interval, Run, Sample, Step, ahead, make_interval, make_sample, step_at, step_from
 from orbitfinder.families.stability import Spectrum
-from orbitfinder.loops.continued import Solution, advanced, bend, correct, distance, plane, tangent
+from orbitfinder.loops.continued import Solution, advanced, correct, distance, plane, tangent
 from orbitfinder.loops.mesh import refined, regraded, settled
 from orbitfinder.loops.problem import pinned
 from orbitfinder.records.family import Batch, End, Event, FamilyPoint
@@ -48,7 +48,7 @@ def follow(run: Run, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
 
     `done` are the steps already taken in this direction (from a journal); the run goes on after them.
     """
-    step = step_at(run, [run.origin, *done])
+    run, step = step_at(run, [run.origin, *done])
     while True:
         if step.point.index >= run.settings.points:
             asked = f"{plural(most := run.settings.points, 'point')} {'was' if most == 1 else 'were'} asked for"
@@ -59,6 +59,7 @@ def follow(run: Run, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
         except (ConvergenceError, IntegrationError) as error:
             yield Batch(run.direction, end=end_of_failure(run, step, str(error)))
             return
+        run = replace(run, curve=step.curve)
         yield batch
         if batch.end is not None:
             return
@@ -72,7 +73,7 @@ def next_step(run: Run, before: Step) -> tuple[Step, Batch]:
             return _attempt(run, before, length)
         except (ConvergenceError, IntegrationError) as error:
             length *= 0.5
-            least = shortest_step(run, before) * span(run.curve, before.found)
+            least = shortest_step(run, before)
             if length < least:
                 raise ConvergenceError(f"step below {least:g}: {error}") from error
 
@@ -80,42 +81,36 @@ def next_step(run: Run, before: Step) -> tuple[Step, Batch]:
 def _attempt(run: Run, before: Step, length: float) -> tuple[Step, Batch]:
     began = time.perf_counter()
     curve, settings, sample, place = run.curve, run.settings, before.sample, before.found.place
-    unit, head = span(curve, before.found), sample.head
     guess = advanced(place, sample.whole, length, before.curvature)
     slope = before.found.jacobian if before.drift is None else before.found.jacobian + length * before.drift
-    aim, reach = plane(curve, place, head, length), 0.5 * length + 1e-9 * unit
+    aim, reach = plane(curve, place, sample.whole, length), 0.5 * length + 1e-9
     raw = correct(curve, guess, aim, place, reach=reach, slope=slope, fit=regraded)
-    whole = tangent(curve, raw, head)
-    turn = float(np.arccos(np.clip(np.sum(curve.weights * head * raw.place.head_of(whole)), -1.0, 1.0)))
+    whole = tangent(curve, raw, sample.whole)
+    turn = float(np.arccos(np.clip(np.sum(curve.scales.metric(place) * sample.whole * whole), -1.0, 1.0)))
     if turn > settings.sharpest_turn:
         raise ConvergenceError(f"the family turns by {turn:.2g} rad within one step")
     stretch = abs(raw.place.period / place.period - 1.0)
-    if stretch > settings.longest_stretch and length > LEAST_STRETCHED * unit:
+    if stretch > settings.longest_stretch and length > LEAST_STRETCHED:
         raise ConvergenceError(f"the period changes by {stretch:.2g} within one step")
-    found = settled(curve, raw, raw.place.head_of(whole))
+    found = settled(curve, raw, whole)
     last = make_sample(curve, length, raw, whole, before.point.indices + before.trend)
     if curve.equations.links and (cut := _cut(run, before, last)) is not None:
         return before, cut
-    if curve.test is None and length > settings.narrowest * unit and avoided(sample, last):
+    if curve.test is None and length > settings.narrowest and avoided(sample, last):
         raise ConvergenceError("two families may avoid each other within one step")
-    missed = distance(curve, guess.head, raw.place.head)
+    missed = distance(curve, guess, raw.place)
     longest, bendable = _limits(run, turn, stretch)
     where: dict[str, Any] = {
         "index": before.point.index + 1,
         "arclength": before.point.arclength + run.direction * length,
-        "step": unit * _next_length(longest, length / unit, missed / unit, bendable),
+        "step": _next_length(longest, length, missed, bendable),
         "indices": last.indices,
     }
     if found is not raw:
-        whole = tangent(curve, found, last.head)
+        whole = tangent(curve, found, raw.place.carried(whole, found.place))
     point, found = _checked_point(run, found, whole, where, last.about if found is raw else None)
     point = replace(point, wall_time=time.perf_counter() - began)
-    here = replace(last, distance=0.0) if found is raw else make_sample(curve, 0.0, found, whole, last.indices)
-    after = Step(
-        point, here, bend(curve, found.place, whole, place), trend_of(before.point, point),
-        min(before.shortest_period, point.period), np.vstack([before.heads, found.place.head]),
-        (raw.jacobian - before.found.jacobian) / length if found is raw else None,
-    )  # fmt: skip
+    after = step_from(run, before, point, found, whole, last if found is raw else None)
     return after, _batch(run, before, after, last)
 
 
@@ -123,21 +118,22 @@ def _checked_point(
     run: Run, found: Solution, whole: np.ndarray, where: dict[str, Any], about: Spectrum | None
 ) -> tuple[FamilyPoint, Solution]:
     """The point of a corrected place, on a finer mesh where it does not close on this one."""
-    head, name = found.place.head_of(whole), run.settings.parameter
+    name = run.settings.parameter
     for trial in range(REFINEMENTS + 1):
         try:
-            return make_point(run.curve, found, head, name, run.check, about=about, **where), found
+            along = found.place.head_of(whole)
+            return make_point(run.curve, found, along, name, run.check, about=about, **where), found
         except ConvergenceError:
             if trial == REFINEMENTS:
                 raise
-            found, about = refined(run.curve, found, head), None
+            found, about = refined(run.curve, found, whole), None
     raise AssertionError("unreachable")
 
 
 def _next_length(longest: float, length: float, missed: float, bendable: float) -> float:
     """Longer after a good prediction (its error goes with the third power), shorter after a bad one or large changes.
 
-    `bendable` times the length would be changed by as much as is allowed; all lengths are relative to the motion.
+    `bendable` times the length would be changed by as much as is allowed.
     """
     ease = float(np.clip((PREDICTION / max(missed, 1e-12)) ** (1 / 3), 0.5, 1.5))
     return float(min(longest, length * min(ease, max(0.5, bendable))))
@@ -174,9 +170,7 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
-            clear = _within(
-                [each for each in events if each is not event], origin, reach - turned * ECHO * interval.unit
-            )
+            clear = _within([each for each in events if each is not event], origin, reach - turned * ECHO)
             return Batch(run.direction, _ordered(_within(points, origin, reach)), (*clear, event), joined)
     ended = ended or returned(run.curve, before, after)
     return Batch(run.direction, (*_ordered(points), after.point), tuple(events), ended)
@@ -216,7 +210,7 @@ def _events(interval: Interval, settings: FamilySettings) -> list[Event]:
     try:
         return find_events(interval, settings) if interval.curve.test is None else find_special(interval, settings)
     except (ConvergenceError, IntegrationError) as error:
-        if interval.share > SHORTEST_SEARCH:
+        if interval.length > SHORTEST_SEARCH:
             raise
         logging.getLogger(__name__).warning("an event could not be located: %s", error)
         return []
@@ -248,8 +242,7 @@ def exact_points(
         if (low - value) * (high - value) > 0 or low in (value, high):
             continue
         found = _solve_level(run, interval, a + (b - a) * (value - low) / (high - low), value)
-        whole = tangent(curve, found, first.head)
-        along = float((curve.weights * first.head) @ (found.place.head - first.found.place.head))
+        whole, along = tangent(curve, found, first.whole), ahead(curve, first, found)
         sample = make_sample(curve, along, found, whole, interval.indices(along))
         where: dict[str, Any] = {
             "index": before.point.index, "arclength": before.point.arclength + run.direction * along,
@@ -265,6 +258,6 @@ def _solve_level(run: Run, interval: Interval, near: float, value: float) -> Sol
     aim = pinned(curve.equations, run.settings.parameter, value)
     slope = first.jacobian if curve.test is None else interval.slope(near)
     found = correct(curve, interval.guess(near), aim, first.place, reach=reach, slope=slope)
-    if distance(curve, found.place.head, first.place.head) > 2 * reach:
+    if distance(curve, found.place, first.place) > 2 * reach:
         raise ConvergenceError("the exact value was found on another part of the family")
     return found

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.run import Interval, Sample, is_real, real_indices
+from orbitfinder.families.run import Interval, Sample, ahead, is_real, real_indices
 from orbitfinder.families.stability import matching
 from orbitfinder.loops.continued import crossed
 
@@ -93,7 +93,7 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
     ends = [value(low), value(high)]
     if ends[0] * ends[1] >= 0:  # within round-off of one end
         return interval.sample((low, high)[int(abs(ends[1]) < abs(ends[0]))])
-    sample = interval.sample(_zero(value, low, high, interval.unit))
+    sample = interval.sample(_zero(value, low, high))
     if interval.crossed(sample):
         with suppress(ConvergenceError, IntegrationError):  # as of a step that is too short to look beyond
             return _across(interval, measure, sample)
@@ -102,14 +102,13 @@ def located(interval: Interval, measure: Measure, low: float, high: float) -> Sa
 
 def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     """The orbit `near` a crossing of two families at which a measure vanishes, as orbits on both sides tell."""
-    first, head = interval.first.found.place.head, interval.curve.weights * interval.first.head
     about = interval.about(near.distance)
     if any(crossed(interval.curve, one.found, TOLD) for one in (about.first, about.last)):
         return near  # the families part too slowly
 
     def sample(distance: float) -> Sample:
         found = about.sample(distance)
-        return replace(found, distance=float(head @ (found.found.place.head - first)))
+        return replace(found, distance=ahead(interval.curve, interval.first, found.found))
 
     def value(distance: float) -> float:
         return measure(sample(distance))
@@ -118,7 +117,7 @@ def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     before, after = measure(low), measure(high)
     if not before * after < 0:
         return near
-    found = sample(_zero(value, 0.0, about.length, interval.unit))
+    found = sample(_zero(value, 0.0, about.length))
     straight = low.distance + (high.distance - low.distance) * before / (before - after)
     vanishes = abs(measure(found)) < STRAIGHT * (abs(before) + abs(after))
     if not (vanishes and abs(found.distance - straight) < STRAIGHT * about.length):
@@ -127,9 +126,9 @@ def _across(interval: Interval, measure: Measure, near: Sample) -> Sample:
     return found
 
 
-def _zero(value: Callable[[float], float], low: float, high: float, unit: float) -> float:
+def _zero(value: Callable[[float], float], low: float, high: float) -> float:
     """Where a function of arclength vanishes; round-off may keep the last bracket wider than asked for."""
-    return float(brentq(value, low, high, xtol=LOCATION * unit, rtol=1e-14, maxiter=60, disp=False))
+    return float(brentq(value, low, high, xtol=LOCATION, rtol=1e-14, maxiter=60, disp=False))
 
 
 @dataclass(frozen=True)
@@ -244,7 +243,7 @@ def _each(interval: Interval, part: Subinterval, level: float, positions: np.nda
         sample = located(interval, course, part.low, part.high)
         if abs(course(sample)) <= TOLD_APART:
             found.append(sample)
-        elif interval.share > UNTOLD:
+        elif interval.length > UNTOLD:
             raise ConvergenceError(f"two stability indices near {level:.4g} cannot be told apart within one step")
     return found
 

@@ -13,10 +13,11 @@ from orbitfinder.families.stability import Spectrum, spectrum
 from orbitfinder.loops.continued import Curve, Solution
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.loops.problem import pinned
+from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import shifting, turned
 from orbitfinder.mechanics.model import Model
 from orbitfinder.mechanics.scales import lengths
-from orbitfinder.orbits.closure import alone, carried
+from orbitfinder.orbits.closure import carried
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import CLOSURE, Event, FamilyPoint
 from orbitfinder.records.orbit import system_at
@@ -31,7 +32,7 @@ PIECEWISE = 1e3
 
 @dataclass(frozen=True)
 class FamilySettings:
-    """How a family is followed. Lengths are arclengths in rad, without angles in extents of the motion.
+    """How a family is followed. Lengths are arclengths in extents of the motion (see `loops.scales`).
 
     Args:
         parameter: energy | period | a state component | a physical parameter (then `hold` is kept).
@@ -214,17 +215,3 @@ def extents(curve: Curve, states: np.ndarray) -> np.ndarray:
     parts = [part / curve.shares for part in (states[:, :n], states[:, n:]) if part.size]
     sizes = [max(float(np.ptp(one, axis=0).max()), LEAST * float(np.abs(one).max()), 1e-300) for one in parts]
     return np.concatenate([size * curve.shares for size in sizes])
-
-
-def extent(curve: Curve, found: Solution) -> float:
-    """How far the configurations of an orbit are apart in a family's metric."""
-    n = curve.equations.model.degrees_of_freedom
-    return max(float(np.sqrt(curve.weights[:n] @ np.ptp(found.march.states[:, :n], axis=0) ** 2)), 1e-300)
-
-
-def span(curve: Curve, found: Solution) -> float:
-    """What lengths along a family are relative to at an orbit: angles have the radian, others the motion's extent.
-
-    So a family told in millimetres, or one of small orbits, is followed by the same steps as any other.
-    """
-    return 1.0 if any(curve.equations.model.angles) else extent(curve, found)

@@ -9,10 +9,22 @@ from functools import cached_property
 import numpy as np
 
 from orbitfinder.errors import ConvergenceError
-from orbitfinder.families.point import FamilySettings, make_point, span, unknowns_of
+from orbitfinder.families.point import FamilySettings, make_point, unknowns_of
 from orbitfinder.families.stability import Spectrum, matching, spectrum
 from orbitfinder.families.start import Start
-from orbitfinder.loops.continued import Curve, Solution, advanced, at_place, bend, correct, crossed, plane, tangent
+from orbitfinder.loops.continued import (
+    Curve,
+    Solution,
+    advanced,
+    at_place,
+    begun,
+    bend,
+    correct,
+    crossed,
+    distance,
+    plane,
+    tangent,
+)
 from orbitfinder.loops.loop import Unknowns
 from orbitfinder.orbits.evidence import ClosureCheck
 from orbitfinder.records.family import FamilyPoint
@@ -70,18 +82,11 @@ class Interval:
     curvature: np.ndarray
     twist: np.ndarray
     seen: dict[float, Sample] = field(default_factory=dict, compare=False, repr=False)
-    unit: float = 1.0
-    """what arclengths are relative to (see `scale.span`)"""
 
     @property
     def length(self) -> float:
         """Arclength (measured along the first tangent)."""
         return self.last.distance
-
-    @property
-    def share(self) -> float:
-        """The length relative to the motion."""
-        return self.length / self.unit
 
     def sample(self, distance: float) -> Sample:
         """The orbit at a distance (along the first tangent) into the interval, corrected once."""
@@ -98,12 +103,10 @@ class Interval:
     def computed(self, distance: float) -> Sample:
         """The same, computed."""
         first, curve, place = self.first, self.curve, self.first.found.place
-        reach = max(0.5 * self.length, 1e-6 * self.unit)
-        aim = plane(curve, place, first.head, distance)
+        reach = max(0.5 * self.length, 1e-6)
+        aim = plane(curve, place, first.whole, distance)
         found = correct(curve, self.guess(distance), aim, place, reach, self.slope(distance))
-        whole = (
-            self.heading(distance) if self.crossing else tangent(curve, found, place.head_of(self.heading(distance)))
-        )
+        whole = self.heading(distance) if self.crossing else tangent(curve, found, self.heading(distance))
         sample = make_sample(curve, distance, found, whole, self.indices(distance))
         if sample.indices.shape != first.indices.shape:
             raise ConvergenceError("the orbit is a relative equilibrium, whose flow is one of its symmetries")
@@ -117,10 +120,10 @@ class Interval:
         return advanced(self.first.found.place, self.first.whole, distance, bent)
 
     def heading(self, distance: float) -> np.ndarray:
-        """The tangent of that cubic, of unit length in its head."""
-        d, place = distance, self.first.found.place
+        """The tangent of that cubic, of unit length."""
+        d, metric = distance, self.curve.scales.metric(self.first.found.place)
         whole = self.first.whole + 2 * d * self.curvature + (3 * d - 2 * self.length) * d * self.twist
-        return np.asarray(whole / np.sqrt(self.curve.weights @ place.head_of(whole) ** 2))
+        return np.asarray(whole / np.sqrt(metric @ whole**2))
 
     @property
     def crossing(self) -> bool:
@@ -144,9 +147,8 @@ class Interval:
 
         There the aim no longer says which family is meant; the orbits inside stay on the cubic in that direction.
         """
-        half = JUNCTION * self.unit
-        first, last = (self.computed(one) for one in (distance - half, distance + half))
-        length = float((self.curve.weights * first.head) @ (last.found.place.head - first.found.place.head))
+        first, last = (self.computed(one) for one in (distance - JUNCTION, distance + JUNCTION))
+        length = ahead(self.curve, first, last.found)
         curve = replace(self.curve, degenerate=True)
         return make_interval(curve, replace(first, distance=0.0), replace(last, distance=length))
 
@@ -154,6 +156,12 @@ class Interval:
         """Indices between those of the ends."""
         share = distance / self.length
         return np.asarray((1 - share) * self.first.indices + share * self.last.indices)
+
+
+def ahead(curve: Curve, first: Sample, other: Solution) -> float:
+    """How far another orbit over the same mesh is along the tangent of a sample."""
+    metric = curve.scales.metric(first.found.place)
+    return float((metric * first.whole) @ (other.place.vector - first.found.place.vector))
 
 
 def parameter_slopes(curve: Curve, place: Unknowns, head: np.ndarray) -> dict[str, float]:
@@ -184,10 +192,10 @@ def make_interval(curve: Curve, first: Sample, last: Sample) -> Interval:
     """
     curvature = bend(curve, first.found.place, first.whole, last.found.place)
     twist, length = np.zeros_like(curvature), last.distance
-    along = float((curve.weights * first.head) @ last.head)
-    if last.whole.shape == first.whole.shape and along > 0.5:
+    along = float((curve.scales.metric(first.found.place) * first.whole) @ last.whole)
+    if along > 0.5:
         twist = (last.whole / along - first.whole - 2 * length * curvature) / length**2
-    return Interval(curve, first, last, curvature, twist, unit=span(curve, first.found))
+    return Interval(curve, first, last, curvature, twist)
 
 
 def is_real(value: complex) -> bool:
@@ -204,16 +212,17 @@ def real_indices(sample: Sample) -> np.ndarray:
 class Step:
     """The last step of a run: its point, what is read there, the parabola, the trend of the indices.
 
-    `heads` are those of every step so far, and `drift` is the change of the Jacobian with arclength, where two orbits
-    in a row have one mesh.
+    `curve` is the family's in the scales that hold from here, `portraits` are those of every step so far (see
+    `portrait`), and `drift` is the change of the Jacobian with arclength, where two orbits in a row have one mesh.
     """
 
+    curve: Curve
     point: FamilyPoint
     sample: Sample
     curvature: np.ndarray
     trend: np.ndarray
     shortest_period: float
-    heads: np.ndarray
+    portraits: np.ndarray
     drift: np.ndarray | None = None
 
     @property
@@ -227,22 +236,69 @@ def first_point(start: Start, settings: FamilySettings, check: ClosureCheck | No
     head, curve = start.direction, start.curve
     if parameter_slopes(curve, start.found.place, head)[settings.parameter] < 0:
         head = -head
-    step = settings.first_step * span(curve, start.found)
+    step = settings.first_step
     return make_point(curve, start.found, head, settings.parameter, check, index=0, arclength=0.0, step=step)
 
 
-def step_at(run: Run, points: Sequence[FamilyPoint]) -> Step:
-    """The last step of a run over these points, from which everything follows."""
-    last, curve = points[-1], run.curve
-    found = at_place(curve, unknowns_of(curve, last))
+def step_at(run: Run, points: Sequence[FamilyPoint]) -> tuple[Run, Step]:
+    """The last step of a run over these points, from which everything follows, and the run in its scales."""
+    last, curve, portraits = points[-1], run.curve, list[np.ndarray]()
+    for point in points:
+        found = at_place(curve, unknowns_of(curve, point))
+        curve = curve.measured(found) if portraits else begun(curve, found, point.tangent)[0]
+        portraits.append(portrait(curve, found))
+    found = at_place(curve, found.place)
     whole = tangent(curve, found, last.tangent if len(points) > 1 else run.direction * last.tangent)
     curvature, trend = np.zeros_like(whole), np.zeros_like(last.indices)
     if len(points) > 1:
         curvature = bend(curve, found.place, whole, unknowns_of(curve, points[-2]))
         trend = trend_of(points[-2], last)
     sample = make_sample(curve, 0.0, found, whole, last.indices)
-    heads = np.array([unknowns_of(curve, point).head for point in points])
-    return Step(last, sample, curvature, trend, min(point.period for point in points), heads)
+    shortest = min(point.period for point in points)
+    return replace(run, curve=curve), Step(curve, last, sample, curvature, trend, shortest, np.array(portraits))
+
+
+def step_from(
+    run: Run, before: Step, point: FamilyPoint, found: Solution, whole: np.ndarray, last: Sample | None
+) -> Step:
+    """The step to a point that was accepted, in scales renewed there; `last` is its sample where it has one."""
+    curve, place = run.curve.measured(found), before.found.place
+    rows = curve.through(found.place).linearised(found.place, found.march).matrix()
+    here = replace(found, jacobian=np.vstack([rows, found.jacobian[len(rows) :]]))
+    whole, trend = tangent(curve, here, whole), trend_of(before.point, point)
+    if last is None:
+        sample = make_sample(curve, 0.0, here, whole, point.indices)
+    else:
+        slopes = parameter_slopes(curve, here.place, here.place.head_of(whole))
+        sample = replace(last, distance=0.0, found=here, whole=whole, slopes=slopes)
+    drift = None
+    if last is not None and here.jacobian.shape == before.found.jacobian.shape:
+        drift = (here.jacobian - before.found.jacobian) / distance(curve, place, found.place)
+    return Step(
+        curve, point, sample, bend(curve, found.place, whole, place), trend, min(before.shortest_period, point.period),
+        np.vstack([before.portraits, portrait(curve, found)]), drift,
+    )  # fmt: skip
+
+
+def portrait(curve: Curve, found: Solution) -> np.ndarray:
+    """What identifies an orbit wherever its t = 0 lies: T, parameters, action, means and spreads of the whole motion.
+
+    All relative to their sizes; the last two are good to the fourth order of the mesh.
+    """
+    p, place, scales = curve.equations, found.place, curve.scales
+    times = place.mesh / place.mesh[-1]
+    lengths, rates = np.diff(times), p.march.rates(found.march.states, place.tail, place.mesh * place.period)
+
+    def mean(values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+        parts = lengths * (values[:-1] + values[1:]).T / 2 + lengths**2 * (slopes[:-1] - slopes[1:]).T / 12
+        return np.asarray(parts.sum(axis=1))
+
+    paced = rates * place.period * place.mesh[-1]
+    middle = mean(found.march.states, paced)
+    away = found.march.states - middle
+    spread = np.sqrt(np.abs(mean(away**2, 2 * away * paced)))
+    sizes = np.concatenate([[scales.period], scales.free, [abs(found.march.integral) or 1.0], *[scales.states] * 2])
+    return np.asarray(np.concatenate([[place.period], place.free, [found.march.integral], middle, spread]) / sizes)
 
 
 def trend_of(before: FamilyPoint, last: FamilyPoint) -> np.ndarray:

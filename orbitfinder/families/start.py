@@ -12,13 +12,14 @@ from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, closest
 from orbitfinder.families.minimal import minimal_problem
-from orbitfinder.families.point import FamilySettings, length, parameter_value, span
+from orbitfinder.families.point import FamilySettings, length, parameter_value
 from orbitfinder.integrate.march import rounded, uniform
 from orbitfinder.loops.conditions import Pin
-from orbitfinder.loops.continued import Curve, Solution, correct, kernel, make_curve
+from orbitfinder.loops.continued import Curve, Solution, begun, correct, kernel, make_curve
 from orbitfinder.loops.loop import Condition, Equations, Unknowns
 from orbitfinder.loops.mesh import arc_states, remeshed, settled
 from orbitfinder.loops.problem import Guess, Problem, clock, clocked, pinned
+from orbitfinder.loops.scales import Scales
 from orbitfinder.loops.symmetry import (
     NONE,
     Symmetry,
@@ -49,7 +50,7 @@ SAMPLES = 512
 
 @dataclass(frozen=True)
 class Start:
-    """A curve, an orbit on it and a direction along it (over the head)."""
+    """A curve in the scales of an orbit on it, and a direction along it (over the head)."""
 
     curve: Curve
     found: Solution
@@ -162,17 +163,7 @@ def _start(problem: Problem, free: tuple[str, ...]) -> Start:
     curve = curve_at(equations, place, momenta, problem.turns, {one.name: one.value for one in problem.pin})
     pin = next((one for one in pins if one.name not in momenta), None)
     aim = pinned(equations, pin.name, pin.value) if pin else _own_aim(curve, place)
-    return _measured(corrected(curve, place, aim))
-
-
-def _measured(start: Start) -> Start:
-    """The same, a freed parameter that is 0 measured by what moves the orbit as far as it extends, at most 1."""
-    curve, head, size = start.curve, start.direction, start.curve.equations.size
-    weights, moved = curve.weights.copy(), np.sqrt(curve.weights[:size] @ start.direction[:size] ** 2)
-    for k in size + 1 + np.flatnonzero(start.found.place.free == 0.0):
-        if head[k]:
-            weights[k] = max(1.0, float(moved / (head[k] * span(curve, start.found))) ** 2)
-    return replace(start, curve=replace(curve, weights=weights), direction=head / np.sqrt(weights @ head**2))
+    return corrected(curve, place, aim)
 
 
 def curve_at(
@@ -193,13 +184,13 @@ def curve_at(
     if equations.links:
         end = equations.links.passed(place, equations.ends(replace(place, mesh=steps)))[0][-1]
     constant = symmetry.constants(np.asarray(model.angles), place.nodes[0], end, whole)
-    values = equations.quantities_at(place)[0]
+    values, whole_motion = equations.quantities_at(place)[0], symmetry.whole(steps, states, constant)[1]
     names = [one.name for one in model.invariants]
     known = {"period": place.period} | dict(zip(names, map(float, values), strict=False)) | dict(given or {})
     cycles = max(1, round(place.period / float(values[-1]))) if model.forced else 0
     kept = dict.fromkeys((*held, *alone))
     fixed = clock(equations, cycles) + tuple(pinned(equations, one, known[one]) for one in kept if one in known)
-    return make_curve(equations, constant, place, fixed, length(model, states))
+    return make_curve(equations, constant, place, fixed, length(model, states), whole_motion)
 
 
 def ungenerated(model: Model) -> tuple[str, ...]:
@@ -243,7 +234,8 @@ def curve_of(entry: Mapping[str, Any], model: Model, settings: FamilySettings) -
     conditions = clock(equations, known.cycles) + tuple(Condition(value, quantity=k) for k, value in known.held)
     if known.period is not None:
         conditions += (pinned(equations, "period", known.period),)
-    return Curve(equations, known.constant, conditions, weights=known.weights)
+    scales = Scales.head(known.weights, equations.size)
+    return Curve(equations, known.constant, conditions, weights=known.weights, scales=scales)
 
 
 def entry_of(curve: Curve) -> dict[str, Any]:
@@ -287,9 +279,10 @@ def corrected(
         found = correct(curve, place, aim, reference, reach)
     except (ConvergenceError, IntegrationError) as error:
         raise ConvergenceError(f"no orbit to start the family from: {error}; find and certify one first") from error
-    direction = found.place.head_of(kernel(curve, found))
-    found = settled(curve, found, curve.weights * direction)
-    return Start(curve, found, direction)
+    whole = kernel(curve, found)
+    found, place = settled(curve, found, whole), found.place
+    curve, whole = begun(curve, found, place.carried(whole, found.place))
+    return Start(curve, found, found.place.head_of(whole))
 
 
 def symmetry_of(curve: Curve, found: Solution) -> str:

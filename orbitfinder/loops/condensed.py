@@ -1,10 +1,10 @@
 """The linear systems of multiple shooting: condensed to the first node, or whole, dense or sparse.
 
     dx_{k+1} = Phi_k dx_k + C_k dy + d_k        k = 0 .. N-2, d_k the defect behind segment k
-    F dx_0 + L (Phi_{N-1} dx_{N-1} + C_{N-1} dy) + G dy = -r
+    sum_k F_k dx_k + L (Phi_{N-1} dx_{N-1} + C_{N-1} dy) + G dy = -r
 
-with dy the change of (period, unfolding, freed parameters) and r the closing rows. Rows at the inner ends of segments
-(guards) come after those. Eliminating the nodes costs N small
+with dy the change of (period, unfolding, freed parameters) and r the closing rows, of which most have an F_0 only.
+Rows at the inner ends of segments (guards) come after those. Eliminating the nodes costs N small
 products and one small solve. The product of all Phi_k loses the contracting directions where it is very large; beyond
 `LARGEST_PRODUCT` the whole matrix is solved instead.
 """
@@ -36,7 +36,8 @@ Inner = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Linearised:
-    """Phi_k (N x d x d), C_k (N x d x m), and the closing rows' derivatives F, L (r x d), G (r x m).
+    """Phi_k (N x d x d), C_k (N x d x m), and the closing rows' derivatives F (r x d, by the first node alone,
+    or r x N d), L (r x d), G (r x m).
 
     `inner` are rows (g) of one segment each (its number), by that segment's node (g x d) and by y (g x m).
     """
@@ -59,7 +60,7 @@ class Linearised:
             matrix[here, (k + 1) * size : (k + 2) * size] = -np.eye(size)
             matrix[here, total:] = self.columns[k]
         matrix[cut:, cut:total] = self.last @ self.transitions[-1]
-        matrix[cut:, :size] += self.first
+        matrix[cut:, : self.first.shape[1]] += self.first
         matrix[cut:, total:] = self.last @ self.columns[-1] + self.tail
         return matrix if self.inner is None else np.vstack([matrix, self._inner_matrix(total + extra)])
 
@@ -78,14 +79,18 @@ def eliminated(system: Linearised) -> Solver:
     product, columns = np.eye(size), np.zeros((size, system.tail.shape[1]))
     places, slopes, by_tail = system.inner or (np.zeros(0, int), np.zeros((0, size)), np.zeros((0, columns.shape[1])))
     inner, at = np.zeros((len(places), size + columns.shape[1])), {int(k): j for j, k in enumerate(places)}
+    firsts = np.split(system.first, system.first.shape[1] // size, axis=1)
+    head, tail = np.zeros(firsts[0].shape), system.tail.copy()
     for k, (transition, own) in enumerate(zip(system.transitions, system.columns, strict=True)):
+        if k < len(firsts):
+            head, tail = head + firsts[k] @ product, tail + firsts[k] @ columns
         if k in at:
             inner[at[k]] = np.concatenate([slopes[at[k]] @ product, slopes[at[k]] @ columns + by_tail[at[k]]])
         product, columns = transition @ product, transition @ columns + own
     if not np.abs(product).max() <= LARGEST_PRODUCT:
         whole = system.matrix()
         return lambda rows: -np.linalg.lstsq(whole, rows, rcond=CUTOFF)[0]
-    matrix = np.hstack([system.first + system.last @ product, system.last @ columns + system.tail])
+    matrix = np.hstack([head + system.last @ product, system.last @ columns + tail])
     matrix = np.vstack([matrix, inner]) if len(inner) else matrix
     solved = _solver(matrix) if len(inner) else _least(matrix)
 
@@ -93,6 +98,8 @@ def eliminated(system: Linearised) -> Solver:
         defects, closing = rows[: (count - 1) * size].reshape(-1, size), rows[(count - 1) * size :]
         carried, closing = np.zeros(size), closing.copy()
         for k, transition in enumerate(system.transitions):
+            if 0 < k < len(firsts):
+                closing[: len(system.tail)] += firsts[k] @ carried
             if k in at:
                 closing[len(system.tail) + at[k]] += slopes[at[k]] @ carried
             carried = transition @ carried

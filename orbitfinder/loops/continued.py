@@ -1,4 +1,4 @@
-"""The corrector of a family: its loop with one aim more, Newton, tangent and predictor.
+"""The corrector of a family: its loop with one aim more, Newton, tangent and predictor, in the family's `Scales`.
 
 The aim is the last condition and picks one orbit of the family; without it the Jacobian has a one-dimensional
 kernel, the tangent of the family (Muñoz-Almaraz et al., Physica D 181 (2003) 1-38).
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from orbitfinder.integrate.march import Varied
 from orbitfinder.loops.condensed import Broyden, Factors
 from orbitfinder.loops.loop import Condition, Equations, Loop, Unknowns, beyond
 from orbitfinder.loops.problem import clocked
+from orbitfinder.loops.scales import Scales, sizes
 from orbitfinder.mechanics.scales import parameter_sizes, snapped
 
 NEWTON_READY = 1e-11
@@ -25,8 +27,8 @@ APPROACHED = 3e-7
 """Residual at which the approach with an old Jacobian hands over to Newton's method."""
 FITTING = 1e-4
 """Residual below which an orbit is known well enough to fit a mesh to it."""
-FEWEST_STEPS = 16
-"""Steps of a segment from which on the approach takes only half of them."""
+FEWEST_STEPS = 32
+"""Steps of a horizon from which on the approach takes only half of them."""
 NEWTON_FLOOR = 1e-9
 """... or below this, where round-off on an unstable orbit keeps the residual from shrinking further."""
 MOST_NEWTON = 12
@@ -46,13 +48,15 @@ DIFFERENCE = 1e-4
 class Curve(Loop):
     """One family's loop, and its metric.
 
-    `weights` measures a head (x(0), T, free): coordinates by `mechanics.scales.lengths` (angles in rad), rates by the
-    time scale of the starting orbit, period and parameters relative to their starting values. A curve of bifurcations
+    `scales` measure w at the orbit that the family has come to. `weights` are of a head (x(0), T, free) of its first
+    orbit, in which its equations are integrated: coordinates by `mechanics.scales.lengths` (angles in rad), rates by
+    the time scale, period and parameters relative to their values. A curve of bifurcations
     has a `test` too, a function of an orbit that vanishes along it, and one parameter more is free; `degenerate` where
     the equations without it lose a rank there, as at a branch point, which a symmetry must keep.
     """
 
     weights: np.ndarray = field(kw_only=True)
+    scales: Scales = field(kw_only=True)
     test: Callable[[Curve, Solution], float] | None = field(default=None, kw_only=True)
     degenerate: bool = field(default=False, kw_only=True)
 
@@ -65,6 +69,20 @@ class Curve(Loop):
     def units(self) -> np.ndarray:
         """The same of a state (2n) in powers of 256, so that a system of order one is computed with as it is."""
         return snapped(np.sqrt(self._unit / self.weights[: self.equations.size]))
+
+    def through(self, w: Unknowns) -> Self:
+        """The same with its phases over all nodes fixed by w."""
+        return replace(self, normals=self.equations.phases(w, self.scales.states), reference=w.nodes.ravel())
+
+    def measured(self, found: Solution) -> Self:
+        """The same with its scales renewed at an orbit that was accepted."""
+        return replace(self, scales=self.scales.renewed(self.sizes(found), found.place))
+
+    def sizes(self, found: Solution) -> np.ndarray:
+        """The extents (d) of the whole motion."""
+        p, place = self.equations, found.place
+        states = p.symmetry.whole(place.mesh, found.march.states, self.constant)[1]
+        return sizes(p.model, self.shares, states, place.period)
 
     @cached_property
     def centre(self) -> np.ndarray:
@@ -104,23 +122,38 @@ def make_curve(
     w: Unknowns,
     conditions: tuple[Condition, ...] = (),
     unit: np.ndarray | float = 1.0,
+    states: np.ndarray | None = None,
 ) -> Curve:
-    """The curve through (or near) w; its metric is fixed there once for the whole family.
+    """The curve through (or near) w, along whose first motion there are `states` (k x d).
 
     `unit` is what coordinates (n) are measured in (see `point.length`).
     """
     n = equations.model.degrees_of_freedom
-    sizes = np.tile(np.broadcast_to(unit, n), equations.size // n)
-    relative = 1.0 / parameter_sizes(equations.model, equations.free, w.free) ** 2
+    lengths = np.tile(np.broadcast_to(unit, n), equations.size // n)
+    relative = parameter_sizes(equations.model, equations.free, w.free)
     with np.errstate(over="ignore"):  # what comes of a period that is too small is said where it is integrated
         pace = np.square(1.0 / w.period)
-    weights = np.concatenate([clocked(equations.model, w.period / (2 * np.pi)) ** 2 / sizes**2, [pace], relative])
-    return Curve(equations, constant, conditions, weights=weights)
+    weights = np.concatenate(
+        [clocked(equations.model, w.period / (2 * np.pi)) ** 2 / lengths**2, [pace], 1.0 / relative**2]
+    )
+    curve = Curve(equations, constant, conditions, weights=weights, scales=Scales.head(weights, equations.size))
+    if states is None:
+        return curve
+    return replace(curve, scales=Scales.of(sizes(equations.model, curve.shares, states, w.period), w, relative))
+
+
+def begun(curve: Curve, found: Solution, along: np.ndarray) -> tuple[Curve, np.ndarray]:
+    """The curve in the scales of its first orbit, and its direction over w there along one over w or over the head."""
+    w, size = found.place, curve.equations.size
+    free = np.where(w.free != 0.0, np.abs(w.free), 1.0 / np.sqrt(curve.weights[size + 1 :]))
+    curve = replace(curve, scales=Scales.of(curve.sizes(found), w, free))
+    curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, found, along)))
+    return curve, tangent(curve, found, along)
 
 
 def _row_units(curve: Curve, w: Unknowns, slopes: np.ndarray | None = None) -> np.ndarray:
     """What each row is measured in, a test's and then an aim's last, unknowns being measured as the metric does."""
-    units = curve.row_units(w, 1.0 / np.sqrt(curve.weights), slopes)
+    units = curve.row_units(w, curve.scales.columns(w), slopes)
     return units if curve.test is None else np.insert(units, len(units) - (slopes is not None), TESTED)
 
 
@@ -136,10 +169,10 @@ def _approached(
 
     Stops where a step no longer helps. `measures` are what each row is measured in, and what it loses to round-off.
     """
-    coarser = 2 if guess.steps % 2 == 0 and guess.steps >= FEWEST_STEPS else 1
+    coarser = 2 if guess.steps % 2 == 0 and guess.mesh.size > FEWEST_STEPS else 1
     w, best = guess.on(guess.mesh[::coarser]), np.inf
-    cut, size = guess.nodes.size, curve.equations.size
-    matrix[cut : cut + len(curve.normals), :size] = curve.normals
+    cut = (len(guess.nodes) - 1) * curve.equations.size + len(curve.equations.boundary[0])
+    matrix[cut : cut + len(curve.normals), : curve.normals.shape[1]] = curve.normals
     kept, (units, lost) = guess, measures
     try:
         method = Broyden(Factors(matrix))
@@ -176,12 +209,13 @@ def correct(
     which most of the way is cheap; `fit` gives a better mesh over these segments once the orbit is nearly
     known. Raises `ConvergenceError` or `IntegrationError`.
     """
-    family, curve = curve, curve.through(reference or guess)
+    same = reference is not None and np.array_equal(reference.edges, guess.edges)
+    family, curve = curve, curve.through(reference if same and reference is not None else guess)
     slopes = curve.slopes(guess, (*curve.conditions, aim))
     w, previous, units, lost = guess, np.inf, _row_units(curve, guess, slopes), curve.lost(guess, (aim,), slopes)
     border = None if curve.test is None else Border(curve, slope)
     if slope is not None and border is None:
-        w = _approached(curve, guess, aim, np.vstack([slope, guess.spread(slopes[-1])]), (units, lost))
+        w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
     for iteration in range(MOST_NEWTON):
         path = curve.equations.varied(w, states=True)
         rows, jacobian = _all_rows(curve, w, path.ends, aim, lost), curve.linearised(w, path).matrix()
@@ -197,14 +231,14 @@ def correct(
         if border is not None:
             slow = iteration > 0 and largest > SLOW * previous
             jacobian = np.vstack([jacobian, border.row(w, jacobian, ready or slow)])
-        whole = np.vstack([jacobian, w.spread(curve.slopes(w, (aim,))[0])])
+        whole = np.vstack([jacobian, curve.slopes(w, (aim,))])
         step = -_solved(curve, w, whole, rows)
         moved = w.moved(step)
         if ready:
             if border is not None:  # by so much off the bifurcation was the march
                 return Solution(moved, curve.equations.varied(moved, states=True), jacobian, largest)
-            return Solution(moved, path, jacobian, largest, distance(curve, moved.head, w.head))
-        if not distance(curve, moved.head, guess.head) < reach or not moved.period > 0:
+            return Solution(moved, path, jacobian, largest, distance(curve, moved, w))
+        if not distance(curve, moved, guess) < reach or not moved.period > 0:
             raise ConvergenceError("the corrector left the neighbourhood of its guess; take a smaller step")
         if fit is not None and largest < FITTING:
             moved = moved.on(fit(family, Solution(w, path, jacobian, largest)))
@@ -235,7 +269,7 @@ class Border:
 
     def row(self, w: Unknowns, jacobian: np.ndarray, exact: bool = True) -> np.ndarray:
         """The row where `value` was asked for last; `jacobian` is that of the other rows."""
-        columns, known = _columns(self.curve, w), self._row.size == w.vector.size
+        columns, known = self.curve.scales.columns(w), self._row.size == w.vector.size
         before, self._last = self._last, (w.vector, self._value)
         if known and not exact and before is None:
             return self._row
@@ -275,7 +309,7 @@ def _left_free(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> np.ndarray:
     """An orthonormal basis (k x whole), in units of the metric, of the kernel of all rows but the test and the aim."""
     if curve.degenerate:
         return np.asarray(np.linalg.svd(_measured(curve, w, jacobian)[0])[2][len(jacobian) - 1 :])
-    matrix = jacobian * _columns(curve, w)  # what rows are measured in does not change their kernel
+    matrix = jacobian * curve.scales.columns(w)  # what rows are measured in does not change their kernel
     return np.asarray(np.linalg.qr(matrix.T, mode="complete")[0][:, len(matrix) :].T)
 
 
@@ -286,7 +320,7 @@ def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) ->
             return Factors(matrix).solve(right)
         except np.linalg.LinAlgError:
             return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
-    columns = _columns(curve, w)
+    columns = curve.scales.columns(w)
     measured = matrix * columns
     rows = np.maximum(np.linalg.norm(measured, axis=1), 1e-300)
     left, sizes, across = np.linalg.svd(measured / rows[:, None])
@@ -294,9 +328,9 @@ def _solved(curve: Curve, w: Unknowns, matrix: np.ndarray, right: np.ndarray) ->
 
 
 def plane(curve: Curve, w: Unknowns, along: np.ndarray, ahead: float = 0.0) -> Condition:
-    """The aim in the hyperplane through w, or so far ahead of it, normal to a direction over the head."""
-    normal = curve.weights * along
-    return Condition(float(normal @ w.head) + ahead, normal)
+    """The aim in the hyperplane through w, or so far ahead of it, normal to a direction over w or over the head."""
+    normal = curve.scales.metric(w) * w.over(along)
+    return Condition(float(normal @ w.vector) + ahead, normal)
 
 
 def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -305,30 +339,24 @@ def scaled(curve: Curve, found: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _measured(curve: Curve, w: Unknowns, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    columns = _columns(curve, w)
+    columns = curve.scales.columns(w)
     rows = _row_units(curve.through(w), w)[: len(jacobian)]
     return jacobian * columns / rows[:, None], columns
 
 
-def _columns(curve: Curve, w: Unknowns) -> np.ndarray:
-    """What every unknown is measured in, in the metric."""
-    head, size = 1.0 / np.sqrt(curve.weights), curve.equations.size
-    return w.joined(head[:size], head[size], 1.0 / w.period, head[size + 1 :])
-
-
-def distance(curve: Curve, one: np.ndarray, other: np.ndarray) -> float:
-    """Distance of two heads in the family's metric."""
-    return float(np.sqrt(curve.weights @ (one - other) ** 2))
+def distance(curve: Curve, one: Unknowns, other: Unknowns) -> float:
+    """Distance of two orbits over one mesh in the family's metric."""
+    return float(np.sqrt(curve.scales.metric(one) @ (other.vector - one.vector) ** 2))
 
 
 def tangent(curve: Curve, found: Solution, along: np.ndarray) -> np.ndarray:
-    """The family's direction over all of w, of unit length in its head, with along^T W head > 0."""
-    row = found.place.spread(curve.weights * along)
+    """The family's direction over w, of unit length, with <along, t> > 0; `along` is over w or over the head."""
+    metric = curve.scales.metric(found.place)
     right = np.zeros(len(found.jacobian) + 1)
     right[-1] = 1.0
-    matrix = np.vstack([found.jacobian, row])
+    matrix = np.vstack([found.jacobian, metric * found.place.over(along)])
     whole = _solved(curve, found.place, matrix, right)
-    return np.asarray(whole / np.sqrt(curve.weights @ found.place.head_of(whole) ** 2))
+    return np.asarray(whole / np.sqrt(metric @ whole**2))
 
 
 def kernel(curve: Curve, found: Solution) -> np.ndarray:
@@ -338,7 +366,7 @@ def kernel(curve: Curve, found: Solution) -> np.ndarray:
     if curve.degenerate:  # the direction in which a symmetry is lost is the kernel's too, and moves no parameter
         last = np.linalg.svd(last[:, -found.place.free.size :])[0].T[:1] @ last
     whole = units * last[-1]
-    return np.asarray(whole / np.sqrt(curve.weights @ found.place.head_of(whole) ** 2))
+    return np.asarray(whole / np.sqrt(curve.scales.metric(found.place) @ whole**2))
 
 
 def crossed(curve: Curve, found: Solution, share: float = CRITICAL) -> bool:
@@ -368,5 +396,5 @@ def bend(curve: Curve, w: Unknowns, whole: np.ndarray, other: Unknowns) -> np.nd
     moved = w.displacement(other)
     if moved is None:
         return np.zeros_like(whole)
-    along = float((curve.weights * w.head_of(whole)) @ w.head_of(moved))
+    along = float((curve.scales.metric(w) * whole) @ moved)
     return np.asarray((moved - along * whole) / along**2) if abs(along) > 1e-9 else np.zeros_like(whole)

@@ -4,7 +4,7 @@ The unknowns are w = (nodes, T, s, freed parameters), and only this file knows t
 
     x_{k+1} - x(end of segment k)         continuity
     P (B0 x_0 + B1 x(end) - c)            the link that closes the loop: the period, or a symmetry of a part of it
-    normals (x_0 - reference)             phases: time, and what else shifts an orbit into another
+    normals (x - reference)               phases: time, and what else shifts an orbit into another
     conditions                            pins, what is held, the aim that picks one orbit of a family
 
 P is 1. A relative orbit comes back up to a shift along k cyclic coordinates, x(T) = x(0) + sum_j d_j g_j: its P leaves
@@ -71,6 +71,12 @@ class Unknowns:
         return self.mesh[:: self.steps]
 
     @cached_property
+    def shares(self) -> np.ndarray:
+        """The share of the period (N) that each node stands for: half of the segments on its two sides."""
+        lengths = np.diff(self.edges) / (self.edges[-1] - self.edges[0])
+        return np.asarray(0.5 * (lengths + np.roll(lengths, 1)))
+
+    @cached_property
     def vector(self) -> np.ndarray:
         """w as one vector."""
         return np.concatenate([self.nodes.ravel(), self.tail])
@@ -109,6 +115,19 @@ class Unknowns:
         row[count * size] = head[size]
         row[row.size - self.free.size :] = head[size + 1 :]
         return row
+
+    def over(self, row: np.ndarray) -> np.ndarray:
+        """A row over w: itself, or one over the head spread."""
+        return row if row.size == self.vector.size else self.spread(row)
+
+    def carried(self, whole: np.ndarray, other: Unknowns) -> np.ndarray:
+        """A direction over w as one over others of the same orbit, interpolated where their segments differ."""
+        if np.array_equal(self.edges, other.edges) or whole.size != self.vector.size:
+            return whole if whole.size == other.vector.size else other.spread(whole)
+        cut, size = self.nodes.size, self.nodes.shape[1]
+        columns = whole[:cut].reshape(-1, size).T
+        nodes = np.array([np.interp(other.edges[:-1], self.edges[:-1], column) for column in columns]).T
+        return np.concatenate([nodes.ravel(), whole[cut:]])
 
     def head_of(self, whole: np.ndarray) -> np.ndarray:
         """The entries of a vector over w that belong to the head."""
@@ -274,16 +293,23 @@ class Equations:
         """The ends (N x d) of all segments of w."""
         return self.march.ends(w.nodes, w.mesh, w.tail)
 
-    def phases(self, w: Unknowns) -> np.ndarray:
-        """Unit normals (k x d) of the hyperplanes through w that fix time and other shifts; guards fix time too."""
-        x, found = w.nodes[0], []
+    def phases(self, w: Unknowns, units: np.ndarray | None = None) -> np.ndarray:
+        """Normals (k x d, or k x N d) of the hyperplanes through w that fix time and other shifts; guards fix time too.
+
+        Unit normals at x(0), or where states are measured in `units` (d) over all nodes: the integral condition
+        sum_k m_k g_k . S^-2 (x_k - w_k) = 0, g the rates or a shift's generator.
+        """
+        nodes = w.nodes[:1] if units is None else w.nodes
+        weights = np.ones((1, 1)) if units is None else w.shares[:, None] / units**2
+        sizes = np.ones(nodes.shape) if units is None else np.broadcast_to(units, nodes.shape)
+        found = []
         if not (self.symmetry.reverses or self.model.forced or self.model.hybrid):
-            found.append(self.march.rates(x[None], w.tail)[0])
+            found.append(self.march.rates(nodes, w.tail))
         n, values = self.model.degrees_of_freedom, self.model.parameter_values
-        q, v = x[:n], x[n:]
-        found += [one(q, v, values).full().ravel() for one in self._generators]
-        rows = np.asarray(found).reshape(len(found), self.size)
-        return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
+        for one in self._generators:
+            found.append(np.array([one(x[:n], x[n:], values).full().ravel() for x in nodes]))
+        rows = np.array([(one * weights).ravel() for one in found]).reshape(len(found), nodes.size)
+        return np.asarray(rows / np.maximum(np.linalg.norm(rows * sizes.ravel(), axis=1, keepdims=True), 1e-300))
 
 
 class Links:
@@ -379,7 +405,7 @@ def _link(model: Model, one: Transition, free: tuple[str, ...], varied: bool) ->
 
 @dataclass(frozen=True)
 class Condition:
-    """One row: `normal`.(x(0), T, free) + `weight` times the quantity of a number (-1: the last) = `value`."""
+    """One row: `normal`.(x(0), T, free), or .w, + `weight` times the quantity of a number (-1: the last) = `value`."""
 
     value: float
     normal: np.ndarray | None = None
@@ -407,6 +433,10 @@ class Loop:
         """The same loop with its phases fixed by hyperplanes through w."""
         return replace(self, normals=self.equations.phases(w), reference=w.nodes[0])
 
+    def _away(self, w: Unknowns) -> np.ndarray:
+        """How far w is off each phase."""
+        return np.asarray(self.normals @ (w.vector[: self.normals.shape[1]] - self.reference))
+
     def rows(self, w: Unknowns, ends: np.ndarray, *aims: Condition) -> np.ndarray:
         """The residual, segments ending at `ends` (N x d); those of aims last."""
         first, last = self.equations.boundary
@@ -414,7 +444,7 @@ class Loop:
         if links:
             ends, guards = links.passed(w, ends)
         closing = first @ w.nodes[0] + last @ ends[-1] - self.equations.aimed(self.constant)
-        rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self.normals @ (w.nodes[0] - self.reference)]
+        rows = [(ends[:-1] - w.nodes[1:]).ravel(), closing, self._away(w)]
         named, count = self.values(w, (*self.conditions, *aims)), len(self.conditions)
         return np.concatenate([*rows, named[:count], guards, named[count:]])
 
@@ -451,12 +481,12 @@ class Loop:
     def linearised(self, w: Unknowns, path: Varied) -> Linearised:
         """The derivatives of the rows."""
         first, last = self.equations.boundary
-        slopes, size = self.slopes(w, self.conditions), self.equations.size
+        slopes, size, cut = self.slopes(w, self.conditions), self.equations.size, w.nodes.size
         more, before = len(self.normals) + len(slopes), len(first) + len(self.normals)
-        tail = np.zeros((len(first) + more, 1 + w.unfolding.size + w.free.size))
-        if len(slopes):
-            tail[before:, 0] = slopes[:, size]
-            tail[before:, 1 + w.unfolding.size :] = slopes[:, size + 1 :]
+        rows = np.zeros((len(first) + more, cut if np.any(slopes[:, size:cut]) else max(size, self.normals.shape[1])))
+        rows[: len(first), :size], rows[len(first) : before, : self.normals.shape[1]] = first, self.normals
+        rows[before:] = slopes[:, : rows.shape[1]]
+        tail = np.vstack([np.zeros((before, slopes.shape[1] - cut)), slopes[:, cut:]])
         links, transitions, columns = self.equations.links, path.transitions, path.columns
         inner: Inner | None = None
         if links:
@@ -464,23 +494,24 @@ class Loop:
         return Linearised(
             transitions,
             columns,
-            np.vstack([first, self.normals.reshape(-1, size), slopes[:, :size]]),
+            rows,
             np.vstack([last, np.zeros((more, size))]),
             tail,
             inner,
         )
 
-    def row_units(self, w: Unknowns, head: np.ndarray, slopes: np.ndarray | None = None) -> np.ndarray:
-        """What each row is measured in, those of aims last, where (x(0), T, free) is measured in `head`.
+    def row_units(self, w: Unknowns, columns: np.ndarray, slopes: np.ndarray | None = None) -> np.ndarray:
+        """What each row is measured in, those of aims last, where w is measured in `columns`.
 
         `slopes` are those of the conditions and aims, by default of the conditions alone.
         """
-        unit, (first, last) = head[: self.equations.size], self.equations.boundary
+        unit, (first, last) = columns[: self.equations.size], self.equations.boundary
         boundary = np.maximum(np.abs(first) * unit, np.abs(last) * unit).max(axis=1)
-        units = [np.tile(unit, len(w.nodes) - 1), boundary, np.linalg.norm(self.normals * unit, axis=1)]
+        phases = np.linalg.norm(self.normals * columns[: self.normals.shape[1]], axis=1)
         slopes = self.slopes(w, self.conditions) if slopes is None else slopes
-        named, count = np.linalg.norm(slopes * head, axis=1), len(self.conditions)
-        units += [named[:count], self.equations.links.units(w, unit), named[count:]]
+        named, count = np.linalg.norm(slopes * columns, axis=1), len(self.conditions)
+        units = [np.tile(unit, len(w.nodes) - 1), boundary, phases, named[:count]]
+        units += [self.equations.links.units(w, unit), named[count:]]
         return np.asarray(np.maximum(np.concatenate(units), 1e-300))
 
     def lost(self, w: Unknowns, aims: Sequence[Condition] = (), slopes: np.ndarray | None = None) -> np.ndarray:
@@ -491,7 +522,7 @@ class Loop:
         chosen, count = (*self.conditions, *aims), len(self.conditions)
         values = np.abs(np.array([one.value for one in chosen]))
         slopes = self.slopes(w, chosen) if slopes is None else slopes
-        named = ROUND_OFF * (np.abs(slopes) @ np.abs(w.head) + 2 * values)
+        named = ROUND_OFF * (np.abs(slopes) @ np.abs(w.vector) + 2 * values)
         before = (len(w.nodes) - 1) * w.nodes.shape[1] + len(self.equations.boundary[0]) + len(self.normals)
         guards = np.zeros(self.equations.links.count if self.equations.links else 0)
         return np.concatenate([np.zeros(before), named[:count], guards, named[count:]])
@@ -502,23 +533,23 @@ class Loop:
         for one in conditions:
             row = -one.value
             if one.normal is not None:
-                row += float(one.normal @ w.head)
+                row += float(w.over(one.normal) @ w.vector)
             if one.quantity is not None:
                 row += one.weight * float(self.equations.quantities_at(w)[0][one.quantity])
             found.append(row)
         return np.array(found, float)
 
     def slopes(self, w: Unknowns, conditions: Sequence[Condition]) -> np.ndarray:
-        """Their derivatives by the head (x(0), T, free)."""
-        size = self.equations.size
-        found = np.zeros((len(conditions), size + 1 + w.free.size))
+        """Their derivatives by w."""
+        size, last = self.equations.size, w.vector.size - w.free.size
+        found = np.zeros((len(conditions), w.vector.size))
         for row, one in zip(found, conditions, strict=True):
             if one.normal is not None:
-                row += one.normal
+                row += w.over(one.normal)
             if one.quantity is not None:
                 _, by_state, by_free = self.equations.quantities_at(w)
                 row[:size] += one.weight * by_state[one.quantity]
-                row[size + 1 :] += one.weight * by_free[one.quantity]
+                row[last:] += one.weight * by_free[one.quantity]
         return found
 
 

@@ -32,6 +32,8 @@ GROWTH = 30.0
 """Segments are added until each one's state-transition matrix is below this."""
 STEEPEST = 3000.0
 """... which is done when one has grown to this: with the segments moved at every orbit no predictor would hold."""
+LEAST_NODES = 8
+"""Nodes of a whole period at least, over which an orbit is measured."""
 MOST_SEGMENTS = 60
 MOST_STEPS = 6000
 """A motion that asks for more Runge-Kutta steps than this in one horizon is singular."""
@@ -67,8 +69,8 @@ def _steep(curve: Curve, found: Solution) -> bool:
 
 
 def _blocks(curve: Curve, found: Solution) -> np.ndarray:
-    clock = np.sqrt(curve.weights[: curve.equations.size])
-    blocks = found.march.transitions * clock[:, None] / clock[None, :]
+    units = curve.scales.states
+    blocks = found.march.transitions * units / units[:, None]
     if not np.all(np.isfinite(blocks)):
         raise IntegrationError("the variations of the motion overflow; give a state and a period that fit each other")
     return np.asarray(blocks)
@@ -81,7 +83,7 @@ def _density(errors: np.ndarray, allowed: float = STEP_ERROR) -> np.ndarray:
 
 def wanted_steps(curve: Curve, found: Solution, errors: np.ndarray) -> np.ndarray:
     """The same (M) for the motion, whose `errors` are known, and its variations, of which every third step is asked."""
-    place, units = found.place, 1.0 / np.sqrt(curve.weights[: curve.equations.size])
+    place, units = found.place, curve.scales.states
     asked = np.arange(0, errors.size, SAMPLED)
     varied = curve.equations.march.variation_errors(found.march.states, place.mesh, place.tail, units, asked)
     variations = np.repeat(_density(varied, VARIATION_ERROR), SAMPLED)[: errors.size]
@@ -98,21 +100,29 @@ def remeshed(curve: Curve, found: Solution) -> Unknowns:
 
     Nodes are interpolated and must be corrected again.
     """
-    place, states = found.place, found.march.states
+    place = found.place
     if curve.equations.links:
         return _remeshed_arcs(curve, found)
     density = _spread(np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15))
     growth = float(np.log(np.maximum(_growths(curve, found), 1.5)).sum())
-    least = 2 if curve.equations.symmetry.fraction == 1.0 else 1  # so that two processors share a whole period
-    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), least, MOST_SEGMENTS))
+    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), _fewest(curve), MOST_SEGMENTS))
     if not density.sum() < MOST_STEPS:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each = _rounded(density.sum() / count)
     work = np.concatenate([[0.0], np.cumsum(density)])
     mesh = np.interp(np.linspace(0.0, work[-1], count * each + 1), work, place.mesh)
-    slopes = curve.equations.march.rates(states, place.tail, place.mesh * place.period) * place.period
-    nodes = CubicHermiteSpline(place.mesh, states, slopes)(mesh[:-1:each])
-    return replace(place, nodes=np.vstack([place.nodes[:1], nodes[1:]]), mesh=mesh)
+    nodes = _between(curve, found, mesh[each:-1:each])
+    return replace(place, nodes=np.vstack([place.nodes[:1], nodes]), mesh=mesh)
+
+
+def _between(curve: Curve, found: Solution, moments: np.ndarray) -> np.ndarray:
+    """States (k x d) at moments (k, in periods), exactly where they fix the phase."""
+    place, states, march = found.place, found.march.states, curve.equations.march
+    if curve.equations.model.forced:
+        slopes = march.rates(states, place.tail, place.mesh * place.period) * place.period
+        return np.asarray(CubicHermiteSpline(place.mesh, states, slopes)(moments))
+    before = np.searchsorted(place.mesh, moments, side="right") - 1
+    return march.ends(states[before], np.append(0.0, np.cumsum(moments - place.mesh[before])), place.tail)
 
 
 def _remeshed_arcs(curve: Curve, found: Solution) -> Unknowns:
@@ -121,7 +131,7 @@ def _remeshed_arcs(curve: Curve, found: Solution) -> Unknowns:
     density = np.maximum(wanted_steps(curve, found, _errors(curve, found)), 0.15).reshape(arcs, -1)
     density = np.array([_spread(one) for one in density])
     growth = np.log(np.maximum(_growths(curve, found), 1.5)).reshape(arcs, -1).sum(axis=1).max()
-    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), 1, MOST_SEGMENTS))
+    count = int(np.clip(np.ceil(growth / np.log(GROWTH)), np.ceil(LEAST_NODES / arcs), MOST_SEGMENTS))
     if not density.sum() < MOST_STEPS:
         raise ConvergenceError("the motion is nearly singular, its mesh would become too fine; take a smaller step")
     each, steps = _rounded(density.sum(axis=1).max() / count), density.shape[1]
@@ -145,9 +155,9 @@ def arc_states(found: Solution, arcs: int, k: int) -> np.ndarray:
 
 
 def _rounded(steps: float) -> int:
-    """A tenth more than so many steps, and one of few distinct numbers, so that compiled marches are used again."""
-    each = int(np.ceil(1.1 * steps)) + 2
-    return each + -each % 4
+    """A tenth more than so many steps, and an even number, of which the approach can leave out every other."""
+    each = int(np.ceil(1.1 * steps + 0.25))
+    return each + each % 2
 
 
 def regraded(curve: Curve, found: Solution) -> np.ndarray:
@@ -184,16 +194,22 @@ def refined(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
 
 
 def settled(curve: Curve, found: Solution, along: np.ndarray) -> Solution:
-    """The same orbit on a fitting mesh, held in the hyperplane through it normal to a direction over the head.
+    """The same orbit on a fitting mesh, held in the hyperplane through it normal to a direction over w.
 
     Segments stay where they are if they can, for the predictor of the next orbit looks back over them.
     """
     for _ in range(4):
         if not needs_mesh(curve, found):
             break
-        aim, mesh = plane(curve, found.place, along), found.place.mesh
-        if _growths(curve, found).max() <= STEEPEST:
+        mesh = found.place.mesh
+        if _growths(curve, found).max() <= STEEPEST and len(found.place.nodes) >= _fewest(curve):
             mesh = regraded(curve, found)
         place = remeshed(curve, found) if mesh is found.place.mesh else replace(found.place, mesh=mesh)
-        found = correct(curve, place, aim, found.place)
+        along = found.place.carried(along, place)
+        found = correct(curve, place, plane(curve, place, along), found.place)
     return found
+
+
+def _fewest(curve: Curve) -> int:
+    """Nodes of a horizon at least."""
+    return int(np.ceil(LEAST_NODES * curve.equations.symmetry.fraction))

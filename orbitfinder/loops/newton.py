@@ -68,8 +68,8 @@ class Units:
         size, free, known = w.nodes.shape[1], np.where(w.free == 0, 1.0, np.abs(w.free)), np.asarray(state, float)
         node = known if known.size else np.ones(size)
         clock = float(snapped(w.period / (2 * np.pi))) if known.size else 1.0
-        head = np.concatenate([node, [clock], snapped(free)])
-        rows = loop.row_units(w, head)[(len(w.nodes) - 1) * size :]
+        columns = w.joined(node, clock, 1.0 / clock, snapped(free))
+        rows = loop.row_units(w, columns)[(len(w.nodes) - 1) * size :]
         guards = loop.equations.links.count if loop.equations.links else 0
         closing, named = np.split(rows, [size + len(loop.normals)])
         rows = np.append(
@@ -90,7 +90,7 @@ class Units:
         return Linearised(
             system.transitions * state / state[:, None],
             system.columns * self.tail / state[:, None],
-            system.first * state / closing,
+            system.first * np.tile(state, system.first.shape[1] // state.size) / closing,
             system.last * state / closing,
             system.tail * self.tail / closing,
             inner,

@@ -20,13 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from orbitfinder.loops.scales import LEAST_SHARE, alone
 from orbitfinder.loops.symmetry import shifts_of
 from orbitfinder.mechanics.model import Model
-from orbitfinder.mechanics.scales import STILL, masses_of
+from orbitfinder.mechanics.scales import masses_of
 
 EPSILON = float(np.finfo(float).eps)
-LEAST_SHARE = 0.1
-"""A coordinate that hardly moves is measured in this share of the length in which it would carry all the action."""
 LARGEST_SCALE = 1e6
 """Tolerances grow with A up to this factor; beyond, closure would mean nothing."""
 ROUND_OFF = 30.0
@@ -55,22 +54,6 @@ def extents(moved: np.ndarray, rushed: np.ndarray, masses: np.ndarray, period: f
         return np.ones(moved.shape), np.full(moved.shape, 1.0 / clock)
     lengths = LEAST_SHARE * np.sqrt(action * clock / weights)
     return np.maximum(moved, lengths), np.maximum(rushed, lengths / clock)
-
-
-def alone(moved: np.ndarray, angular: np.ndarray | None = None) -> np.ndarray:
-    """Extents (d) of a first-order motion from how far its components moved, none of them 0.
-
-    Each may have a unit of its own; what hardly moves at all is measured in a tenth of what the others do, `angular`
-    ones by themselves: a clock of 2 pi says nothing of what a nanometre is.
-    """
-    if angular is not None and 0 < angular.sum() < angular.size:
-        found = np.ones(moved.shape)
-        found[angular], found[~angular] = alone(moved[angular]), alone(moved[~angular])
-        return found
-    largest = float(moved.max(initial=0.0))
-    if not (np.isfinite(largest) and largest > 0.0):
-        return np.ones(moved.shape)
-    return np.where(moved > STILL * largest, moved, LEAST_SHARE * largest)
 
 
 def closes(gap: np.ndarray, transitions: Sequence[np.ndarray], sizes: np.ndarray, rate: np.ndarray | None) -> Closure:

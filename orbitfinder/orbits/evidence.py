@@ -35,13 +35,14 @@ from orbitfinder.integrate.dop853 import (
 )
 from orbitfinder.integrate.equations import accelerations, hamilton, invariant_gradients
 from orbitfinder.integrate.idas import DaeSettings, simulate_dae
+from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import symplectic
 from orbitfinder.mechanics.catalogue import REMADE, with_parameters
 from orbitfinder.mechanics.chain_lagrange import ChainLagrange, chain_lagrange, is_long
 from orbitfinder.mechanics.constrained import tangent_basis
 from orbitfinder.mechanics.model import Model, constraint_of, energies
 from orbitfinder.mechanics.scales import masses_of, snapped
-from orbitfinder.orbits.closure import Closure, alone, closes, extents, extents_of, gap, shift
+from orbitfinder.orbits.closure import Closure, closes, extents, extents_of, gap, shift
 from orbitfinder.orbits.floquet import Floquet, analyse, generated, reduce_monodromy, symplectic_unit
 
 SAMPLES = 512

@@ -16,10 +16,11 @@ import numpy as np
 
 from orbitfinder.errors import IntegrationError, OrbitfinderError
 from orbitfinder.integrate.rk8 import march
+from orbitfinder.loops.scales import alone
 from orbitfinder.loops.symmetry import NONE, named, symmetries_of
 from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.model import Model, energies, positions, vector_field
-from orbitfinder.orbits.closure import alone, between
+from orbitfinder.orbits.closure import between
 from orbitfinder.orbits.course import Course, course, sampled
 from orbitfinder.records.family import Event, FamilyPoint
 

@@ -1,0 +1,114 @@
+"""What the unknowns of a loop are measured in, and with that how far apart two motions are: the one definition.
+
+    <a, b> = sum_k m_k a_k . S^-2 b_k + a_T b_T / T^2 + sum_p a_p b_p / p_s^2
+
+over all nodes k, m_k the share of the period that a node stands for. S are the extents of the whole motion: those of a
+mechanical system shared by all its coordinates, each in its length, and by all their rates; of a first-order system
+each component has its own. A family renews them at every orbit that it accepts, but none falls below a tenth of the
+largest that it has had; p_s is the largest of the parameter's value, its range in the family, and where it begins at 0
+the change that moves the motion by a tenth of its extents. Nothing here has a unit of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfinder.loops.loop import Unknowns
+from orbitfinder.mechanics.model import Model
+from orbitfinder.mechanics.scales import STILL
+
+LEAST_SHARE = 0.1
+"""A component that hardly moves is measured in this share: of what it has moved in a family, of what others do."""
+NEGLIGIBLE = 1e-9
+"""A parameter is at 0 when its value is this share of what moves the motion."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of a state (d), the period, freed parameters (f); `largest` (d), `lowest`, `highest` (f) of a family."""
+
+    states: np.ndarray
+    period: float
+    free: np.ndarray
+    largest: np.ndarray
+    lowest: np.ndarray
+    highest: np.ndarray
+    least: np.ndarray
+    """what a parameter is measured in at least (f), which began at 0"""
+
+    @classmethod
+    def of(cls, sizes: np.ndarray, w: Unknowns, free: np.ndarray) -> Scales:
+        """Those at a motion's unknowns, whose states are of given `sizes` (d) and parameters of `free` (f)."""
+        return cls(sizes, w.period, free, sizes, w.free, w.free, np.zeros(w.free.size))
+
+    @classmethod
+    def head(cls, weights: np.ndarray, size: int) -> Scales:
+        """Those that weights of a head (x(0), T, free) stand for, of states of `size` d."""
+        units, none = 1.0 / np.sqrt(weights), np.zeros(weights.size - size - 1)
+        return cls(units[:size], float(units[size]), units[size + 1 :], units[:size], none, none, none)
+
+    def renewed(self, sizes: np.ndarray, w: Unknowns) -> Scales:
+        """The same at the next motion of a family, whose extents are `sizes` (d)."""
+        largest = np.maximum(self.largest, sizes)
+        lowest, highest = np.minimum(self.lowest, w.free), np.maximum(self.highest, w.free)
+        free = np.maximum(np.maximum(np.abs(w.free), highest - lowest), self.least)
+        free = np.where(free > 0.0, free, self.free)
+        return replace(
+            self, states=np.maximum(sizes, LEAST_SHARE * largest), period=w.period, free=free, largest=largest,
+            lowest=lowest, highest=highest,
+        )  # fmt: skip
+
+    def begun(self, w: Unknowns, whole: np.ndarray) -> Scales:
+        """The same where parameters are at 0, told by the family's direction `whole` over w at its first motion."""
+        moved = whole[: w.nodes.size].reshape(w.nodes.shape) / self.states
+        way = float(np.sqrt(w.shares @ (moved**2).sum(axis=1)))
+        changes = np.abs(whole[whole.size - w.free.size :])
+        enough = np.divide(LEAST_SHARE * changes, way, out=np.zeros(w.free.size), where=way > 0.0)
+        least = np.where(np.abs(w.free) <= NEGLIGIBLE * enough, enough, 0.0)
+        return replace(self, free=np.maximum(self.free, least) if least.any() else self.free, least=least)
+
+    def columns(self, w: Unknowns) -> np.ndarray:
+        """What every unknown of w is measured in; an unfolding in 1/T."""
+        return w.joined(self.states, self.period, 1.0 / self.period, self.free)
+
+    def metric(self, w: Unknowns) -> np.ndarray:
+        """The weights of <a, b> over w: 0 of an unfolding."""
+        weights = self.columns(w) ** -2.0
+        weights[: w.nodes.size] *= np.repeat(w.shares, w.nodes.shape[1])
+        weights[w.nodes.size + 1 : weights.size - w.free.size] = 0.0
+        return np.asarray(weights)
+
+
+def sizes(model: Model, lengths: np.ndarray, states: np.ndarray, period: float) -> np.ndarray:
+    """The extents S (d) of a motion (k x d) over its whole period, none of them 0.
+
+    `lengths` (n) are those of a mechanical system's coordinates, relative to each other. Where they hardly move, or
+    their rates hardly change, a tenth of what the others say at the pace T / 2 pi.
+    """
+    moved = np.ptp(states, axis=0)
+    if model.rates is not None:
+        return np.asarray(alone(moved, model.angular))
+    clock, n = period / (2 * np.pi), lengths.size
+    far, fast = (float((part / lengths).max(initial=0.0)) for part in (moved[:n], moved[n:]))
+    far, fast = max(far, LEAST_SHARE * fast * clock), max(fast, LEAST_SHARE * far / clock)
+    if not (np.isfinite(far) and far > 0.0):
+        far, fast = 1.0, 1.0 / clock
+    return np.concatenate([far * lengths, fast * lengths])
+
+
+def alone(moved: np.ndarray, angular: np.ndarray | None = None) -> np.ndarray:
+    """Extents (d) of a first-order motion from how far its components moved, none of them 0.
+
+    Each may have a unit of its own; what hardly moves at all is measured in a tenth of what the others do, `angular`
+    ones by themselves: a clock of 2 pi says nothing of what a nanometre is.
+    """
+    if angular is not None and 0 < angular.sum() < angular.size:
+        found = np.ones(moved.shape)
+        found[angular], found[~angular] = alone(moved[angular]), alone(moved[~angular])
+        return found
+    largest = float(moved.max(initial=0.0))
+    if not (np.isfinite(largest) and largest > 0.0):
+        return np.ones(moved.shape)
+    return np.where(moved > STILL * largest, moved, LEAST_SHARE * largest)
