@@ -345,7 +345,7 @@ def test_very_unstable_orbits_fit_piece_by_piece(wild):
     """Round the loop nothing is left, from node to node everything is."""
     _, point = wild
     assert point.scale > 1e9 and point.closure > 1e-6
-    assert 0 < point.defect < 1e-10 and len(point.shooting_nodes) > 2
+    assert 0 < point.defect < 1e-10 and len(point.shooting_nodes) > 1
 
 
 def test_broken_piece_is_refused(wild):

@@ -281,7 +281,9 @@ def test_avoided_crossing_is_reported_or_followed(tmp_path):
     """No silent jump: stepped over and named, or with `narrowest` followed onto the resonant part of the family."""
     over = follow_family(mode_problem(chain(4), 1), until=-77.2, out=tmp_path / "over")
     (crossing,) = (event for event in over.events if "avoided crossing" in event.detail)
-    assert crossing.kind == "collision" and crossing.energy == pytest.approx(-77.45, abs=0.02)
+    assert crossing.kind == "collision"
+    before, after = over.points[crossing.index], over.points[crossing.index + 1]
+    assert before.energy < -77.4508 < after.energy, "the step that goes over the fold of the resonant part"
     finer = FamilySettings(narrowest=2e-4)
     along = follow_family(mode_problem(chain(4), 1), until=-77.3, out=tmp_path / "along", settings=finer)
     assert not any("avoided crossing" in event.detail for event in along.events)
@@ -291,7 +293,7 @@ def test_avoided_crossing_is_reported_or_followed(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("mode", "narrowest"), [(1, 2e-4), (2, 0.02), (3, 0.02), (4, 0.02)])
+@pytest.mark.parametrize(("mode", "narrowest"), [(1, 2e-4), (2, 0.2), (3, 0.2), (4, 0.2)])
 def test_quadruple_modes_to_45_joules(mode, narrowest, tmp_path):
     """Every mode goes on to 45 J above hanging, through every symmetry-breaking point, in the symmetric formulation."""
     settings = FamilySettings(directions="forward", narrowest=narrowest)

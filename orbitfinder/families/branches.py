@@ -26,6 +26,7 @@ from orbitfinder.families.start import (
     corrected,
     curve_at,
     curve_of,
+    fitted,
     full_samples,
     reformulated,
     return_gaps,
@@ -44,7 +45,7 @@ from orbitfinder.records.reading import finite
 
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
-"""How far from the old family, in extents of its orbit, the new one is looked for; the first that succeeds is taken."""
+"""How far from the old family, in sizes of its orbit, the new one is looked for; the first that succeeds is taken."""
 DIFFERENCE = 1e-4
 """Arclength of the differences by which the old family's own direction is told."""
 ALIKE = 0.25
@@ -112,6 +113,7 @@ def _cover(curve: Curve, event: Event, symmetry: Symmetry, share: float, setting
     there = curve_at(equations, place, held, _turns(curve, event))
     if not equations.links:
         there = replace(there, weights=curve.weights.copy())
+    place = fitted(there, place)
     matrix, units = scaled(there, at_place(there, place))
     _, sizes, rows = np.linalg.svd(matrix)
     sizes = np.concatenate([sizes, np.zeros(len(rows) - len(sizes))])

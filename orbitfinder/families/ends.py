@@ -260,26 +260,27 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
     What looks near, by numbers that do not depend on where t = 0 lies, is confirmed by an orbit of the family with the
     period and the parameters of the earlier one: it must be the same.
     """
-    place, past = before.found.place, before.portraits[: 1 - FEWEST_STEPS]
-    if len(past) < 2:
+    place, scales, action = before.found.place, curve.scales, abs(before.found.march.integral) or 1.0
+    if len(before.portraits) <= FEWEST_STEPS:
         return None
-    here, step = before.portraits[-1], after.portraits[-1] - before.portraits[-1]
-    square, ahead = float(step @ step), np.diff(before.portraits[: 2 - FEWEST_STEPS], axis=0)
+    units = np.concatenate([[scales.period], scales.free, [action], scales.states, scales.states])
+    known, reached = before.portraits / units, after.portraits[-1] / units
+    past, here, step = known[: 1 - FEWEST_STEPS], known[-1], reached - known[-1]
+    square, ahead = float(step @ step), np.diff(known[: 2 - FEWEST_STEPS], axis=0)
     if not square > 0.0:
         return None
     shares = (past - here) @ step / square
     aside = np.sqrt(np.maximum(((past - here) ** 2).sum(axis=1) - shares**2 * square, 0.0))
     near = (shares >= 0.0) & (shares <= 1.0) & (aside < 0.1 * np.sqrt(square)) & (ahead @ step > 0)
     count, size = 1 + place.free.size, curve.equations.size
-    normal, units = np.zeros(size + count), np.concatenate([[curve.scales.period], curve.scales.free])
-    normal[size:] = step[:count] / units
+    normal = np.concatenate([np.zeros(size), step[:count] / units[:count]])
     for k in np.flatnonzero(near):
         aim = Condition(float(step[:count] @ past[k][:count]), normal)
         try:
             again = correct(curve, place.blended(after.found.place, float(shares[k])), aim, place)
         except (ConvergenceError, IntegrationError):
             continue
-        apart = np.abs(portrait(curve, again) - past[k])
+        apart = np.abs(portrait(curve, again) / units - past[k])
         if apart[: count + 1].max() < SAME and apart.max() < ALIKE:
             where, length = "its start" if k == 0 else f"its step {k}", abs(after.point.arclength)
             return End("returned", f"a closed family: back at {where} after an arclength of {length:.6g}")

@@ -396,8 +396,9 @@ def _strip(interval: Interval, flip: Flip) -> list[tuple[Test, float]]:
         best = minimize_scalar(below, bounds=(0.0, interval.length), method="bounded", options=options)
         place, least = float(best.x), float(best.fun)
     except (ConvergenceError, IntegrationError):  # the families have turned away on both sides
-        ends = [float(2.0 - sign * sample.indices[j].real) for sample in (interval.first, interval.last)]
-        place, least = (0.0, interval.length)[int(ends[1] < ends[0])], min(ends)
+        heights = {one.distance: float(2.0 - sign * one.indices[j].real) for one in interval.known()}
+        place = min(heights, key=lambda distance: heights[distance])
+        least = heights[place]
     if least < 0:
         return []
     what = f"at {flip.level / 2:+.0f}: an avoided crossing stepped over within an arclength of {interval.length:.1g}"

@@ -32,7 +32,7 @@ PIECEWISE = 1e3
 
 @dataclass(frozen=True)
 class FamilySettings:
-    """How a family is followed. Lengths are arclengths in extents of the motion (see `loops.scales`).
+    """How a family is followed. Lengths are arclengths in sizes of the motion (see `loops.scales`).
 
     Args:
         parameter: energy | period | a state component | a physical parameter (then `hold` is kept).
@@ -64,11 +64,11 @@ class FamilySettings:
     points: int = 300
     directions: str = "both"
     first_step: float = 0.02
-    longest_step: float = 0.15
+    longest_step: float = 0.3
     shortest_step: float = 1e-7
     sharpest_turn: float = 0.3
     longest_stretch: float = 0.06
-    narrowest: float = 0.02
+    narrowest: float = 0.2
     longest_period: float = 12.0
     resonances: int = 6
     events: bool = True

@@ -281,11 +281,11 @@ def step_from(
 
 
 def portrait(curve: Curve, found: Solution) -> np.ndarray:
-    """What identifies an orbit wherever its t = 0 lies: T, parameters, action, means and spreads of the whole motion.
+    """What identifies an orbit wherever its t = 0 lies: T, parameters, action, means and spreads of the motion.
 
-    All relative to their sizes; the last two are good to the fourth order of the mesh.
+    The last two (d each) are good to the fourth order of the mesh.
     """
-    p, place, scales = curve.equations, found.place, curve.scales
+    p, place = curve.equations, found.place
     times = place.mesh / place.mesh[-1]
     lengths, rates = np.diff(times), p.march.rates(found.march.states, place.tail, place.mesh * place.period)
 
@@ -297,8 +297,7 @@ def portrait(curve: Curve, found: Solution) -> np.ndarray:
     middle = mean(found.march.states, paced)
     away = found.march.states - middle
     spread = np.sqrt(np.abs(mean(away**2, 2 * away * paced)))
-    sizes = np.concatenate([[scales.period], scales.free, [abs(found.march.integral) or 1.0], *[scales.states] * 2])
-    return np.asarray(np.concatenate([[place.period], place.free, [found.march.integral], middle, spread]) / sizes)
+    return np.concatenate([[place.period], place.free, [found.march.integral], middle, spread])
 
 
 def trend_of(before: FamilyPoint, last: FamilyPoint) -> np.ndarray:

@@ -272,9 +272,9 @@ def _own_aim(curve: Curve, place: Unknowns, name: str = "") -> Condition:
 def corrected(
     curve: Curve, place: Unknowns, aim: Condition, reference: Unknowns | None = None, reach: float = 10.0
 ) -> Start:
-    """Correct a first guess on successively better meshes."""
-    for _ in range(2):
-        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0.0))
+    """Correct a first guess, on successively better meshes unless it has the one of its `reference`."""
+    if reference is None:
+        place = fitted(curve, place)
     try:
         found = correct(curve, place, aim, reference, reach)
     except (ConvergenceError, IntegrationError) as error:
@@ -283,6 +283,13 @@ def corrected(
     found, place = settled(curve, found, whole), found.place
     curve, whole = begun(curve, found, place.carried(whole, found.place))
     return Start(curve, found, found.place.head_of(whole))
+
+
+def fitted(curve: Curve, place: Unknowns) -> Unknowns:
+    """A motion's unknowns on a mesh that fits it."""
+    for _ in range(2):
+        place = remeshed(curve, Solution(place, curve.equations.varied(place, states=True), np.zeros((0, 0)), 0.0))
+    return place
 
 
 def symmetry_of(curve: Curve, found: Solution) -> str:

@@ -2,11 +2,12 @@
 
     <a, b> = sum_k m_k a_k . S^-2 b_k + a_T b_T / T^2 + sum_p a_p b_p / p_s^2
 
-over all nodes k, m_k the share of the period that a node stands for. S are the extents of the whole motion: those of a
-mechanical system shared by all its coordinates, each in its length, and by all their rates; of a first-order system
-each component has its own. A family renews them at every orbit that it accepts, but none falls below a tenth of the
-largest that it has had; p_s is the largest of the parameter's value, its range in the family, and where it begins at 0
-the change that moves the motion by a tenth of its extents. Nothing here has a unit of its own.
+over all nodes k, m_k the share of the period that a node stands for. S are the extents of the whole motion, divided by
+sqrt(8) so that a harmonic motion has the length 1 in each of its components: those of a mechanical system shared by all
+its coordinates, each in its length, and by all their rates; of a first-order system each component has its own. A
+family renews them at every orbit that it accepts, but none falls below a tenth of the largest that it has had; p_s is
+the largest of the parameter's value, its range in the family, and where it begins at 0 the change that moves the motion
+by a tenth of its size. Nothing here has a unit of its own.
 """
 
 from __future__ import annotations
@@ -81,13 +82,17 @@ class Scales:
         return np.asarray(weights)
 
 
+HARMONIC = 8.0**0.5
+"""The extent of a harmonic motion in its root mean squares."""
+
+
 def sizes(model: Model, lengths: np.ndarray, states: np.ndarray, period: float) -> np.ndarray:
-    """The extents S (d) of a motion (k x d) over its whole period, none of them 0.
+    """The sizes S (d) of a motion (k x d) over its whole period, none of them 0.
 
     `lengths` (n) are those of a mechanical system's coordinates, relative to each other. Where they hardly move, or
     their rates hardly change, a tenth of what the others say at the pace T / 2 pi.
     """
-    moved = np.ptp(states, axis=0)
+    moved = np.ptp(states, axis=0) / HARMONIC
     if model.rates is not None:
         return np.asarray(alone(moved, model.angular))
     clock, n = period / (2 * np.pi), lengths.size

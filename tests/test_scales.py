@@ -1,0 +1,161 @@
+"""A family is the same in any units, from any instant of its first orbit and from any of its orbits."""
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import orbitfinder as of
+from orbitfinder.families.start import begin
+from orbitfinder.loops.condensed import Linearised, eliminated
+from orbitfinder.loops.scales import HARMONIC, Scales, sizes
+from orbitfinder.mechanics.catalogue import with_parameters
+
+
+def rescaled(model, units, **given):
+    """A first-order model with its components told in other units."""
+    names, values = list(model.state_names), dict(zip(model.parameter_names, model.parameter_values, strict=True))
+    scale = np.array(units, float)
+
+    def field(t, x, p):
+        parameters = ca.vertcat(*(p[k] for k in range(len(values))))
+        rate = model.rate(t, ca.vertcat(*(x[k] * scale[k] for k in range(len(names)))), parameters)
+        return [rate[k] / scale[k] for k in range(len(names))]
+
+    return of.ode(field, names, values, **given)
+
+
+def morris_lecar():
+    def field(t, x, p):
+        open_now = (1 + ca.tanh((x.V + 1.2) / 18)) / 2
+        slow, pace = (1 + ca.tanh((x.V - 2) / 30)) / 2, ca.cosh((x.V - 2) / 60)
+        current = p.current - 2 * (x.V + 60) - 4.4 * open_now * (x.V - 120) - 8 * x.n * (x.V + 84)
+        return [current / 20, 0.04 * (slow - x.n) * pace]
+
+    return of.ode(field, ["V", "n"], {"current": 100.0})
+
+
+def self_excited(length=1.0):
+    """x'' = -w^2 x + (mu - (x / L)^2) x' in SI, w = 100 1/s: amplitude about 2 L sqrt(mu), no fold anywhere."""
+    x, v, mu = (ca.SX.sym(name) for name in ("x", "v", "mu"))
+    symbols = of.Symbols(x, v, mu, ("mu",), (0.5,))
+    return of.lagrange(v**2 / 2, 1e4 * x**2 / 2, symbols, forces=(mu - (x / length) ** 2) * v, names=["x"])
+
+
+def seen(model, state, period, parameter, **given):
+    """Kinds, values and periods of the events of a family, sorted; its kinds of ends."""
+    family = of.follow_family(of.Problem(model, of.Guess(list(state), period)), parameter, **given)
+    events = sorted((one.kind, one.parameter, one.period) for one in family.events if one.kind != "turn")
+    return events, sorted(one.kind for one in family.ends)
+
+
+def agree(first, second, digits=1e-8):
+    """The same kinds, in order, and values to so many digits."""
+    assert [one[0] for one in first[0]] == [one[0] for one in second[0]] and first[1] == second[1], (first, second)
+    for one, other in zip(first[0], second[0], strict=True):
+        assert np.allclose(one[1:], other[1:], rtol=digits, atol=0.0), (one, other)
+
+
+@cache
+def cycle():
+    """Morris and Lecar's neuron at a current of 100 and its cycle, by simulation."""
+    model = morris_lecar()
+    settled = of.simulate(model, [-20.0, 0.1], 3000.0).states[-1]
+    return model, "current", of.find_orbit(of.Problem(model, of.Guess(list(settled), 85.29)))
+
+
+def at_phase(model, orbit, share):
+    return of.simulate(model, orbit.state, orbit.period * share).states[-1] if share else orbit.state
+
+
+ML_FOLDS = (88.29325054, 216.89980139)
+
+
+def test_a_neuron_has_its_two_folds_and_no_other():
+    """0.2.0 met 212.28 and 92.85 in mV, where the cycle stops crossing a plane of constant V."""
+    model, parameter, orbit = cycle()
+    events, ends = seen(model, orbit.state, orbit.period, parameter)
+    folds = [value for kind, value, _ in events if kind == "fold"]
+    assert folds == pytest.approx(ML_FOLDS, rel=1e-9) and {kind for kind, *_ in events} == {"fold", "stability_change"}
+    assert not any("underflow" in one for one in ends)
+
+
+@pytest.mark.parametrize("units", [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-6), (1.0, 1e6)])
+def test_a_neuron_in_other_units(units):
+    model, parameter, orbit = cycle()
+    plain = seen(model, orbit.state, orbit.period, parameter)
+    agree(plain, seen(rescaled(model, units), orbit.state / units, orbit.period, parameter))
+
+
+@pytest.mark.parametrize("eighth", range(1, 8))
+def test_a_neuron_from_any_instant(eighth):
+    model, parameter, orbit = cycle()
+    plain = seen(model, orbit.state, orbit.period, parameter)
+    agree(plain, seen(model, at_phase(model, orbit, eighth / 8), orbit.period, parameter))
+
+
+def test_a_neuron_from_another_orbit():
+    model, parameter, orbit = cycle()
+    plain = seen(model, orbit.state, orbit.period, parameter)
+    near = of.follow_family(orbit, parameter, until=150.0, model=model).points[-1]
+    agree(plain, seen(with_parameters(model, {"current": 150.0}), near.state, near.period, parameter))
+
+
+@pytest.mark.parametrize("phase", [0.8, 2.0, 4.0])
+@pytest.mark.parametrize("unit", [1e-2, 1.0, 1e2])
+def test_the_normal_form_of_hopf_has_no_fold(unit, phase):
+    """x' = mu x - y - x r^2, y' = x + mu y - y r^2: A = sqrt(mu), T = 2 pi; 0.2.0 met folds at 0.514 and 0.484."""
+
+    def field(t, x, p):
+        y = x.y * unit
+        square = x.x**2 + y**2
+        return [p.mu * x.x - y - x.x * square, (x.x + p.mu * y - y * square) / unit]
+
+    model = of.ode(field, ["x", "y"], {"mu": 1.0})
+    state = [np.cos(phase), np.sin(phase) / unit]
+    family = of.follow_family(of.Problem(model, of.Guess(state, 2 * np.pi)), "mu", until=0.01)
+    assert not family.events and family.ends[-1].kind == "target"
+    amplitudes = [np.hypot(one.state[0], one.state[1] * unit) for one in family.points]
+    assert amplitudes == pytest.approx([np.sqrt(one.value) for one in family.points], rel=1e-9)
+
+
+@pytest.mark.parametrize("length", [1e-6, 1.0, 1e6])
+def test_a_self_excited_machine_has_no_fold(length):
+    """In SI, w = 100 1/s: rates are a hundred times the coordinates; 0.2.0 certified a fold at 0.256875."""
+    model, size = self_excited(length), 2 * np.sqrt(0.5) * length
+    guess = of.Guess([size * np.cos(0.8), -100.0 * size * np.sin(0.8)], 2 * np.pi / 100)
+    family = of.follow_family(of.Problem(model, guess), "mu", until=0.01)
+    assert not [one for one in family.events if one.kind != "turn"] and family.ends[-1].kind == "target"
+
+
+def test_rows_over_all_nodes_condense_as_they_stand():
+    """The condensed step of rows over every node is that of the whole matrix."""
+    random = np.random.default_rng(28)
+    count, size, extra, closing = 5, 3, 2, 5
+    system = Linearised(
+        random.normal(size=(count, size, size)), random.normal(size=(count, size, extra)),
+        random.normal(size=(closing, count * size)), random.normal(size=(closing, size)),
+        random.normal(size=(closing, extra)),
+    )  # fmt: skip
+    rows = random.normal(size=(count - 1) * size + closing)
+    assert eliminated(system)(rows) == pytest.approx(-np.linalg.solve(system.matrix(), rows), rel=1e-9)
+
+
+def test_a_harmonic_motion_has_length_one_in_each_component():
+    angle = np.linspace(0, 2 * np.pi, 401)
+    states = np.column_stack([3.0 * np.cos(angle), 7e-6 * np.sin(angle) + 5.0])
+    model = of.ode(lambda t, x, p: [-x.y, x.x], ["x", "y"])
+    measured = sizes(model, np.ones(2), states, 1.0)
+    assert measured == pytest.approx(np.array([6.0, 1.4e-5]) / HARMONIC, rel=1e-4)
+    assert np.sqrt(np.mean(((states - states.mean(axis=0)) / measured) ** 2, axis=0)) == pytest.approx(1.0, rel=1e-2)
+
+
+def test_no_size_falls_below_a_tenth_of_the_largest_that_a_family_has_had():
+    start = begin(
+        of.Problem(of.systems.brusselator(), of.Guess([0.5, 3.5], 7.157)), of.FamilySettings(parameter="rate")
+    )
+    place, scales = start.found.place, start.curve.scales
+    smaller = scales.renewed(1e-3 * scales.states, place)
+    assert smaller.states == pytest.approx(0.1 * scales.states) and smaller.largest == pytest.approx(scales.states)
+    assert isinstance(smaller, Scales) and smaller.free == pytest.approx([3.0])
