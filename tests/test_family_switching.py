@@ -46,7 +46,7 @@ def second_mode(tmp_path_factory):
 def test_triple_1_by_commands_alone(second_mode, tmp_path):
     """Switch at the event where the second mode loses its reflection; the report's orbit is on that branch."""
     energy, period = TRIPLE_1
-    options = ("--switch", 2, "--at", energy, "--points", 12, "--no-figures", "--out", tmp_path)
+    options = ("--switch", 2, "--at", energy, "--points", 20, "--no-figures", "--out", tmp_path)
     result = invoke("continue", second_mode, *options)
     assert result.exit_code == 0, result.output
     family = load_family(tmp_path / "triple-mode-2-2-1" / "family.json")

@@ -280,5 +280,5 @@ def test_a_branch_keeps_to_its_parameter(pendulum):
 def test_a_driven_equilibrium_is_no_orbit():
     """The hanging pendulum of a shaken pivot does not move."""
     problem = Problem(vibrated_pendulum(), Guess([1e-4, 0.0], 2 * np.pi / 60.0), name="rest")
-    with pytest.raises(ConvergenceError, match="equilibrium and no orbit"):
+    with pytest.raises(ConvergenceError, match="equilibrium"):
         follow_family(problem, "damping", points=2)

@@ -64,7 +64,7 @@ class FamilySettings:
     points: int = 300
     directions: str = "both"
     first_step: float = 0.02
-    longest_step: float = 0.3
+    longest_step: float = 0.5
     shortest_step: float = 1e-7
     sharpest_turn: float = 0.3
     longest_stretch: float = 0.06

@@ -22,8 +22,8 @@ from orbitfinder.mechanics.scales import STILL
 
 LEAST_SHARE = 0.1
 """A component that hardly moves is measured in this share: of what it has moved in a family, of what others do."""
-NEGLIGIBLE = 1e-9
-"""A parameter is at 0 when its value is this share of what moves the motion."""
+UNMOVED = 1e-6
+"""A direction of unit length that moves the motion by less than this does not move it."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ class Scales:
         moved = whole[: w.nodes.size].reshape(w.nodes.shape) / self.states
         way = float(np.sqrt(w.shares @ (moved**2).sum(axis=1)))
         changes = np.abs(whole[whole.size - w.free.size :])
-        enough = np.divide(LEAST_SHARE * changes, way, out=np.zeros(w.free.size), where=way > 0.0)
-        least = np.where(np.abs(w.free) <= NEGLIGIBLE * enough, enough, 0.0)
-        return replace(self, free=np.maximum(self.free, least) if least.any() else self.free, least=least)
+        enough = LEAST_SHARE * changes / way if way > UNMOVED else self.free
+        least = np.where(w.free == 0.0, enough, 0.0)
+        return replace(self, free=np.where(w.free == 0.0, least, self.free), least=least)
 
     def columns(self, w: Unknowns) -> np.ndarray:
         """What every unknown of w is measured in; an unfolding in 1/T."""
