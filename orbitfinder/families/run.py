@@ -244,18 +244,20 @@ def step_at(run: Run, points: Sequence[FamilyPoint]) -> tuple[Run, Step]:
     """The last step of a run over these points, from which everything follows, and the run in its scales."""
     last, curve, portraits = points[-1], run.curve, list[np.ndarray]()
     for point in points:
-        found = at_place(curve, unknowns_of(curve, point))
+        plain = replace(curve, test=None, degenerate=False) if portraits else curve
+        found = at_place(plain, unknowns_of(plain, point))
         curve = curve.measured(found) if portraits else begun(curve, found, point.tangent)[0]
         portraits.append(portrait(curve, found))
     found = at_place(curve, found.place)
     whole = tangent(curve, found, last.tangent if len(points) > 1 else run.direction * last.tangent)
-    curvature, trend = np.zeros_like(whole), np.zeros_like(last.indices)
+    curvature, trend, drift = np.zeros_like(whole), np.zeros_like(last.indices), None
     if len(points) > 1:
-        curvature = bend(curve, found.place, whole, unknowns_of(curve, points[-2]))
+        before = at_place(curve, unknowns_of(curve, points[-2]))
+        curvature, drift = bend(curve, found.place, whole, before.place), drifted(curve, before, found)
         trend = trend_of(points[-2], last)
     sample = make_sample(curve, 0.0, found, whole, last.indices)
     shortest = min(point.period for point in points)
-    return replace(run, curve=curve), Step(curve, last, sample, curvature, trend, shortest, np.array(portraits))
+    return replace(run, curve=curve), Step(curve, last, sample, curvature, trend, shortest, np.array(portraits), drift)
 
 
 def step_from(
@@ -271,13 +273,17 @@ def step_from(
     else:
         slopes = parameter_slopes(curve, here.place, here.place.head_of(whole))
         sample = replace(last, distance=0.0, found=here, whole=whole, slopes=slopes)
-    drift = None
-    if last is not None and here.jacobian.shape == before.found.jacobian.shape:
-        drift = (here.jacobian - before.found.jacobian) / distance(curve, place, found.place)
     return Step(
         curve, point, sample, bend(curve, found.place, whole, place), trend, min(before.shortest_period, point.period),
-        np.vstack([before.portraits, portrait(curve, found)]), drift,
+        np.vstack([before.portraits, portrait(curve, found)]), drifted(curve, before.found, here),
     )  # fmt: skip
+
+
+def drifted(curve: Curve, before: Solution, found: Solution) -> np.ndarray | None:
+    """The change of the Jacobian with arclength from one orbit to the next, None where their segments differ."""
+    if before.place.displacement(found.place) is None:
+        return None
+    return np.asarray((found.jacobian - before.jacobian) / distance(curve, before.place, found.place))
 
 
 def portrait(curve: Curve, found: Solution) -> np.ndarray:

@@ -38,6 +38,8 @@ SLOW = 0.1
 """A step that leaves more than this share of the residual asks for the differences of a test function anew."""
 ACROSS = 1e-3
 """A step of which less than this share, squared, leads off the surface of orbits tells how a test changes along it."""
+AT_ZERO = 1e-6
+"""A parameter that is below this share of its usual size (`mechanics.scales.parameter_sizes`) is at 0."""
 CRITICAL = 1e-3
 """A singular value below this, relative to the next larger ones, belongs to the kernel."""
 DIFFERENCE = 1e-4
@@ -145,9 +147,10 @@ def make_curve(
 def begun(curve: Curve, found: Solution, along: np.ndarray) -> tuple[Curve, np.ndarray]:
     """The curve in the scales of its first orbit, and its direction over w there along one over w or over the head."""
     w, size = found.place, curve.equations.size
-    free = np.where(w.free != 0.0, np.abs(w.free), 1.0 / np.sqrt(curve.weights[size + 1 :]))
-    curve = replace(curve, scales=Scales.of(curve.sizes(found), w, free))
-    curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, found, along)))
+    usual = 1.0 / np.sqrt(curve.weights[size + 1 :])
+    zero = np.abs(w.free) < AT_ZERO * usual
+    curve = replace(curve, scales=Scales.of(curve.sizes(found), w, np.where(zero, usual, np.abs(w.free))))
+    curve = replace(curve, scales=curve.scales.begun(w, tangent(curve, found, along), zero))
     return curve, tangent(curve, found, along)
 
 
@@ -213,7 +216,7 @@ def correct(
     family, curve = curve, curve.through(reference if same and reference is not None else guess)
     slopes = curve.slopes(guess, (*curve.conditions, aim))
     w, previous, units, lost = guess, np.inf, _row_units(curve, guess, slopes), curve.lost(guess, (aim,), slopes)
-    border = None if curve.test is None else Border(curve, slope)
+    border, patience = (None, 2) if curve.test is None else (Border(curve, slope), 5)
     if slope is not None and border is None:
         w = _approached(curve, guess, aim, np.vstack([slope, slopes[-1]]), (units, lost))
     for iteration in range(MOST_NEWTON):
@@ -224,7 +227,7 @@ def correct(
         largest = float(np.abs(rows / units).max())
         stays = 0.1 if border is None else 0.7  # by less it shrinks where the border is not yet known
         ready = largest < NEWTON_READY or (largest < NEWTON_FLOOR and largest > stays * previous)
-        if not np.isfinite(largest) or (iteration > 2 and largest > 0.5 * previous and not ready):
+        if not np.isfinite(largest) or (iteration > patience and largest > 0.5 * previous and not ready):
             raise ConvergenceError(f"the corrector stalled at a residual of {largest:.2g}; take a smaller step")
         if not np.isfinite(jacobian).all():
             raise ConvergenceError("the variations of the corrector's orbit overflow; take a smaller step")

@@ -61,14 +61,14 @@ class Scales:
             lowest=lowest, highest=highest,
         )  # fmt: skip
 
-    def begun(self, w: Unknowns, whole: np.ndarray) -> Scales:
-        """The same where parameters are at 0, told by the family's direction `whole` over w at its first motion."""
+    def begun(self, w: Unknowns, whole: np.ndarray, zero: np.ndarray) -> Scales:
+        """The same for parameters (f) that are at `zero`, told by the family's direction over w at its first motion."""
         moved = whole[: w.nodes.size].reshape(w.nodes.shape) / self.states
         way = float(np.sqrt(w.shares @ (moved**2).sum(axis=1)))
         changes = np.abs(whole[whole.size - w.free.size :])
         enough = LEAST_SHARE * changes / way if way > UNMOVED else self.free
-        least = np.where(w.free == 0.0, enough, 0.0)
-        return replace(self, free=np.where(w.free == 0.0, least, self.free), least=least)
+        least = np.where(zero, enough, 0.0)
+        return replace(self, free=np.where(zero, least, self.free), least=least)
 
     def columns(self, w: Unknowns) -> np.ndarray:
         """What every unknown of w is measured in; an unfolding in 1/T."""
