@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
 
+from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.orbits.find import find_orbit
@@ -290,6 +291,16 @@ def test_the_horizon_starts_at_the_recorded_one_of_two_instants(found):
     other = prove(orbit, options=Options(phase=(one.phase + 0.5) % 1.0))
     assert other.proved and abs(abs(other.phase - one.phase) - 0.5) < 1e-6
     assert prove(orbit, options=Options(phase=one.phase)).phase == one.phase
+
+
+def test_a_mirror_that_nobody_declared_is_proved_by_the_name_that_the_atlas_gives_it():
+    """Of two oscillators y -> -y and x -> -x are mirrors; recognised, they have names, and these are known again."""
+    with Atlas(ROOT / "results" / "atlas" / "coupled-oscillators.sqlite") as atlas:
+        row = min((one for one in atlas.rows() if one.symmetry == "mirror-y+reflection"), key=lambda one: one.period)
+        orbit = atlas.orbit(row.id)
+    assert prove(orbit).symmetry == "mirror-y+reflection"
+    refined = refine(orbit, settings_for(20), 20)
+    assert refined.enclosed and refined.symmetry == "mirror-y+reflection"
 
 
 def test_record_of_a_nudged_state_is_rejected(saved):

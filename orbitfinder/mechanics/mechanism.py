@@ -599,11 +599,20 @@ def _check_bars(made: _Drawing, system: Table, pairs: Mapping[str, tuple[str, st
         for k, (name, (at, pair)) in enumerate(ends):
             for other, (there, second) in ends[:k]:
                 alone = len(ends) == 2 and body != GROUND and bool(made.closing)
-                if at == there and (alone or pair == second):
+                tables = [system["joints"][one] for one in (name, other)]
+                if at == there and (alone or pair == second) and not _cross(made.dimension, *tables):
                     raise InputError(
                         f"joints.{name}: at the same point of body {body!r} as joint {other!r} ({at}), which leaves a "
                         "bar of no length; move one of them"
                     )
+
+
+def _cross(dimension: int, *tables: Table) -> bool:
+    """Whether two joints are hinges in space about different axes, as in a spherical linkage, whose axes meet."""
+    if dimension == 2 or any(one["kind"] != "revolute" for one in tables):
+        return False
+    first, second = (np.asarray(one["axis"], float) / np.linalg.norm(one["axis"]) for one in tables)
+    return any("turned" in one for one in tables) or bool(np.linalg.norm(np.cross(first, second)) > RANK_TOLERANCE)
 
 
 @dataclass
