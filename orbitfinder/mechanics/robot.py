@@ -42,13 +42,8 @@ UNKNOWN = (
     "tendon_frictionloss", "tendon_armature",
 )  # fmt: skip
 """What acts in a MuJoCo model where it is not 0, by its names, and is not known here"""
-ARRAYS = (
-    *UNKNOWN, "nflex", "qpos0", "qpos_spring", "body_mass", "body_ipos", "body_iquat", "body_inertia", "body_pos",
-    "body_quat", "body_parentid", "body_jntnum", "body_jntadr", "jnt_pos", "jnt_axis", "jnt_limited", "jnt_range",
-    "jnt_stiffness", "jnt_qposadr", "jnt_dofadr", "dof_jntid", "dof_damping", "dof_armature", "dof_frictionloss",
-    "eq_obj1id", "eq_obj2id", "eq_data", "eq_active0",
-)  # fmt: skip
-"""What is read of a MuJoCo model, by its names; some are of later versions"""
+ARRAYS = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
+"""What is read of a MuJoCo model begins with these"""
 MJCF = {"damping": "damping", "rotor": "armature", "friction": "frictionloss"}
 BASE, WORLD = "base_joint", "world_of_base"
 """The free joint of a floating base, and what it hangs on"""
@@ -286,9 +281,10 @@ def compiled(file: str) -> dict[str, Any]:
         one = mujoco.MjModel.from_xml_path(file)
     except Exception as error:
         return {"refused": " ".join(str(error).split())}
-    found: dict[str, Any] = {name: np.asarray(getattr(one, name)).tolist() for name in ARRAYS if hasattr(one, name)}
+    found: dict[str, Any] = {name: getattr(one, name).tolist() for name in dir(one) if name.startswith(ARRAYS)}
     found |= {name: np.asarray(getattr(one.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
     return found | {
+        "nflex": one.nflex,
         "bodies": [_word(one.body(k).name or f"body{k}") for k in range(one.nbody)],
         "joints": [_word(one.joint(k).name or f"joint{k}") for k in range(one.njnt)],
         "kinds": [mujoco.mjtJoint(k).name for k in one.jnt_type.tolist()],

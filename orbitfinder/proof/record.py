@@ -27,8 +27,8 @@ DIGITS = 30
 """Decimal places of the centres of enclosures in a record"""
 MARGIN = 2.0
 """Radii are recorded wider than they are found by this factor: a replay elsewhere has other round-off"""
-LOOSEST = 1e-2
-"""Radius of a recorded ball that claims next to nothing, unless no smaller one is found"""
+LOOSEST = 0.1
+"""Radius beyond which a recorded ball claims next to nothing, unless no smaller one is found; relative above 1"""
 PHASE = 1e-6
 """Largest difference, in periods, between a recorded phase and the recomputed one (a minimum found to 1e-9)"""
 EXACT = 3000
@@ -217,7 +217,8 @@ def _holds(recorded: Any, fresh: Any) -> bool:
             (Decimal(str(one["value"])), Decimal(float(one["radius"]))) for one in (recorded, fresh)
         )
         with localcontext(Context(EXACT, traps=[Inexact, InvalidOperation])):
-            return abs(value - centre) + within <= radius <= max(Decimal(LOOSEST), 4 * within)
+            loosest = max(Decimal(LOOSEST) * max(1, abs(centre)), 4 * within)
+            return abs(value - centre) + within <= radius <= loosest
     except (KeyError, TypeError, ValueError, ArithmeticError):
         return False
 
