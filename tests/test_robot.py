@@ -187,7 +187,7 @@ WEIGHT = "<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ix
         (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="").replace("<joint", "<link name='b'/><joint"),
          {}, "file: two links are named 'b'; rename one"),
         (URDF.format(weight=WEIGHT, kind="continuous", child="b", more=""), {"gravity": [0.0, 9.8]},
-         "gravity: 2 numbers; give m/s^2"),
+         "gravity: [0.0, 9.8]; give m/s^2 along"),
         (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="").replace('"b"', '"a b"')
          .replace('"a"', '"a.b"'), {},
          "file: links 'a.b' and 'a b' are both 'a_b' where names are letters, digits and _; rename one"),

@@ -399,15 +399,11 @@ def tables(
     still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
     _check_names("locked", still, free)
     still |= _following(made, still)
-    given = np.asarray(made.gravity if gravity is None else gravity, float)
-    fall = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
-    if fall.shape != (3,):
-        raise InputError(f"gravity: {plural(fall.size, 'number')}; give m/s^2 along the file's -z, or (x, y, z)")
     moving = [name for name in free if name not in still]
     if not moving:
         raise InputError("locked: no joint is left to move; unlock one")
     bodies, whose = _lumped(made, still)
-    found: dict[str, Any] = {"dimension": 3, "gravity": _listed(DOWN @ fall), "bodies": {}, "joints": {}}
+    found: dict[str, Any] = {"dimension": 3, "gravity": _fall(made, gravity), "bodies": {}, "joints": {}}
     held = whose[made.root]
     for name in moving:
         one = made.joints[name]
@@ -421,10 +417,8 @@ def tables(
             table["axis"] = _listed(DOWN @ turn @ one.axis)
         if one.rotor:
             table["rotor"] = one.rotor
-        if one.range is not None:
-            table["range"] = list(one.range)
-        if one.mimics is not None:
-            table["mimics"] = [_word(one.mimics[0]), *one.mimics[1:]]
+        table |= {"range": list(one.range)} if one.range is not None else {}
+        table |= {"mimics": [_word(one.mimics[0]), *one.mimics[1:]]} if one.mimics is not None else {}
         found["joints"][_word(name)] = table
     for name, body in bodies.items():
         if name == held:
@@ -442,6 +436,15 @@ def tables(
     _acting(found, made, moving, stiffness, rest or {}, damping, motors)
     found["drawn"] = {"file": path.name, "sha256": hashlib.sha256(_file(path)).hexdigest()}
     return found
+
+
+def _fall(made: _Read, gravity: Sequence[float] | float | None) -> list[float]:
+    """Gravity (3) in our axes."""
+    given = np.asarray(made.gravity if gravity is None else gravity, float)
+    found = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
+    if found.shape != (3,) or not np.all(np.isfinite(found)):
+        raise InputError(f"gravity: {gravity}; give m/s^2 along the file's -z, or three numbers (x, y, z)")
+    return _listed(DOWN @ found)
 
 
 def _following(made: _Read, still: Mapping[str, float]) -> dict[str, float]:

@@ -217,7 +217,7 @@ def _holds(recorded: Any, fresh: Any) -> bool:
             (Decimal(str(one["value"])), Decimal(float(one["radius"]))) for one in (recorded, fresh)
         )
         with localcontext(Context(EXACT, traps=[Inexact, InvalidOperation])):
-            loosest = max(Decimal(LOOSEST) * max(1, abs(centre)), 4 * within)
+            loosest = max(Decimal(LOOSEST) * max(Decimal(1), abs(centre)), 4 * within)
             return abs(value - centre) + within <= radius <= loosest
     except (KeyError, TypeError, ValueError, ArithmeticError):
         return False
