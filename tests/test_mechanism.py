@@ -513,6 +513,27 @@ def test_redundant_rows_are_named_and_may_be_dropped():
     assert orbit.certificate.passed and orbit.period == pytest.approx(wanted, rel=1e-11)
 
 
+def test_a_spherical_linkage_may_be_drawn_with_all_joints_where_its_axes_meet():
+    """A hinge may lie anywhere on its axis: drawn at the common point it is the same linkage, in the same motion."""
+    ways = {"a": [0.0, 0.0, 1.0], "b": [0.54, 0.17, 0.825], "c": [0.32, 0.83, 0.454], "d": [0.91, 0.19, 0.36]}
+    pairs = {"a": ("ground", "crank"), "b": ("crank", "rod"), "c": ("rod", "rocker"), "d": ("rocker", "ground")}
+    coms = {"crank": (0.2, 0.05, 0.5), "rod": (0.3, 0.4, 0.4), "rocker": (0.4, 0.3, 0.2)}
+    bodies = {name: {"mass": 1.0, "inertia": [0.02, 0.02, 0.02], "com": list(com)} for name, com in coms.items()}
+    found = []
+    for away in (0.0, 0.3):
+        joints = {name: {"kind": "revolute", "between": list(pairs[name]), "axis": way,
+                         "at": [[away * one for one in way]] * 2} for name, way in ways.items()}  # fmt: skip
+        model = of.mechanism(bodies, joints, gravity=[9.8, 0, 0], dimension=3, redundant="drop")
+        assert model.degrees_of_freedom - len(model.constraint.force_names) == 1
+        state = of.linkages.mechanism_state(model, {"a": 0.3}, {"adot": 1.2})
+        found.append(
+            np.concatenate([state, model.acceleration(0, *np.split(state, 2), model.parameter_values).full()[:, 0]])
+        )
+    assert found[0] == pytest.approx(found[1], rel=1e-10, abs=1e-10)
+    orbit = released(of.mechanism(bodies, joints, gravity=[9.8, 0, 0], dimension=3, redundant="drop"), {"a": 0.3})
+    assert orbit.certificate.passed
+
+
 ROD = {"mass": 1.0, "inertia": 0.1, "com": [0.5, 0.0]}
 ONE = {"j": revolute("ground", "a")}
 BAD = [
@@ -536,6 +557,12 @@ BAD = [
         {"a": ROD, "b": ROD, "c": ROD},
         {"j": revolute("ground", "a"), "k": revolute("ground", "c", (2, 0)), "l": revolute("a", "b", (1, 0)),
          "m": revolute("b", "c", (2, 0), (1, 0))}, {}, "pose: singular at .*joint 'm' between 'b' and 'c'.*dead point",
+    ),
+    (
+        {name: {"mass": 1.0, "inertia": [1.0, 1.0, 1.0], "com": [0.1, 0.0, 0.0]} for name in "ab"},
+        {name: {"kind": "revolute", "between": pair, "axis": [0, 0, sign]} for name, pair, sign in
+         (("j", ["ground", "a"], 1), ("k", ["a", "b"], -2), ("l", ["b", "ground"], 1))}, {"dimension": 3},
+        "joints.k: at the same point of body 'a' as joint 'j'.*a bar of no length",
     ),
     ({"a": ROD}, {"j": {"kind": "revolut", "between": ["ground", "a"]}}, {}, "joints.j.kind: unknown 'revolut', did"),
     ({"a": ROD}, {"j": {"kind": "prismatic", "between": ["ground", "a"]}}, {}, "joints.j.axis: must be a finite"),

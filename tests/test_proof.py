@@ -4,6 +4,7 @@ import json
 import re
 import sys
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,13 @@ from click.testing import CliRunner
 
 pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
 
+from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
 from orbitfinder.orbits.find import find_orbit
 from orbitfinder.problemfile.read import load_problem
 from orbitfinder.proof.balls import arb, arb_mat, flint, precision
-from orbitfinder.proof.record import write_entry
+from orbitfinder.proof.record import entry, write_entry
 from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 from orbitfinder.proof.trajectory import stability
 from orbitfinder.records.orbit import digest, save_orbit
@@ -186,6 +188,12 @@ def saved(found, tmp_path):
     return save_orbit(found("straight"), tmp_path / "straight" / "orbit.json")
 
 
+def widened(ball, factor=1.0, radii=0.0):
+    """A recorded ball with another radius, its centre moved by so many radii."""
+    ball["value"] = str(Decimal(ball["value"]) + Decimal(radii * ball["radius"]))
+    ball["radius"] *= factor
+
+
 def run(*arguments):
     return CliRunner().invoke(cli, [str(one) for one in arguments])
 
@@ -237,6 +245,13 @@ def test_a_proof_is_not_written_into_another_orbit(found, saved):
         (lambda e: e.update(phase=e["phase"] + 0.3), "phase"),
         (lambda e: e.update(steps=1), "steps"),
         (lambda e: e.update(stability_reason="because"), "stability_reason"),
+        (lambda e: widened(e["period"], radii=1.6), "period"),  # meets the one found, and is false
+        (lambda e: widened(e["period"], factor=1e-12), "period"),  # smaller than can be proved
+        (lambda e: widened(e["nodes"][1][2], radii=-1.6), "nodes"),
+        (lambda e: widened(e["multipliers"][0][1], radii=1.6), "multipliers"),
+        (lambda e: widened(e["energy"], radii=1e10), "energy"),
+        (lambda e: e.update(distance=e["distance"] / 2.5), "distance"),
+        (lambda e: e["period"].update(value="1e999999999"), "period"),
     ],
 )
 def test_edited_record_is_rejected(saved, change, says, monkeypatch):
@@ -248,6 +263,44 @@ def test_edited_record_is_rejected(saved, change, says, monkeypatch):
     result = run("verify", "--proof", saved)
     assert result.exit_code == 1
     assert "proof REJECTED" in result.output and says in result.output
+
+
+def test_a_ball_recorded_without_margin_is_proved_by_a_smaller_one(saved):
+    """As other round-off and 0.2 leave it: no wider than what is found here, beside it, and true."""
+    run("prove", saved)
+    document = json.loads(saved.read_text())
+    for ball in (document["proof"]["period"], document["proof"]["multipliers"][0][1], document["proof"]["nodes"][1][0]):
+        widened(ball, factor=0.5, radii=0.1)
+    document["proof"]["multipliers"].reverse()
+    saved.write_text(json.dumps(document))
+    result = run("verify", "--proof", saved)
+    assert result.exit_code == 0, result.output
+
+
+def test_radii_are_recorded_twice_as_wide_as_found(found):
+    proof = prove(found("straight"))
+    for name in ("period", "energy"):
+        wide, narrow = (entry(proof, margin)[name] for margin in (2.0, 1.0))
+        assert wide == entry(proof)[name] and wide == narrow | {"radius": 2 * narrow["radius"]}
+
+
+def test_the_horizon_starts_at_the_recorded_one_of_two_instants(found):
+    """Equal but for round-off, which chooses another on another machine."""
+    orbit = found("straight")
+    one = prove(orbit)
+    other = prove(orbit, options=Options(phase=(one.phase + 0.5) % 1.0))
+    assert other.proved and abs(abs(other.phase - one.phase) - 0.5) < 1e-6
+    assert prove(orbit, options=Options(phase=one.phase)).phase == one.phase
+
+
+def test_a_mirror_that_nobody_declared_is_proved_by_the_name_that_the_atlas_gives_it():
+    """Of two oscillators y -> -y and x -> -x are mirrors; recognised, they have names, and these are known again."""
+    with Atlas(ROOT / "results" / "atlas" / "coupled-oscillators.sqlite") as atlas:
+        row = min((one for one in atlas.rows() if one.symmetry == "mirror-y+reflection"), key=lambda one: one.period)
+        orbit = atlas.orbit(row.id)
+    assert prove(orbit).symmetry == "mirror-y+reflection"
+    refined = refine(orbit, settings_for(20), 20)
+    assert refined.enclosed and refined.symmetry == "mirror-y+reflection"
 
 
 def test_record_of_a_nudged_state_is_rejected(saved):

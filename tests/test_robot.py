@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +51,7 @@ def mujoco_acceleration(one, q, v):
     return data.qacc.copy()
 
 
-def agree(model, one, seed=3):
+def agree(model, one, seed=3, within=1e-9):
     random, order = np.random.default_rng(seed), [one.joint(k).name for k in range(one.njnt)]
     names = model.state_names[: model.degrees_of_freedom]
     place = [order.index(name) for name in names]
@@ -57,7 +59,7 @@ def agree(model, one, seed=3):
         q, v = random.normal(size=(2, len(names)))
         theirs = mujoco_acceleration(one, q, v)[place]
         ours = model.acceleration(0.0, q[place], v[place], model.parameter_values).full().ravel()
-        assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9 * np.abs(theirs).max())
+        assert ours == pytest.approx(theirs, rel=within, abs=within * np.abs(theirs).max())
 
 
 def test_a_urdf_has_the_accelerations_of_mujoco():
@@ -176,6 +178,16 @@ WEIGHT = "<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ix
          "stiffness: of joint 'j' must not be negative, got -1"),
         (URDF.format(weight=WEIGHT, kind="continuous", child="b", more=""), {"motors": "jj"},
          "motors: no moving joint 'jj'"),
+        (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="<dynamics damping='1' friction='0.3'/>"), {},
+         "file: joint 'j' has the friction 0.3, whose force jumps"),
+        (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="<mimic joint='k'/>"), {},
+         "file: joint 'j' mimics 'k', which is not there"),
+        (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="<mimic joint='j'/>"), {},
+         "file: joint 'j' mimics 'j', which mimics; name one that moves by itself"),
+        (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="").replace("<joint", "<link name='b'/><joint"),
+         {}, "file: two links are named 'b'; rename one"),
+        (URDF.format(weight=WEIGHT, kind="continuous", child="b", more=""), {"gravity": [0.0, 9.8]},
+         "gravity: [0.0, 9.8]; give m/s^2 along"),
         (URDF.format(weight=WEIGHT, kind="continuous", child="b", more="").replace('"b"', '"a b"')
          .replace('"a"', '"a.b"'), {},
          "file: links 'a.b' and 'a b' are both 'a_b' where names are letters, digits and _; rename one"),
@@ -200,5 +212,193 @@ def test_bad_files(tmp_path, text, options, said):
 
 
 def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(InputError, match=r"file: gone.urdf cannot be read \(No such file or directory\)"):
+    with pytest.raises(InputError, match=r"file: .*gone.urdf: no such file; check the path"):
         of.robot(tmp_path / "gone.urdf")
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        '<option gravity="1 -2 3"/>', '<option gravity="0 0 -9.81"/>', "", '<option gravity="0 0 0"/>',
+        '<option><flag gravity="disable"/></option>', '<option><flag spring="disable" damper="disable"/></option>',
+    ],
+)  # fmt: skip
+def test_gravity_and_flags_of_mjcf_are_its_own(tmp_path, option):
+    """Size, direction, MuJoCo's own 9.81 where nothing is said, and what a flag turns off."""
+    text = TREE.replace('<option gravity="0 0 -9.80665"/>', option)
+    (tmp_path / "tree.xml").write_text(text)
+    agree(of.robot(tmp_path / "tree.xml"), mujoco.MjModel.from_xml_string(text), within=1e-12)
+
+
+def test_gravity_that_is_given_replaces_the_files(tmp_path):
+    (tmp_path / "tree.xml").write_text(TREE)
+    one = mujoco.MjModel.from_xml_string(TREE)
+    for given, theirs in ((3.0, (0, 0, -3)), ([1.0, 2.0, 3.0], (1, 2, 3))):
+        one.opt.gravity[:] = theirs
+        agree(of.robot(tmp_path / "tree.xml", gravity=given), one, within=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('damping="0.2"', 'frictionloss="0.2"', "file: joint 'yaw' has the friction 0.2, whose force jumps"),
+        ('damping="0.2"', 'ref="0.2"', "file: joint 'yaw' counts from ref = 0.2; take ref out"),
+        ('damping="0.2"', 'damping="0.2 0.1"', "file: dampingpoly of dof 'yaw' acts in MuJoCo"),
+        ('stiffness="3"', 'stiffness="3 1"', "file: stiffnesspoly of jnt 'left' acts in MuJoCo"),
+        ("<option ", '<option density="1.2" ', "file: density (drag) acts in MuJoCo and is not known here"),
+        ('<body name="hand"', '<body name="hand" gravcomp="1"', "file: gravcomp of body 'hand' acts in MuJoCo"),
+        ("</worldbody>", '</worldbody><equality><connect body1="hand" body2="piston" anchor="0 0 0"/></equality>',
+         "file: equality 0 (mjEQ_CONNECT) acts in MuJoCo"),
+        ("</worldbody>", '</worldbody><tendon><fixed stiffness="2"><joint joint="yaw" coef="1"/></fixed></tendon>',
+         "file: stiffness of tendon 0 acts in MuJoCo"),
+        ('name="hand"', 'name="left.arm"', "file: two bodies are named 'left_arm'; rename one"),
+        ("</worldbody>", "</worldbody><bodies/>", "file: tree.xml is no MJCF that can be read (XML Error: Schema"),
+    ],
+)  # fmt: skip
+def test_what_acts_in_mjcf_and_is_not_known_is_named(tmp_path, old, new, said):
+    assert old in TREE
+    (tmp_path / "tree.xml").write_text(TREE.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        of.robot(tmp_path / "tree.xml")
+    assert str(caught.value).startswith(said) and "\n" not in str(caught.value)
+
+
+def test_a_damping_that_is_given_stands_for_friction(tmp_path):
+    (tmp_path / "tree.xml").write_text(TREE.replace('damping="0.2"', 'frictionloss="0.2"'))
+    assert "yaw_damper_damping" not in of.robot(tmp_path / "tree.xml", damping={"yaw": 0.0}).parameter_names
+    (tmp_path / "tree.xml").write_text(
+        TREE.replace('damping="0.2"', 'frictionloss="0.2"').replace(
+            "<option ", "<option><flag frictionloss='disable'/></option><option "
+        )
+    )
+    assert of.robot(tmp_path / "tree.xml").degrees_of_freedom == 3
+
+
+GRIPPER = """<robot name="gripper"><link name="base"/>
+<link name="hand"><inertial><origin xyz="0.1 0 -0.3"/><mass value="1.5"/>
+<inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001" ixz="0" iyz="0"/></inertial></link>
+<link name="left"><inertial><origin xyz="0 0.02 -0.1"/><mass value="0.2"/>
+<inertia ixx="0.002" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="right"><inertial><origin xyz="0.01 -0.02 -0.1"/><mass value="0.3"/>
+<inertia ixx="0.001" iyy="0.002" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="wrist" type="continuous"><parent link="base"/><child link="hand"/><axis xyz="0 1 0"/></joint>
+<joint name="left_finger" type="revolute"><parent link="hand"/><child link="left"/><origin xyz="0 0.05 -0.5"/>
+<axis xyz="1 0 0"/><limit lower="-0.4" upper="0.5" effort="2" velocity="1"/><dynamics damping="0.3"/></joint>
+<joint name="right_finger" type="revolute"><parent link="hand"/><child link="right"/><origin xyz="0 -0.05 -0.5"/>
+<axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="2" velocity="1"/>
+<dynamics damping="0.1"/>{mimic}</joint></robot>"""
+MIMIC = '<mimic joint="left_finger" multiplier="-0.7" offset="0.2"/>'
+
+
+def test_a_joint_that_mimics_another_follows_it(tmp_path):
+    """Gauss: with q = B y + c the accelerations are those of B^T M B y'' = B^T (M q'')_free, M and q'' by MuJoCo."""
+    (tmp_path / "free.urdf").write_text(GRIPPER.format(mimic=""))
+    (tmp_path / "gripper.urdf").write_text(GRIPPER.format(mimic=MIMIC))
+    model = of.robot(tmp_path / "gripper.urdf")
+    assert model.state_names[:2] == ("wrist", "left_finger") and "right_finger_ratio" in model.parameter_names
+    one = mujoco.MjModel.from_xml_path(str(tmp_path / "free.urdf"))
+    one.opt.gravity[:], one.jnt_limited[:] = (0, 0, -GRAVITY), 0
+    lead, random, data = np.array([[1, 0], [0, 1], [0, -0.7]]), np.random.default_rng(2), mujoco.MjData(one)
+    for _ in range(4):
+        y, rate = random.normal(size=(2, 2))
+        data.qpos[:], data.qvel[:] = lead @ y + [0, 0, 0.2], lead @ rate
+        mujoco.mj_forward(one, data)
+        mass = np.zeros((3, 3))
+        mujoco.mj_fullM(one, mass, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(one, data, mass)
+        wanted = np.linalg.solve(lead.T @ mass @ lead, lead.T @ mass @ data.qacc)
+        ours = model.acceleration(0.0, y, rate, model.parameter_values).full().ravel()
+        assert ours == pytest.approx(wanted, rel=1e-12, abs=1e-12 * np.abs(wanted).max())
+
+
+def test_a_joint_that_mimics_one_that_is_locked_is_locked_where_that_holds_it(tmp_path):
+    (tmp_path / "free.urdf").write_text(GRIPPER.format(mimic=""))
+    (tmp_path / "gripper.urdf").write_text(GRIPPER.format(mimic=MIMIC))
+    one = of.robot(tmp_path / "gripper.urdf", locked={"left_finger": 0.3})
+    other = of.robot(tmp_path / "free.urdf", locked={"left_finger": 0.3, "right_finger": 0.2 - 0.7 * 0.3})
+    assert one.system["bodies"] == other.system["bodies"] and one.system["joints"] == other.system["joints"]
+
+
+def test_an_equality_of_two_joints_of_mjcf_is_one_that_mimics(tmp_path):
+    said = '<equality><joint joint1="slide" joint2="left" polycoef="0.1 0.4 0 0 0"/></equality></mujoco>'
+    (tmp_path / "tree.xml").write_text(TREE.replace("</mujoco>", said))
+    model = of.robot(tmp_path / "tree.xml")
+    assert model.state_names[:2] == ("yaw", "left") and model.degrees_of_freedom == 2
+    assert model.system["joints"]["slide"]["mimics"] == ["left", 0.4, 0.1]
+
+
+def test_an_orbit_of_a_robot_that_mimics_is_found_and_certified_and_its_stops_are_said(tmp_path):
+    """A mode of the gripper, damping taken out; swung wider than its finger goes, which is said."""
+    (tmp_path / "gripper.urdf").write_text(GRIPPER.format(mimic=MIMIC))
+    model = of.robot(tmp_path / "gripper.urdf", damping=0.0, stiffness={"left_finger": 2.0})
+    assert model.system["joints"]["left_finger"]["range"] == [-0.4, 0.5]
+    small = of.find_orbit(of.Problem(model, of.guesses.normal_mode(model, 2, 0.05)))
+    assert small.certificate.passed, small.certificate.failures
+    with pytest.warns(of.errors.Hint, match=r"joints.left_finger.range: the orbit goes from .* where no stop acts"):
+        of.find_orbit(of.Problem(model, of.guesses.normal_mode(model, 2, 0.7)))
+
+
+@pytest.mark.parametrize("text", [
+    "<mujoco><size nkey='2000000000'/><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>",
+    "<mujoco><worldbody><replicate count='100000000' euler='0 0 1'><body><joint/><geom size='1'/></body></replicate>"
+    "</worldbody></mujoco>",
+    "<mujoco><worldbody><replicate count='3000' euler='0 0 1'><body><joint/><geom size='1'/></body></replicate>"
+    "</worldbody></mujoco>",
+])  # fmt: skip
+def test_a_small_file_that_asks_for_very_much_is_refused_in_time(tmp_path, monkeypatch, text):
+    monkeypatch.setattr("orbitfinder.mechanics.robot.SECONDS", 4.0)
+    (tmp_path / "huge.xml").write_text(text)
+    began = time.monotonic()
+    with pytest.raises(InputError, match=r"file: (huge.xml was not read within|3001 bodies)"):
+        of.robot(tmp_path / "huge.xml")
+    assert time.monotonic() - began < 20.0
+
+
+def test_a_large_file_is_refused(tmp_path):
+    """By its bytes before it is read, by its bodies before a mechanism is made of them."""
+    text = URDF.format(weight=WEIGHT, kind="continuous", child="b", more="")
+    (tmp_path / "large.urdf").write_text(text + " " * 4_000_000)
+    with pytest.raises(InputError, match=r"file: .*large.urdf: 40\d+ bytes are too large .* the limit is 4000000"):
+        of.robot(tmp_path / "large.urdf")
+    more = (f"<link name='x{k}'/><joint name='y{k}' type='fixed'><parent link='b'/><child link='x{k}'/></joint>"
+            for k in range(999))  # fmt: skip
+    (tmp_path / "large.urdf").write_text(text.replace("</robot>", "".join(more) + "</robot>"))
+    with pytest.raises(InputError, match="file: 1001 bodies, 1000 can be read; give a part of the robot"):
+        of.robot(tmp_path / "large.urdf")
+
+
+def test_a_limit_of_time_ends_the_reading(tmp_path):
+    (tmp_path / "huge.xml").write_text("<mujoco><worldbody><replicate count='100000000' euler='0 0 1'><body><joint/>"
+                                       "<geom size='1'/></body></replicate></worldbody></mujoco>")  # fmt: skip
+    began = time.monotonic()
+    with pytest.raises(of.errors.LimitError, match="stopped after 2 s"), of.limited(2.0):
+        of.robot(tmp_path / "huge.xml")
+    assert time.monotonic() - began < 15.0
+
+
+def test_nothing_is_written_where_one_works(tmp_path, monkeypatch):
+    """MuJoCo writes its warnings into MUJOCO_LOG.TXT in the current folder, which is not the caller's."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("orbitfinder.mechanics.robot.SECONDS", 3.0)
+    Path("tree.xml").write_text(TREE.replace('pos="0 0 -0.5">', 'pos="0 0 -0.5"><geom type="mesh" mesh="gone"/>'))
+    with pytest.raises(InputError):
+        of.robot("tree.xml")
+    Path("tree.xml").write_text("<mujoco><size nkey='2000000000'/><worldbody/></mujoco>")
+    with pytest.raises(InputError):
+        of.robot("tree.xml")
+    assert [one.name for one in tmp_path.iterdir()] == ["tree.xml"]
+
+
+def test_comments_of_any_length_and_other_encodings(tmp_path):
+    text = ARM.read_text(encoding="utf-8")
+    _, body = text.split("?>", 1) if text.startswith("<?xml") else ("", text)
+    long = f"<?xml version='1.0'?><!-- {'of no use ' * 1000} -->{body}"
+    (tmp_path / "long.urdf").write_text(long)
+    (tmp_path / "wide.urdf").write_bytes(long.replace("'1.0'", "'1.0' encoding='UTF-16'").encode("utf-16"))
+    for name in ("long.urdf", "wide.urdf"):
+        assert of.robot(tmp_path / name).parameter_names == of.robot(ARM).parameter_names
+    (tmp_path / "wide.xml").write_bytes(TREE.encode("utf-16"))
+    assert (tmp_path / "wide.xml").read_bytes()[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    with pytest.raises(InputError, match=r"file: wide.xml is UTF-16, which MuJoCo does not read; save it as UTF-8"):
+        of.robot(tmp_path / "wide.xml")
+    (tmp_path / "long.xml").write_text(f"<!-- {'of no use ' * 1000} -->{TREE}")
+    assert of.robot(tmp_path / "long.xml").degrees_of_freedom == 3

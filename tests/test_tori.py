@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
+from scipy.optimize import brentq, root
+from scipy.special import ellipk
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -101,6 +102,28 @@ def test_a_torus_is_drawn_in_a_section(golden, loop_orbit, tmp_path):
     together = gather([tmp_path / "loop" / "section.json", tmp_path / "tori.json"])
     data = section_data(together.sections[0], together)
     assert [one["kind"] for one in data["curves"]] == ["torus"] and len(data["curves"][0]["x"]) == len(states)
+
+
+def duffing(level):
+    """rad/s of x'' = -k x - x^3 with k = 1 from its energy, by the complete elliptic integral."""
+    square = np.sqrt(1 + 4 * level) - 1
+    return np.sqrt(1 + square) * np.pi / 2 / ellipk(square / 2 / (1 + square))
+
+
+@pytest.mark.parametrize("rotation", [0.75**0.5 - 0.175, 1.175 - 0.75**0.5])
+def test_a_torus_of_an_integrable_product_either_way_round(rotation):
+    """Two oscillators that know nothing of each other, the second 1.7 times as quick and hardening: 0.676 to 0.709."""
+    q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
+    first, second = q[0] ** 2 / 2 + q[0] ** 4 / 4, 1.7**2 * (q[1] ** 2 / 2 + q[1] ** 4 / 4)
+    scaled = of.lagrange(v[0] ** 2 / 2 + v[1] ** 2 / 2, first + second, of.Symbols(q, v), angles=(False, False))
+    level = 0.02
+    quick = 1.7 / duffing(level)
+    orbit = of.find_orbit(of.Problem(scaled, of.Guess([0.2, 0, 0, 0], 6.2), of.pin(energy=level)))
+    assert quick == pytest.approx(1.6755578, abs=1e-6)
+    torus = of.torus(orbit, rotation, model=scaled)
+    assert torus.certificate.passed and torus.rotation == pytest.approx(rotation, abs=1e-12)
+    share = brentq(lambda own: 1.7 * duffing((level - own) / 1.7**2) / duffing(own) - 0.825 - 0.75**0.5, 0.0, level)
+    assert torus.period == pytest.approx(2 * np.pi / duffing(share), rel=1e-9)
 
 
 def rotor(detuning=0.0):

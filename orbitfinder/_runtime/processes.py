@@ -7,9 +7,14 @@ in place of the library's own, before any line of ours.
 from __future__ import annotations
 
 import contextlib
+import importlib
+import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -17,9 +22,10 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime import PROCESSORS, interrupt
+from orbitfinder._runtime import PROCESSORS, interrupt, limit
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that BLAS libraries read when they are loaded"""
@@ -106,6 +112,38 @@ def dismissed(hands: Iterable[Hand]) -> None:
                 hand.process.kill()
                 hand.process.join()
             hand.pipe.close()
+
+
+def alone(module: str, function: str, argument: Any, seconds: float, memory: int) -> Any:
+    """function(argument), both JSON, in a process and a folder of its own; None where that takes more (s, bytes).
+
+    The process runs no line of the caller's script, as a spawned one does: what calls this needs no main guard.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        asked, answer = Path(folder, "asked.json"), Path(folder, "answer.json")
+        asked.write_text(json.dumps([sys.path, module, function, argument, memory]), encoding="utf-8")
+        line = "import json, sys; asked = json.load(open('asked.json', encoding='utf-8')); sys.path[:] = asked[0]; " \
+               "from orbitfinder._runtime.processes import answered; answered(*asked[1:])"  # fmt: skip
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            subprocess.run(
+                [sys.executable, "-I", "-c", line], cwd=folder, timeout=min(seconds, max(limit.left(), 0.0)),
+                env={**os.environ, **dict.fromkeys(NAMES, "1")}, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL, check=False,
+            )  # fmt: skip
+        limit.check()
+        return json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else None
+
+
+def answered(module: str, function: str, argument: Any, memory: int) -> None:
+    """What the process of `alone` does."""
+    work = getattr(importlib.import_module(module), function)
+    with contextlib.suppress(ImportError, ValueError, OSError):  # not on Windows, not below what is in use
+        import resource  # noqa: PLC0415
+
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    found = json.dumps(work(argument))
+    Path("written.json").write_text(found, encoding="utf-8")
+    Path("written.json").rename("answer.json")  # whole or not at all
 
 
 def _begin(pipe: Connection, work: Callable[..., None], *arguments: Any) -> None:

@@ -132,7 +132,9 @@ def torus(
     found = follow_tori(orbit, until=rotation, mode=mode, model=model, settings=replace(chosen, certify=False))
     last = found.tori[-1]
     if abs(last.rotation - rotation) > RESONANCE:
-        raise ConvergenceError(f"no torus of rotation number {rotation:.9g} was reached: {found.end}")
+        met = sorted(one.rotation for one in found.tori)
+        met_range = f"those met are {met[0]:.9g} to {met[-1]:.9g}"
+        raise ConvergenceError(f"no torus of rotation number {rotation:.9g} was reached, {met_range}: {found.end}")
     return certify_torus(last, _model(orbit, model)) if chosen.certify else last
 
 
@@ -190,6 +192,8 @@ def follow_tori(
         way = _towards(first, asked, until)
     else:
         first, way = _from_orbit(origin, system, asked, mode), 1.0
+        if asked == "rotation" and goals and _other_way_round(first, goals[0] if until is None else until):
+            first = _from_orbit(origin, system, asked, mode, backwards=True)
     found, end = _followed(first, asked, way, (until, goals), chosen, progress)
     tori = tuple(certify_torus(one, system) if chosen.certify else one for one in found)
     held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in first.ring.held}
@@ -251,14 +255,24 @@ def resonance(rotation: float, most: int) -> tuple[int, int] | None:
     return (int(nearest[hit[0]]), int(orders[hit[0]])) if hit.size else None
 
 
-def _from_orbit(orbit: Orbit, model: Model, asked: str, mode: int) -> _Place:
-    """A small torus around an elliptic orbit: X = x + a Re(v e^(i theta)), v an eigenvector of the monodromy."""
+def _other_way_round(first: _Place, goal: float) -> bool:
+    """Whether 1 - goal lies ahead of a first torus, nearer than the goal: theta -> -theta makes r of a torus 1 - r."""
+    ahead = [one for one in (goal, 1 - goal) if _towards(first, "rotation", one) > 0]
+    return bool(ahead) and min(ahead, key=lambda one: abs(_inner("rotation", one) - first.w.angle)) != goal
+
+
+def _from_orbit(orbit: Orbit, model: Model, asked: str, mode: int, backwards: bool = False) -> _Place:
+    """A small torus around an elliptic orbit: X = x + a Re(v e^(i theta)), v an eigenvector of the monodromy.
+
+    `backwards` goes round it the other way, with the conjugate eigenvector.
+    """
     free = (asked,) if asked in model.parameter_names else ()
     equations = Equations(model, NONE, free)
     w = equations.unknowns(orbit.state[None], orbit.period, np.linspace(0.0, 1.0, STEPS_PER_PERIOD + 1))
     path = equations.varied(w, states=True)
     units = extents_of(model, path.states, orbit.period)
     angle, vector = _turning_pair(path.transitions[0], mode)
+    angle, vector = (2 * np.pi - angle, vector.conj()) if backwards else (angle, vector)
     vector = vector / np.sqrt(np.mean(np.abs(vector / units) ** 2) * units.size / 2)
     around = (np.exp(2j * np.pi * np.arange(FEWEST) / FEWEST)[:, None] * vector).real
     held = (("energy", orbit.energy),) if model.conservative else ()

@@ -485,8 +485,8 @@ def symmetries_of(model: Model) -> Mapping[str, Symmetry]:
 
 
 def named(name: str, model: Model) -> Symmetry:
-    """The symmetry with a name; `InputError` names the known ones."""
-    known = SYMMETRIES if name in SYMMETRIES and model.rates is None else symmetries_of(model)
+    """The symmetry with a name, of a mirror that nobody declares too; `InputError` names the known ones."""
+    known = SYMMETRIES if name in SYMMETRIES and model.rates is None else symmetries_of(knowing(model, name))
     if name not in known:
         raise InputError(f"symmetry: unknown {name!r}; use one of {', '.join(known)}")
     return known[name]

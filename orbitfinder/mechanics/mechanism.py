@@ -27,7 +27,7 @@ from scipy.linalg import qr
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.constrained import RANK_TOLERANCE, constrained_model
 from orbitfinder.mechanics.controls import divided
-from orbitfinder.mechanics.factorise import LinearBalances, solve_positive_definite
+from orbitfinder.mechanics.factorise import LinearBalances, acceleration_function, solve_positive_definite
 from orbitfinder.mechanics.lagrange import (
     Symbols,
     Terms,
@@ -59,7 +59,7 @@ ROWS = {
 """The equations by which each kind closes a loop, one letter each (see `_rows`)"""
 KEYS = {
     "bodies": {"mass", "inertia", "com", "shape", "disc"},
-    "joints": {"kind", "between", "at", "axis", "axes", "turned", "length", "rotor"},
+    "joints": {"kind", "between", "at", "axis", "axes", "turned", "length", "rotor", "range", "mimics"},
     "springs": {"between", "at", "stiffness", "length", "joint", "rest"},
     "dampers": {"between", "at", "damping", "joint"},
     "motors": {"joint", "torque", "amplitude", "phase", "limit"},
@@ -599,11 +599,20 @@ def _check_bars(made: _Drawing, system: Table, pairs: Mapping[str, tuple[str, st
         for k, (name, (at, pair)) in enumerate(ends):
             for other, (there, second) in ends[:k]:
                 alone = len(ends) == 2 and body != GROUND and bool(made.closing)
-                if at == there and (alone or pair == second):
+                tables = [system["joints"][one] for one in (name, other)]
+                if at == there and (alone or pair == second) and not _cross(made.dimension, *tables):
                     raise InputError(
                         f"joints.{name}: at the same point of body {body!r} as joint {other!r} ({at}), which leaves a "
                         "bar of no length; move one of them"
                     )
+
+
+def _cross(dimension: int, *tables: Table) -> bool:
+    """Whether two joints are hinges in space about different axes, as in a spherical linkage, whose axes meet."""
+    if dimension == 2 or any(one["kind"] != "revolute" for one in tables):
+        return False
+    first, second = (np.asarray(one["axis"], float) / np.linalg.norm(one["axis"]) for one in tables)
+    return any("turned" in one for one in tables) or bool(np.linalg.norm(np.cross(first, second)) > RANK_TOLERANCE)
 
 
 @dataclass
@@ -636,12 +645,16 @@ class _Motion:
         clock = _clock(system, numbers)
         moved = _prescribed(system, made, numbers, clock)
         places = list(made.owner)  # a joint told from its second body has its nodes the other way round
-        own = sorted((one for one in made.nodes if one.name not in moved), key=lambda one: places.index(one.name))
+        behind = {name: table["mimics"] for name, table in system["joints"].items() if "mimics" in table}
+        free = (one for one in made.nodes if one.name not in {*moved, *behind})
+        own = sorted(free, key=lambda one: places.index(one.name))
         q, v = ca.SX.sym("q", len(own)), ca.SX.sym("v", len(own))
         if not own:
             raise InputError("motions: every coordinate is prescribed, which leaves no motion to compute; free one")
         for k, node in enumerate(own):
             node.q, node.v, node.index = q[k], v[k], k
+        for name, rule in behind.items():
+            _follow(made, name, rule)
         _weigh(system, made, numbers)
         frames = made.frames()
         gravity = _vector(numbers, "gravity", "gravity", system["gravity"], made.dimension)
@@ -720,6 +733,21 @@ def _prescribed(system: Table, made: _Drawing, numbers: _Numbers, clock: tuple[c
         node.a = ca.jacobian(node.v, t)
         moved.add(node.name)
     return moved
+
+
+def _follow(made: _Drawing, name: str, rule: Any) -> None:
+    """Put q = ratio q_other + offset into a joint that mimics another: (other, ratio, offset)."""
+    nodes = {node.name: node for node in made.nodes}
+    own = {node.name: node for node in made.nodes if node.index >= 0}
+    if not isinstance(rule, list) or len(rule) != 3 or name not in nodes or rule[0] not in own or made.closing:
+        raise InputError(
+            f"joints.{name}.mimics: need [joint, ratio, offset] of a joint of one coordinate, in a mechanism without "
+            f"loops, got {rule!r}; joints are {', '.join(own)}"
+        )
+    node, other = nodes[name], own[rule[0]]
+    ratio, offset = (made.numbers(f"joints.{name}.mimics", f"{name}_{w}", x)
+                     for w, x in zip(("ratio", "offset"), rule[1:], strict=True))  # fmt: skip
+    node.q, node.v = ca.SX(ratio * other.q + offset), ca.SX(ratio * other.v)
 
 
 def _weigh(system: Table, made: _Drawing, numbers: _Numbers) -> None:
@@ -1035,18 +1063,23 @@ def _crossed(speed: ca.SX) -> ca.SX:
 def _tree(made: _Drawing, motion: _Motion, system: Table) -> Model:
     """The Model of a mechanism without loops: accelerations by recursion."""
     symbols, arguments = motion.symbols, motion.symbols.arguments
-    t, q, _, p = arguments
+    t, q, v, p = arguments
     pushed = -ca.gradient(motion.elastic, q)
-    accelerations, weights = _articulated(
-        made, pushed if motion.acting is None else pushed + motion.acting, motion.gravity
-    )
+    if all(node.index >= 0 or node.a is not None for node in made.nodes):
+        accelerations, weights = _articulated(
+            made, pushed if motion.acting is None else pushed + motion.acting, motion.gravity
+        )
+        acceleration = ca.Function("acceleration", arguments, [accelerations])
+    else:  # what mimics a joint moves with it, wherever in the tree it is
+        matrix, bias = mass_matrix_and_bias(motion.kinetic, motion.potential, q, v, motion.acting, t)
+        acceleration, weights = acceleration_function(matrix, bias, arguments), ca.diag(matrix)
     pose = system.get("pose", {})
     place = np.array([pose.get(name, 0.0) for name in motion.names])
     _check_weights(made, motion, place, ca.Function("weights", [t, q, p], [weights]))
     terms = _terms(motion, arguments)
     labels = coordinate_names(motion.names, symbols)
     return mechanical_model(
-        ca.Function("acceleration", arguments, [accelerations]), terms, symbols, labels,
+        acceleration, terms, symbols, labels,
         invariants=[] if symbols.time is not None else
         detected_invariants(terms, labels, arguments, cyclic(terms, arguments)),
         system=system, angles=tuple(motion.angles), points=polyline("points", motion.points, [q, p]),

@@ -8,18 +8,24 @@ extra [robot].
 
 from __future__ import annotations
 
+import codecs
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 
+from orbitfinder._runtime.processes import alone
 from orbitfinder._runtime.quiet import captured
 from orbitfinder.errors import InputError, closest, plural
 from orbitfinder.mechanics.mechanism import GROUND, mechanism
 from orbitfinder.mechanics.model import Model
+from orbitfinder.records.reading import file_bytes
 
 DOWN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 """From a file's axes (z up) to ours (x down)"""
@@ -27,6 +33,18 @@ STRAIGHT = 1e-9
 """What entries of a turn are 0 or 1 to, where angles of a file are rounded"""
 KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 DIGITS = 15
+LARGEST, MOST_BODIES = 4_000_000, 1000
+"""Bytes of a file, and bodies in it"""
+SECONDS, MEMORY = 30.0, 4_000_000_000
+"""What MuJoCo gets to read a file: s, bytes"""
+UNKNOWN = (
+    "body_gravcomp", "jnt_stiffnesspoly", "jnt_springyield", "dof_dampingpoly", "tendon_stiffness", "tendon_damping",
+    "tendon_frictionloss", "tendon_armature",
+)  # fmt: skip
+"""What acts in a MuJoCo model where it is not 0, by its names, and is not known here"""
+ARRAYS = ("qpos", "body_", "jnt_", "dof_", "eq_", "tendon_")
+"""What is read of a MuJoCo model begins with these"""
+MJCF = {"damping": "damping", "rotor": "armature", "friction": "frictionloss"}
 BASE, WORLD = "base_joint", "world_of_base"
 """The free joint of a floating base, and what it hangs on"""
 
@@ -57,6 +75,10 @@ class _Joint:
     rest: float = 0.0
     rotor: float = 0.0
     limit: float = 0.0
+    friction: float = 0.0
+    range: tuple[float, float] | None = None
+    mimics: tuple[str, float, float] | None = None
+    """(joint, ratio, offset): where it is another joint's coordinate times a ratio, plus an offset"""
 
 
 @dataclass
@@ -67,6 +89,8 @@ class _Read:
     bodies: dict[str, _Body]
     joints: dict[str, _Joint]
     root: str
+    gravity: Sequence[float] = (0.0, 0.0, -9.80665)
+    """m/s^2, in the file's axes"""
 
 
 def robot(
@@ -78,23 +102,24 @@ def robot(
     damping: Mapping[str, float] | float | None = None,
     motors: Sequence[str] | str = (),
     floating: bool = False,
-    gravity: float = 9.80665,
+    gravity: Sequence[float] | float | None = None,
     values: Mapping[str, float] | None = None,
 ) -> Model:
     """The Model of a robot in a URDF or MJCF file.
 
-    Coulomb friction, contacts and limits of joints are left out. Numbers are physical parameters named after links
-    and joints ("link3_mass"), in the axes of the zero position, x down.
+    Contacts, actuators and sensors are left out; what else acts and is not known is refused by name. Stops of joints do
+    not act, and a found orbit that passes one is hinted at. Joints that mimic another follow it. Numbers are physical
+    parameters named after links and joints ("link3_mass"), in the axes of the zero position, x down.
 
     Args:
         file: .urdf or .xml.
         locked: joints that stay at 0, or at the angles given.
         stiffness: of all joints or of each by name (N m/rad or N/m); replaces the file's.
         rest: where springs are at ease, by joint; 0 otherwise.
-        damping: of all joints or of each by name; replaces the file's.
+        damping: of all joints or of each by name; replaces the file's, and its Coulomb friction, which is refused else.
         motors: joints with a control torque of their own, within the file's effort; "all" for all.
         floating: whether the base moves freely instead of being fixed to the ground.
-        gravity: m/s^2, along the file's -z.
+        gravity: m/s^2, along the file's -z, or (x, y, z) in the file's axes; the file's own, or 9.80665, if None.
         values: numbers that replace parameters.
 
     Returns:
@@ -123,23 +148,49 @@ def robot(
 
 def _file(path: Path) -> bytes:
     try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"file: {path.name} cannot be read ({error.strerror}); give a URDF or MJCF file") from error
+        return file_bytes(path, "URDF or MJCF file", LARGEST)
+    except InputError as error:
+        raise InputError(f"file: {error}") from error
 
 
 def _numbers(path: Path, data: bytes) -> _Read:
     """A file's bodies and joints; `InputError` for what is no robot."""
-    text = data[:4096].lower()
-    if b"<robot" in text:
-        return _checked(_urdf(path, data))
-    if b"<mujoco" in text:
-        return _checked(_mjcf(path, data))
+    match _root(data):
+        case "robot":
+            return _checked(_urdf(path, data))
+        case "mujoco":
+            return _checked(_mjcf(path, data))
     raise InputError(f"file: {path.name} is no robot; give a URDF (<robot ...>) or an MJCF file (<mujoco ...>)")
+
+
+def _root(data: bytes) -> str:
+    """The name of an XML text's first element, in whatever encoding and after whatever comments; "" of other texts."""
+
+    def first(name: str, _: Any) -> None:
+        raise StopIteration(name)
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = first
+    try:
+        parser.Parse(data, True)
+    except StopIteration as found:
+        return str(found.value)
+    except (expat.ExpatError, ValueError, LookupError):
+        pass
+    return ""
+
+
+def _put(table: dict[str, Any], kinds: str, name: str, value: Any) -> None:
+    """Add a body or a joint; `InputError` where there is one of that name."""
+    if name in table:
+        raise InputError(f"file: two {kinds} are named {name!r}; rename one")
+    table[name] = value
 
 
 def _checked(made: _Read) -> _Read:
     """What was read; `InputError` for numbers that are none, and for names that are one once they are identifiers."""
+    if len(made.bodies) > MOST_BODIES:
+        raise InputError(f"file: {len(made.bodies)} bodies, {MOST_BODIES} can be read; give a part of the robot")
     for kind, names in (("link", made.bodies), ("joint", made.joints)):
         whose = dict[str, str]()
         for name in names:
@@ -154,7 +205,8 @@ def _checked(made: _Read) -> _Read:
         if body.mass < 0:
             raise InputError(f"file: link {name!r} has the mass {body.mass:g} kg; give one that is not negative")
     for name, joint in made.joints.items():
-        if not np.all(np.isfinite([*joint.place, *joint.turn.ravel(), *joint.axis, joint.damping, joint.limit])):
+        numbers = [*joint.place, *joint.turn.ravel(), *joint.axis, joint.damping, joint.limit, joint.friction]
+        if not np.all(np.isfinite([*numbers, *(joint.range or ()), *(joint.mimics or ())[1:]])):
             raise InputError(
                 f"file: joint {name!r} has an origin, axis, damping or effort that is no finite number; correct it"
             )
@@ -173,28 +225,29 @@ def _urdf(path: Path, data: bytes) -> _Read:
     except Exception as error:
         said = " ".join(str(error).split())
         raise InputError(f"file: {path.name} is no URDF that can be read ({type(error).__name__}: {said})") from error
-    bodies = {}
+    bodies, joints = dict[str, _Body](), dict[str, _Joint]()
     for link in found.links:
-        body = bodies[link.name] = _Body()
+        _put(bodies, "links", link.name, body := _Body())
         if (weight := link.inertial) is not None:
             turn, place = _placed(weight.origin)
             one = weight.inertia
             matrix = np.array([[one.ixx, one.ixy, one.ixz], [one.ixy, one.iyy, one.iyz], [one.ixz, one.iyz, one.izz]])
             body.mass, body.com, body.inertia = float(weight.mass), place, turn @ matrix @ turn.T
-    joints = {}
     for joint in found.joints:
         if joint.type not in KINDS:
             raise InputError(f"file: joint {joint.name!r} is {joint.type}; known are {', '.join(KINDS)}")
-        if joint.mimic is not None:
-            raise InputError(f"file: joint {joint.name!r} mimics {joint.mimic.joint!r}, which is not known; lock it")
         turn, place = _placed(joint.origin)
         axis = np.array(joint.axis if joint.axis is not None else [1.0, 0.0, 0.0], float)
-        worn, limit = joint.dynamics, joint.limit
-        joints[joint.name] = _Joint(
+        worn, limit, rule = joint.dynamics, joint.limit, joint.mimic
+        low, high = (float(getattr(limit, name, None) or 0.0) for name in ("lower", "upper"))
+        ratio, offset = getattr(rule, "multiplier", None), float(getattr(rule, "offset", None) or 0.0)
+        _put(joints, "joints", joint.name, _Joint(
             KINDS[joint.type], joint.parent, joint.child, place, turn, axis,
-            damping=float(worn.damping or 0.0) if worn is not None else 0.0,
-            limit=float(limit.effort or 0.0) if limit is not None else 0.0,
-        )  # fmt: skip
+            damping=float(getattr(worn, "damping", None) or 0.0),
+            friction=float(getattr(worn, "friction", None) or 0.0), limit=float(getattr(limit, "effort", None) or 0.0),
+            range=(low, high) if low < high and joint.type != "continuous" else None,
+            mimics=(str(rule.joint), 1.0 if ratio is None else float(ratio), offset) if rule is not None else None,
+        ))  # fmt: skip
     return _Read(str(found.name), bodies, joints, str(root))
 
 
@@ -220,50 +273,104 @@ def _straight(turn: np.ndarray) -> np.ndarray:
     return np.where(np.abs(turn - near) < STRAIGHT, near, turn) if np.abs(turn - near).max() < STRAIGHT else turn
 
 
-def _mjcf(path: Path, data: bytes) -> _Read:
-    """Bodies and joints of a MuJoCo model, as MuJoCo itself compiles them."""
+def compiled(file: str) -> dict[str, Any]:
+    """What MuJoCo makes of a file, as lists; or why it makes nothing of it, `refused`."""
+    import mujoco  # noqa: PLC0415
+
     try:
-        import mujoco  # noqa: PLC0415
-    except ImportError as error:
-        raise InputError("file: MJCF files need the extra: pip install 'orbitfinder[robot]'") from error
-    try:
-        with captured():
-            one = (
-                mujoco.MjModel.from_xml_path(str(path))
-                if path.is_file()
-                else mujoco.MjModel.from_xml_string(data.decode())
-            )
+        one = mujoco.MjModel.from_xml_path(file)
     except Exception as error:
-        said = " ".join(str(error).split())
-        raise InputError(f"file: {path.name} is no MJCF that can be read ({said})") from error
-    names = [_word(one.body(k).name or f"body{k}") for k in range(one.nbody)]
-    bodies, joints = {names[0]: _Body()}, dict[str, _Joint]()
-    kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
-             int(mujoco.mjtJoint.mjJNT_FREE): "free"}  # fmt: skip
-    for k in range(1, one.nbody):
-        turn = _quaternion(one.body_iquat[k])
-        bodies[names[k]] = _Body(
-            float(one.body_mass[k]), np.array(one.body_ipos[k]), turn @ np.diag(one.body_inertia[k]) @ turn.T
+        return {"refused": " ".join(str(error).split())}
+    found: dict[str, Any] = {name: getattr(one, name).tolist() for name in dir(one) if name.startswith(ARRAYS)}
+    found |= {name: np.asarray(getattr(one.opt, name)).tolist() for name in ("gravity", "density", "viscosity")}
+    return found | {
+        "nflex": one.nflex,
+        "bodies": [_word(one.body(k).name or f"body{k}") for k in range(one.nbody)],
+        "joints": [_word(one.joint(k).name or f"joint{k}") for k in range(one.njnt)],
+        "kinds": [mujoco.mjtJoint(k).name for k in one.jnt_type.tolist()],
+        "equalities": [mujoco.mjtEq(k).name for k in one.eq_type.tolist()],
+        "off": [name for name, bit in mujoco.mjtDisableBit.__members__.items() if one.opt.disableflags & int(bit)],
+    }
+
+
+def _mjcf(path: Path, data: bytes) -> _Read:
+    """Bodies and joints of a MuJoCo model, as MuJoCo itself compiles them, in a process of its own."""
+    if find_spec("mujoco") is None:
+        raise InputError("file: MJCF files need the extra: pip install 'orbitfinder[robot]'")
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        raise InputError(f"file: {path.name} is UTF-16, which MuJoCo does not read; save it as UTF-8")
+    lists = alone(__name__, "compiled", str(path.resolve()), SECONDS, MEMORY)
+    if lists is None:
+        raise InputError(
+            f"file: {path.name} was not read within {SECONDS:g} s and {MEMORY / 1e9:g} GB; take out keyframes, "
+            "<replicate> and meshes that the motion does not need"
         )
-        count, first = int(one.body_jntnum[k]), int(one.body_jntadr[k])
-        place, turned = np.array(one.body_pos[k]), _quaternion(one.body_quat[k])
-        parent = names[int(one.body_parentid[k])]
-        if count > 1:
-            raise InputError(f"file: body {names[k]!r} has {count} joints; give each a body of its own")
-        if not count:
-            joints[f"{names[k]}_weld"] = _Joint("fixed", parent, names[k], place, turned, np.eye(3)[0])
-            continue
-        if (kind := kinds.get(int(one.jnt_type[first]))) is None:
-            raise InputError(f"file: the joint of body {names[k]!r} is a ball, which is not known; use three hinges")
-        dof, pivot = int(one.jnt_dofadr[first]), np.array(one.jnt_pos[first])
-        if np.abs(pivot).max() > 0:
-            raise InputError(f"file: the joint of body {names[k]!r} is off its origin; move the body's frame to it")
-        joints[_word(one.joint(first).name or f"joint{first}")] = _Joint(
-            kind, parent, names[k], place, turned, np.array(one.jnt_axis[first]),
-            damping=float(one.dof_damping[dof]), stiffness=float(one.jnt_stiffness[first]),
-            rest=float(one.qpos_spring[one.jnt_qposadr[first]]), rotor=float(one.dof_armature[dof]),
-        )  # fmt: skip
-    return _Read(path.stem, bodies, joints, names[0])
+    if "refused" in lists:
+        raise InputError(f"file: {path.name} is no MJCF that can be read ({lists['refused']})")
+    one = SimpleNamespace(**lists)
+    _check_smooth(one)
+    names, gravity = one.bodies, [0.0] * 3 if "mjDSBL_GRAVITY" in one.off else one.gravity
+    made = _Read(path.stem, {names[0]: _Body()}, {}, names[0], gravity)
+    for k in range(1, len(names)):
+        turn = _quaternion(one.body_iquat[k])
+        inertia = turn @ np.diag(one.body_inertia[k]) @ turn.T
+        _put(made.bodies, "bodies", names[k], _Body(one.body_mass[k], np.array(one.body_ipos[k]), inertia))
+        place, turned, parent = np.array(one.body_pos[k]), _quaternion(one.body_quat[k]), names[one.body_parentid[k]]
+        if one.body_jntnum[k] > 1:
+            raise InputError(f"file: body {names[k]!r} has {one.body_jntnum[k]} joints; give each a body of its own")
+        name, joint = f"{names[k]}_weld", _Joint("fixed", parent, names[k], place, turned, np.eye(3)[0])
+        if one.body_jntnum[k]:
+            name, joint = _mjcf_joint(one, one.body_jntadr[k], joint)
+        _put(made.joints, "joints", name, joint)
+    return made
+
+
+def _mjcf_joint(one: SimpleNamespace, k: int, joint: _Joint) -> tuple[str, _Joint]:
+    """Name and numbers of a MuJoCo model's joint, as its flags and equalities have it."""
+    name, dof, place = one.joints[k], one.jnt_dofadr[k], one.jnt_qposadr[k]
+    kind = {"mjJNT_HINGE": "revolute", "mjJNT_SLIDE": "prismatic", "mjJNT_FREE": "free"}.get(one.kinds[k])
+    if kind is None:
+        raise InputError(f"file: the joint of body {joint.child!r} is a ball, which is not known; use three hinges")
+    if np.any(one.jnt_pos[k]):
+        raise InputError(f"file: the joint of body {joint.child!r} is off its origin; move the body's frame to it")
+    loss = {"damping": one.dof_damping[dof], "rotor": one.dof_armature[dof], "friction": one.dof_frictionloss[dof]}
+    if kind == "free" and any(loss.values()):
+        what = next(entry for entry, value in loss.items() if value)
+        raise InputError(f"file: the free joint {name!r} has {MJCF[what]}, which is not known; make it a <freejoint/>")
+    if kind != "free" and one.qpos0[place]:
+        raise InputError(f"file: joint {name!r} counts from ref = {one.qpos0[place]:g}; take ref out, 0 is as drawn")
+    for entry, flag in (("damping", "DAMPER"), ("friction", "FRICTIONLOSS")):
+        loss[entry] *= f"mjDSBL_{flag}" not in one.off and "mjDSBL_PASSIVE" not in one.off
+    sprung = not {"mjDSBL_SPRING", "mjDSBL_PASSIVE"} & {*one.off}
+    stops = one.jnt_limited[k] and not {"mjDSBL_LIMIT", "mjDSBL_CONSTRAINT"} & {*one.off}
+    rules = ((one.joints[one.eq_obj2id[i]], one.eq_data[i][1], one.eq_data[i][0]) for i in _held(one)
+             if one.eq_obj1id[i] == k)  # fmt: skip
+    return name, replace(
+        joint, kind=kind, axis=np.array(one.jnt_axis[k]), **loss, stiffness=one.jnt_stiffness[k] * sprung,
+        rest=one.qpos_spring[place], range=tuple(one.jnt_range[k]) if stops else None, mimics=next(rules, None),
+    )  # fmt: skip
+
+
+def _held(one: SimpleNamespace) -> list[int]:
+    """The equalities that act."""
+    return [] if {"mjDSBL_EQUALITY", "mjDSBL_CONSTRAINT"} & {*one.off} else np.flatnonzero(one.eq_active0).tolist()
+
+
+def _check_smooth(one: SimpleNamespace) -> None:
+    """`InputError` naming what acts in a MuJoCo model and is not known here."""
+    named = {"body": one.bodies, "jnt": one.joints, "dof": [one.joints[k] for k in one.dof_jntid]}
+    wrong = [f"{name} (drag)" for name in ("density", "viscosity") if getattr(one, name)] + ["flex"] * one.nflex
+    for name in UNKNOWN:
+        owner, _, what = name.partition("_")
+        acting = [k for k, value in enumerate(getattr(one, name, [])) if np.any(value)]
+        wrong += [f"{what} of {owner} {named[owner][k] if owner in named else k!r}" for k in acting]
+    bound: set[int] = set()
+    for k in _held(one):
+        linear = one.equalities[k] == "mjEQ_JOINT" and one.eq_obj2id[k] >= 0 and not any(one.eq_data[k][2:5])
+        wrong += [] if linear and one.eq_obj1id[k] not in bound else [f"equality {k} ({one.equalities[k]})"]
+        bound.add(one.eq_obj1id[k])
+    if wrong:
+        raise InputError(f"file: {wrong[0]} acts in MuJoCo and is not known here; take it out of the file")
 
 
 def _quaternion(numbers: Sequence[float]) -> np.ndarray:
@@ -283,7 +390,7 @@ def tables(
     damping: Mapping[str, float] | float | None = None,
     motors: Sequence[str] | str = (),
     floating: bool = False,
-    gravity: float = 9.80665,
+    gravity: Sequence[float] | float | None = None,
 ) -> dict[str, Any]:
     """The tables of the mechanism that a robot is, with `drawn`: the file's name and SHA-256."""
     if floating:
@@ -291,11 +398,12 @@ def tables(
     free = [name for name, one in made.joints.items() if one.kind != "fixed"]
     still = dict(locked) if isinstance(locked, Mapping) else dict.fromkeys(locked, 0.0)
     _check_names("locked", still, free)
+    still |= _following(made, still)
     moving = [name for name in free if name not in still]
     if not moving:
         raise InputError("locked: no joint is left to move; unlock one")
     bodies, whose = _lumped(made, still)
-    found: dict[str, Any] = {"dimension": 3, "gravity": [float(gravity), 0.0, 0.0], "bodies": {}, "joints": {}}
+    found: dict[str, Any] = {"dimension": 3, "gravity": _fall(made, gravity), "bodies": {}, "joints": {}}
     held = whose[made.root]
     for name in moving:
         one = made.joints[name]
@@ -309,6 +417,8 @@ def tables(
             table["axis"] = _listed(DOWN @ turn @ one.axis)
         if one.rotor:
             table["rotor"] = one.rotor
+        table |= {"range": list(one.range)} if one.range is not None else {}
+        table |= {"mimics": [_word(one.mimics[0]), *one.mimics[1:]]} if one.mimics is not None else {}
         found["joints"][_word(name)] = table
     for name, body in bodies.items():
         if name == held:
@@ -328,12 +438,36 @@ def tables(
     return found
 
 
+def _fall(made: _Read, gravity: Sequence[float] | float | None) -> list[float]:
+    """Gravity (3) in our axes."""
+    given = np.asarray(made.gravity if gravity is None else gravity, float)
+    found = np.array([0.0, 0.0, -float(given)]) if given.ndim == 0 else given
+    if found.shape != (3,) or not np.all(np.isfinite(found)):
+        raise InputError(f"gravity: {gravity}; give m/s^2 along the file's -z, or three numbers (x, y, z)")
+    return _listed(DOWN @ found)
+
+
+def _following(made: _Read, still: Mapping[str, float]) -> dict[str, float]:
+    """Where joints stay that mimic joints that do."""
+    found = {}
+    for name, one in made.joints.items():
+        if one.mimics is None or name in still or one.kind == "fixed":
+            continue
+        first, ratio, offset = one.mimics
+        if first not in made.joints or first == name or made.joints[first].mimics is not None:
+            why = "which mimics" if first in made.joints else "which is not there"
+            raise InputError(f"file: joint {name!r} mimics {first!r}, {why}; name one that moves by itself, or lock it")
+        if first in still or made.joints[first].kind == "fixed":
+            found[name] = ratio * still.get(first, 0.0) + offset
+    return found
+
+
 def _afloat(made: _Read) -> _Read:
     """The same with its base on a free joint."""
     if BASE in made.joints or WORLD in made.bodies:
         raise InputError(f"floating: the file has a joint {BASE!r} or a link {WORLD!r} already; rename it")
     joint = _Joint("free", WORLD, made.root, np.zeros(3), np.eye(3), np.eye(3)[0])
-    return _Read(made.name, {WORLD: _Body(), **made.bodies}, {BASE: joint, **made.joints}, WORLD)
+    return replace(made, bodies={WORLD: _Body(), **made.bodies}, joints={BASE: joint, **made.joints}, root=WORLD)
 
 
 def _acting(
@@ -345,6 +479,13 @@ def _acting(
     _check_names("rest", rest, moving)
     for key, given, entry in (("springs", stiffness, "stiffness"), ("dampers", damping, "damping")):
         own = {name: getattr(made.joints[name], entry) for name in moving}
+        replaced = given if isinstance(given, Mapping) else () if given is None else moving
+        rough = next((name for name in moving if made.joints[name].friction and name not in replaced), None)
+        if key == "dampers" and rough is not None:
+            raise InputError(
+                f"file: joint {rough!r} has the friction {made.joints[rough].friction:g}, whose force jumps where the "
+                f"rate changes sign; give a damping in its place (damping = {{ {_word(rough)} = 0.0 }}), or lock it"
+            )
         if isinstance(given, Mapping):
             _check_names(entry, given, moving)
             own |= given

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -164,6 +165,22 @@ def unexplained_multipliers(problem: Problem, orbit: Orbit) -> str:
     )
 
 
+def passed_stops(model: Model, orbit: Orbit) -> str:
+    """A sentence where an orbit leaves the range of a robot's joint, at whose ends nothing acts."""
+    joints = model.system.get("joints")
+    for name, table in joints.items() if isinstance(joints, Mapping) else ():
+        low, high = table.get("range", (-np.inf, np.inf))
+        if name in model.state_names:
+            along = np.vstack([orbit.nodes, *([orbit.samples] if orbit.samples.size else [])])
+            least, most = (f(along[:, model.state_names.index(name)]) for f in (np.min, np.max))
+            if least < low or most > high:
+                return (
+                    f"joints.{name}.range: the orbit goes from {least:.4g} to {most:.4g}, beyond {low:.4g} to "
+                    f"{high:.4g}, where no stop acts; ask for a smaller motion, or take the range out"
+                )
+    return ""
+
+
 NEAR_BOUND = 1e-6
 """A quantity this near to the end of its range, relative, is held there by it."""
 
@@ -244,6 +261,7 @@ def _found(problem: Problem, settings: SolveSettings, progress: Callback | None)
     if settings.with_certificate:
         orbit = certified(orbit, refined.problem.model)
         hint(unexplained_multipliers(problem, orbit))
+        hint(passed_stops(problem.model, orbit))
     if progress:
         progress(Progress("certificate", 0, orbit.closure, orbit.period, time.perf_counter() - began))
     return orbit

@@ -152,6 +152,19 @@ class JointTable(Table):
         None, description="the second body's axes in the first's where the joint is at 0: an angle, or roll pitch yaw"
     )
     length: Entry | None = Field(None, description="of a rod, in m")
+    rotor: Entry | None = Field(None, description="inertia that turns (kg m^2) or slides (kg) with it in its drive")
+    range: list[float] | None = Field(
+        None,
+        min_length=2,
+        max_length=2,
+        description="from and to where it can go; nothing acts there, orbits beyond are hinted at",
+    )
+    mimics: list[float | str] | None = Field(
+        None,
+        min_length=3,
+        max_length=3,
+        description="[joint, ratio, offset]: it is that joint times the ratio, plus the offset",
+    )
 
 
 class SpringTable(Table):
@@ -246,7 +259,9 @@ class RobotSystem(Table):
         [], description="joints with a control torque, within the file's effort"
     )
     floating: bool = Field(False, description="the base moves freely instead of being fixed to the ground")
-    gravity: float = Field(9.80665, description="m/s^2, along the file's -z")
+    gravity: float | list[float] | None = Field(
+        None, description="m/s^2, along the file's -z, or [x, y, z] in the file's axes; the file's own, or 9.80665"
+    )
     values: dict[str, float] = Field({}, description="physical parameters that replace the file's, such as link3_mass")
 
 

@@ -160,8 +160,10 @@ class Approach:
     """the field (d) at the first node"""
 
 
-def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | None) -> Approach:
-    """Nodes of the orbit in a formulation, by DOP853 from the recorded state."""
+def approach(
+    model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | None, phase: float | None = None
+) -> Approach:
+    """Nodes of the orbit in a formulation, by DOP853 from the recorded state; `phase`: which symmetric instant."""
     n, period = model.degrees_of_freedom, orbit.period
     if orbit.state.size != len(model.state_names) or len(orbit.winding) != n:
         raise InputError(
@@ -178,7 +180,7 @@ def approach(model: Model, orbit: Orbit, symmetry: Symmetry, segments: int | Non
     times = np.linspace(0.0, period, SCAN + 1)
     states = integrate(field, orbit.state, times, SECOND)
     angles = np.asarray(model.angles)
-    begin = symmetric_instant(field, times, states, symmetry, angles)
+    begin = symmetric_instant(field, times, states, symmetry, angles, phase)
     parts, count = symmetry.parts, segments or default_segments(orbit, symmetry)
     grid = begin + np.linspace(0.0, period / parts, count + 1)
     path = integrate(field, orbit.state, np.concatenate([[0.0], grid]) if begin > 0 else grid, SECOND)[-count - 1 :]
@@ -195,16 +197,21 @@ def default_segments(orbit: Orbit, symmetry: Symmetry) -> int:
 
 
 def symmetric_instant(
-    field: object, times: np.ndarray, states: np.ndarray, symmetry: Symmetry, angles: np.ndarray
-) -> float:
-    """The time (s) at which the horizon may start, a rest (brake) for example; 0 where any instant will do."""
+    field: object, times: np.ndarray, states: np.ndarray, symmetry: Symmetry, angles: np.ndarray,
+    phase: float | None = None,
+) -> float:  # fmt: skip
+    """The time (s) at which the horizon may start, a rest (brake) for example; 0 where any instant will do.
+
+    There are two, half a period apart and equal but for round-off: a `phase` (see `Approach`) says which.
+    """
     if not symmetry.reverses:
         return 0.0
 
     def distance(x: np.ndarray) -> float:
         return float(np.sum(off_centre(symmetry.maps[0], x[None], angles) ** 2))
 
-    best = int(np.argmin([distance(x) for x in states[:-1]]))
+    wanted = (k for k in range(SCAN) if phase is None or abs((k / SCAN + phase + 0.5) % 1.0 - 0.5) <= 0.25)
+    best = min(wanted, key=lambda k: distance(states[k]))
     first = max(best - 1, 0)
 
     def at(time: float) -> float:

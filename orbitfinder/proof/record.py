@@ -7,35 +7,46 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from decimal import Context, Decimal, Inexact, InvalidOperation, localcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from orbitfinder._runtime import __version__
 from orbitfinder.errors import InputError, shortened
 from orbitfinder.mechanics.model import Model
 from orbitfinder.proof.balls import FLINT, arb, precision
-from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, prove
+from orbitfinder.proof.theorem import STATEMENT, Options, Progress, Proof, proved_until
 from orbitfinder.records.orbit import Orbit, read_document, recorded_proof
 from orbitfinder.records.reading import read_as, write_json
 
 DIGITS = 30
 """Decimal places of the centres of enclosures in a record"""
+MARGIN = 2.0
+"""Radii are recorded wider than they are found by this factor: a replay elsewhere has other round-off"""
+LOOSEST = 0.1
+"""Radius beyond which a recorded ball claims next to nothing, unless no smaller one is found; relative above 1"""
 PHASE = 1e-6
 """Largest difference, in periods, between a recorded phase and the recomputed one (a minimum found to 1e-9)"""
+EXACT = 3000
+"""Decimal digits that hold the sum of any two floats exactly"""
 NUMBER = r"\[?[-+]?\d[-+\d.e/ ]*\]?"
 """A decimal, or a ball such as [1.25 +/- 3e-10]"""
 
 
-def enclosure(ball: Any, digits: int = DIGITS) -> dict[str, Any]:
-    """A ball as {"value": decimal, "radius": float}: it lies within `radius` of the decimal as written."""
+def enclosure(ball: Any, digits: int = DIGITS, margin: float = 1.0) -> dict[str, Any]:
+    """A ball as {"value": decimal, "radius": float}: it lies within `radius` / margin of the decimal as written."""
     text = ball.mid().str(digits, radius=False)
     apart = (ball - arb(text)).abs_upper()
-    return {"value": text, "radius": math.nextafter(float(apart), math.inf)}
+    return {"value": text, "radius": margin * math.nextafter(float(apart), math.inf)}
 
 
-def entry(proof: Proof) -> dict[str, Any]:
+def entry(proof: Proof, margin: float = MARGIN, digits: int = DIGITS) -> dict[str, Any]:
     """The JSON form of a proof."""
-    with precision(max(proof.settings.bits, 4 * DIGITS)):
+    with precision(max(proof.settings.bits, 4 * digits)):
         document: dict[str, Any] = {
             "theorem": STATEMENT,
             "proved": proof.proved,
@@ -47,27 +58,28 @@ def entry(proof: Proof) -> dict[str, Any]:
             "wall_time": round(proof.wall_time, 1),
             "versions": {"orbitfinder": __version__, "python-flint": FLINT},
         }
-        return document | (_proved(proof) if proof.proved else {})
+        return document | (_proved(proof, margin, digits) if proof.proved else {})
 
 
-def _proved(proof: Proof) -> dict[str, Any]:
+def _proved(proof: Proof, margin: float, digits: int) -> dict[str, Any]:
     assert proof.stability is not None
+    wide = partial(enclosure, digits=digits, margin=margin)
     return {
         "segments": proof.segments,
         "steps": proof.steps,
         "box_radius": proof.radius,
-        "enclosure_radius": proof.tightness,
+        "enclosure_radius": margin * proof.tightness,
         "contraction": proof.contraction,
-        "energy": None if proof.energy is None else enclosure(proof.energy),
-        "period": enclosure(proof.period),
-        "state": [enclosure(x) for x in proof.state],
+        "energy": None if proof.energy is None else wide(proof.energy),
+        "period": wide(proof.period),
+        "state": [wide(x) for x in proof.state],
         "phase": proof.phase,
-        "nodes": [[enclosure(x) for x in node] for node in proof.nodes],
-        "unfolding": None if proof.unfolding is None else enclosure(proof.unfolding),
-        "distance": proof.distance,
-        "period_distance": proof.period_distance,
+        "nodes": [[wide(x) for x in node] for node in proof.nodes],
+        "unfolding": None if proof.unfolding is None else wide(proof.unfolding),
+        "distance": margin * proof.distance,
+        "period_distance": margin * proof.period_distance,
         "minimal_period": {"proved": proof.minimal, "divisors_excluded_up_to": proof.divisors},
-        "multipliers": [[enclosure(mu.real, 18), enclosure(mu.imag, 18)] for mu in proof.stability.multipliers],
+        "multipliers": [[wide(mu.real), wide(mu.imag)] for mu in proof.stability.multipliers],
         "stability": proof.stability.verdict,
         "stability_reason": proof.stability.reason,
     }
@@ -99,7 +111,7 @@ def read_entry(orbit: Orbit, path: Path) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a `proof` entry must hold to be replayed; the enclosures are compared by `_meet`."""
+    """What a `proof` entry must hold to be replayed; the enclosures are compared by `_holds`."""
 
     order: int
     bits: int
@@ -122,7 +134,8 @@ class Recorded:
 def options_of(found: Mapping[str, Any]) -> Options:
     """The options that a recorded proof was made with. Raises `InputError`."""
     known = read_as(Recorded, found, "proof: malformed entry", "prove the orbit again")
-    return checked(Options(known.order, known.bits, known.tolerance, symmetry=known.symmetry, segments=known.segments))
+    chosen = {"symmetry": known.symmetry, "segments": known.segments, "phase": known.phase % 1.0}
+    return checked(Options(known.order, known.bits, known.tolerance, **chosen))
 
 
 def checked(options: Options) -> Options:
@@ -141,19 +154,29 @@ def checked(options: Options) -> Options:
 def replay(
     orbit: Orbit, found: Mapping[str, Any], model: Model | None = None, progress: Progress | None = None
 ) -> tuple[Proof, list[str]]:
-    """The proof done again with the recorded settings, and every recorded claim that it contradicts."""
-    options = options_of(found)
-    proof = prove(orbit, model, options, progress)
-    if not proof.proved:
-        return proof, [proof.reason]
-    return proof, contradictions(found, entry(proof))
+    """The proof done again with the recorded settings, and every recorded claim that it does not prove.
+
+    A ball that is not inside the recorded one, as where that was written without a margin, is made smaller: it then is,
+    or the recorded one is false or more than can be proved.
+    """
+    wrong: dict[str, str] | None = None
+
+    def borne(proof: Proof) -> bool:
+        nonlocal wrong
+        now = contradictions(found, entry(proof, 1.0, 2 * DIGITS))
+        wrong = now if wrong is None else {name: said for name, said in now.items() if name in wrong}
+        return not wrong or not wrong.keys() <= ENCLOSED
+
+    proof = proved_until(borne, orbit, model, options_of(found), progress)
+    return proof, list((wrong or {}).values()) if proof.proved else [proof.reason]
 
 
-def contradictions(found: Mapping[str, Any], fresh: Mapping[str, Any]) -> list[str]:
-    """Every claim of a recorded entry that the entry of the proof done again does not bear out."""
-    with precision(max(fresh["bits"], 4 * DIGITS)):
-        return [f"{name}: recorded {shortened(repr(found.get(name)), 80)}, found {shortened(repr(fresh[name]), 80)}"
-                for name, same in COMPARED.items() if not same(found.get(name), fresh[name])]  # fmt: skip
+def contradictions(found: Mapping[str, Any], fresh: Mapping[str, Any]) -> dict[str, str]:
+    """What is wrong with each claim of a recorded entry that the proof done again, written as found, does not prove."""
+    return {
+        name: f"{name}: recorded {shortened(repr(found.get(name)), 80)}, found {shortened(repr(fresh[name]), 80)}"
+        for name, same in COMPARED.items() if not same(found.get(name), fresh[name])
+    }  # fmt: skip
 
 
 def _close(recorded: Any, fresh: float) -> bool:
@@ -162,11 +185,8 @@ def _close(recorded: Any, fresh: float) -> bool:
 
 
 def _wider(recorded: Any, fresh: float) -> bool:
-    """True for a distance that claims no more than the theorem asks and not much less than was found.
-
-    It is made of round-off: from machine to machine it differs by factors of ten.
-    """
-    return isinstance(recorded, (int, float)) and fresh / 100 <= recorded <= Options.nearness
+    """True for a bound of distances that was not exceeded, and is not far above what the theorem asks."""
+    return isinstance(recorded, (int, float)) and fresh <= recorded <= MARGIN * Options.nearness
 
 
 def _at_least(recorded: Any, fresh: float) -> bool:
@@ -185,35 +205,43 @@ def _same_words(recorded: Any, fresh: str) -> bool:
     return isinstance(recorded, str) and re.sub(NUMBER, "#", recorded) == re.sub(NUMBER, "#", fresh)
 
 
-def _meet(recorded: Any, fresh: Any) -> bool:
-    """True when recorded enclosures overlap the recomputed ones, entry by entry."""
+def _holds(recorded: Any, fresh: Any) -> bool:
+    """True when the recomputed enclosures lie inside the recorded ones, entry by entry, in exact arithmetic."""
     if fresh is None:
         return recorded is None
     if isinstance(fresh, list):
         same = isinstance(recorded, list) and len(recorded) == len(fresh)
-        return same and all(_meet(a, b) for a, b in zip(recorded, fresh, strict=True))
-    loosest = max(1e-3, 2 * fresh["radius"])
+        return same and all(_holds(a, b) for a, b in zip(recorded, fresh, strict=True))
     try:
-        return bool(_ball(recorded, loosest).overlaps(_ball(fresh, loosest)))
-    except (KeyError, TypeError, ValueError):
+        (value, radius), (centre, within) = (
+            (Decimal(str(one["value"])), Decimal(float(one["radius"]))) for one in (recorded, fresh)
+        )
+        with localcontext(Context(EXACT, traps=[Inexact, InvalidOperation])):
+            loosest = max(Decimal(LOOSEST) * max(Decimal(1), abs(centre)), 4 * within)
+            return abs(value - centre) + within <= radius <= loosest
+    except (KeyError, TypeError, ValueError, ArithmeticError):
         return False
 
 
-def _ball(found: Mapping[str, Any], loosest: float) -> Any:
-    """A recorded enclosure; `ValueError` when it is too loose to claim anything."""
-    if not 0 <= float(found["radius"]) <= loosest:
-        raise ValueError("not an enclosure")
-    return arb(str(found["value"]), float(found["radius"]))
+def _holds_each(recorded: Any, fresh: list[Any]) -> bool:
+    """The same of multipliers in some order: theirs is that of blurred absolute values."""
+    if not isinstance(recorded, list) or len(recorded) != len(fresh):
+        return False
+    apart = np.array([[not _holds(a, b) for b in fresh] for a in recorded]).reshape(len(fresh), len(fresh))
+    return not apart[linear_sum_assignment(apart)].any()
 
 
 COMPARED: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("proved", "reason", "symmetry", "segments", "stability"), operator.eq),
-    **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding", "multipliers"), _meet),
-    **dict.fromkeys(("contraction", "enclosure_radius", "steps"), _close),
-    **dict.fromkeys(("distance", "period_distance"), _wider),
+    **dict.fromkeys(("period", "energy", "state", "nodes", "unfolding"), _holds),
+    "multipliers": _holds_each,
+    **dict.fromkeys(("contraction", "steps"), _close),
+    **dict.fromkeys(("distance", "period_distance", "enclosure_radius"), _wider),
     "box_radius": _at_least,
     "phase": lambda recorded, fresh: abs((recorded - fresh + 0.5) % 1.0 - 0.5) < PHASE,
     "minimal_period": _minimal,
     "stability_reason": _same_words,
 }
 """What a replay compares, which is all that a record claims, and how; the rest says how it was made and when."""
+ENCLOSED = {name for name, same in COMPARED.items() if same in (_holds, _holds_each, _wider)}
+"""What smaller balls may still prove"""

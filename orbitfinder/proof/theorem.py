@@ -13,6 +13,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError, plural
 from orbitfinder.loops.symmetry import Symmetry, named
@@ -42,7 +44,7 @@ STATEMENT = 1
 RADII = (1e-11, 1e-13, 1e-15)
 """of the boxes that are tried; the smaller ones are for very unstable orbits"""
 SHARPENINGS = 2
-"""further rounds when the first leaves the multipliers open"""
+"""further rounds when the first leaves the multipliers open, and again when it leaves a recorded ball unproved"""
 CENTRE = 1e-19
 """Newton's last correction before the box is set"""
 Progress = Callable[[str], None]
@@ -95,11 +97,13 @@ class NotProved(Exception):
 class Options(Settings):
     """What to prove and how: the integrator's settings, the symmetry to use (that of the record if None), segments.
 
-    `nearness` is the largest distance allowed between the record and the proved orbit (rad, rad/s, s).
+    `phase` says which of two symmetric instants is the first node (see `Approach`); `nearness` is the largest distance
+    allowed between the record and the proved orbit (rad, rad/s, s).
     """
 
     symmetry: str | None = None
     segments: int | None = None
+    phase: float | None = None
     nearness: float = 1e-9
 
 
@@ -131,17 +135,23 @@ def prove(
     See Also:
         `of.certify` needs no interval arithmetic.
     """
-    chosen, say = options or Options(), progress or (lambda line: None)
-    began = time.perf_counter()
-    with precision(chosen.bits):
+    return proved_until(lambda proof: True, orbit, model, options or Options(), progress)
+
+
+def proved_until(
+    enough: Callable[[Proof], bool], orbit: Orbit, model: Model | None, options: Options, progress: Progress | None
+) -> Proof:
+    """The proof, its enclosures made smaller until they are `enough`, `SHARPENINGS` times at most."""
+    began, say = time.perf_counter(), progress or (lambda line: None)
+    with precision(options.bits):
         model = model or provable_model(orbit)
         codes = programs(model)
-        symmetry = chosen_symmetry(orbit, model, codes, chosen.symmetry)
+        symmetry = chosen_symmetry(orbit, model, codes, options.symmetry)
         try:
-            found = _prove(orbit, model, codes, symmetry, chosen, say)
+            found = _prove(orbit, model, codes, symmetry, options, say, enough)
         except (NotProved, IntegrationError, ConvergenceError, ZeroDivisionError) as error:
-            return Proof(False, str(error), symmetry.name, chosen, time.perf_counter() - began)
-        return Proof(**{**found, "wall_time": time.perf_counter() - began})
+            return Proof(False, str(error), symmetry.name, options, time.perf_counter() - began)
+        return replace(found, wall_time=time.perf_counter() - began)
 
 
 def chosen_symmetry(orbit: Orbit, model: Model, codes: Programs, asked: str | None) -> Symmetry:
@@ -161,22 +171,31 @@ def provable_model(orbit: Orbit, trusted: Path | None = None) -> Model:
 
 
 def _prove(
-    orbit: Orbit, model: Model, codes: Programs, symmetry: Symmetry, options: Options, say: Progress
-) -> dict[str, Any]:
-    start = approach(model, orbit, symmetry, options.segments)
+    orbit: Orbit, model: Model, codes: Programs, symmetry: Symmetry, options: Options, say: Progress,
+    enough: Callable[[Proof], bool],
+) -> Proof:  # fmt: skip
+    start = approach(model, orbit, symmetry, options.segments, options.phase)
     check_graph(codes, start.formulation, model)
     equations = make_equations(model, codes, start, level(orbit, codes))
     centre, rounds = solve(equations, unknowns_at(start), options, CENTRE)
     pieces = plural(start.formulation.segments, "segment")
     say(f"Newton settled in {plural(rounds, 'iteration')}; integrating {pieces} of a box")
     contracted = enclosed(equations, centre, options, say)
-    path = sharpened(equations, trajectory(equations, contracted.image, options), options, say)
-    return conclusions(orbit, model, path, start, options) | {
-        "proved": True, "reason": "", "symmetry": symmetry.name, "settings": options,
-        "steps": sum(len(arc[3]) for arc in contracted.arcs),
-        "radius": radius(contracted.box), "contraction": contracted.contraction,
-        "energy": equations.energy,
-    }  # fmt: skip
+    path, rounds = trajectory(equations, contracted.image, options), 0
+    while True:
+        if verdict(path).verdict != "open" or rounds >= SHARPENINGS:
+            proof = Proof(
+                True, "", symmetry.name, options, 0.0, steps=sum(len(arc[3]) for arc in contracted.arcs),
+                radius=radius(contracted.box), contraction=contracted.contraction, energy=equations.energy,
+                **conclusions(orbit, model, path, start, options),
+            )  # fmt: skip
+            if rounds >= 2 * SHARPENINGS or enough(proof):
+                return proof
+        rounds += 1
+        say(f"multipliers or recorded balls open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
+        finer = replace(options, order=options.order + 6 * rounds, tolerance=options.tolerance * 1e-6**rounds)
+        with precision(options.bits + 32 * rounds):
+            path = trajectory(equations, path.box, finer)
 
 
 def level(orbit: Orbit, codes: Programs) -> Any:
@@ -223,17 +242,6 @@ def enclosed(equations: Equations, centre: Vector, settings: Settings, say: Prog
             return found
         reasons.append(f"radius {size:g}: contraction {found.contraction:.3g}")
     raise NotProved("the interval Newton operator maps no box into itself (" + "; ".join(reasons) + ")")
-
-
-def sharpened(equations: Equations, path: Trajectory, settings: Settings, say: Progress) -> Trajectory:
-    """The trajectory again in ever smaller boxes while the multipliers are too blurred for a verdict."""
-    finer = replace(settings, order=settings.order + 6, tolerance=settings.tolerance * 1e-6)
-    for _ in range(SHARPENINGS):
-        if verdict(path).verdict != "open":
-            break
-        say(f"stability open in a box of radius {radius(path.box):.1g}; once more in a smaller one")
-        path = trajectory(equations, path.box, finer)
-    return path
 
 
 def verdict(path: Trajectory) -> Stability:
@@ -284,13 +292,18 @@ def gaps(orbit: Orbit, path: Trajectory, start: Approach, angles: Sequence[bool]
 
     phase = Fraction(start.phase)
     for _ in range(3):
-        apart = [float(x.mid()) for x in difference(phase)]
+        apart = np.array([float(x.mid()) for x in difference(phase)])
         here = path.state(phase % 1)
-        flow = [float(x.mid()) for x in path.field.rates([*here, arb(0), arb(1)])[:d]]
-        speed = sum(x * x for x in flow)
-        if speed > 0:
-            phase -= Fraction(sum(a * b for a, b in zip(apart, flow, strict=True)) / speed / float(path.period.mid()))
+        flow = np.array([float(x.mid()) for x in path.field.rates([*here, arb(0), arb(1)])[:d]])
+        phase -= Fraction(nearest(apart, flow) / float(path.period.mid()))
     return magnitude(difference(phase)), magnitude([path.period - arb(float(orbit.period))])
+
+
+def nearest(apart: np.ndarray, flow: np.ndarray) -> float:
+    """The time t at which the largest component of |apart - t flow| is least: there two of them are equal."""
+    a, f = (np.subtract.outer(x, x).ravel() for x in (np.r_[apart, -apart], np.r_[flow, -flow]))
+    times = np.append(a[f != 0] / f[f != 0], 0.0)
+    return float(times[np.abs(apart - np.outer(times, flow)).max(axis=1).argmin()])
 
 
 # --------------------------------------------------------------------------------------------------
