@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from orbitfinder.errors import ConvergenceError, IntegrationError
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
+from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
 from orbitfinder.families.run import Interval, Run, Step, portrait
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct
@@ -26,6 +27,19 @@ MOST_NEWTON = 12
 LINEAR, NEARLY, STEADY = 1e-7, 1e-5, 1e-5
 """A small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and how
 little the period changes in a step there."""
+AGREED = 0.2
+"""A Hopf point is where orbits shrink to when parameter and period, followed along the tangent to amplitude 0, miss its
+own by less than this share of how far they are from it,"""
+CLOSE = 1e-3
+"""or when they are this much nearer to it than the family's first orbit was."""
+HALTED = 1e-5
+"""... and nearer than this, where a step cannot be taken, whatever the tangent says."""
+AHEAD = 6.0
+"""It is looked for when amplitude 0 is no more than so many steps away;"""
+SHORT = 0.7
+"""steps to what is wanted before it go so far of the way."""
+TURNED = -0.5
+"""Cosine between two orbits' deviations from their means below which the second one is half a period late."""
 SMALLER = 0.95
 """... and how much smaller the orbits become."""
 ABRUPT = 30.0
@@ -52,6 +66,8 @@ UNSURE = 2e-3
 """... but no more than this share of how much they have changed: a join had 6e-4, an isola's fold 1.5."""
 SAME, ALIKE = 1e-7, 1e-4
 """Orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit."""
+COMPARED = 128
+"""Samples of an orbit that is compared with the one before it"""
 FEWEST_STEPS = 5
 """A closed family has at least so many steps."""
 HOMOCLINIC_STEP = 1e-2
@@ -61,10 +77,13 @@ HOMOCLINIC_STEP = 1e-2
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
     curve, found = run.curve, after.found
-    if collapsed(curve, before.found, found):
-        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(curve, before.found)
-    if _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
-        return _at_equilibrium(curve, found)
+    if _self_excited(curve):
+        if _turned_over(curve, before.found, found):
+            raise ConvergenceError("the orbits pass amplitude 0 within one step")
+    elif collapsed(curve, before.found, found):
+        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.found)
+    elif _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
+        return _at_equilibrium(run, found)
     if curve.equations.model.forced:
         return None
     share, state = slowness(curve, found)
@@ -77,6 +96,66 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
         more = f", multiplier {after.point.scale:.2g}, while the energy stands still"
     saddle = more is not None and near_saddle(curve, found, state)
     return _homoclinic(curve, found, state, grown, str(more)) if saddle else None
+
+
+def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+    """How long the next step may be so as not to pass amplitude 0, or the Hopf point where that is reached.
+
+    It ends the family where nothing is wanted before it, and no multiplier is left to pass the unit circle.
+    """
+    if not _self_excited(run.curve):
+        return length, None
+    away = vanishing(run.curve, before.sample, length)
+    rest, off = _shrinks_to(run, before, away) if away < AHEAD * length else (None, np.inf)
+    if rest is None or off > AGREED:
+        return length, None
+    now, begun = before.point.value, abs(run.origin.value - rest.value)
+    near = away < length or abs(now - rest.value) < CLOSE * begun
+    wanted = [*run.at, *([] if run.until is None else [run.until])]
+    ahead = [one for one in wanted if min(now, rest.value) < one < max(now, rest.value)]
+    if any(abs(one - rest.value) > 1e-9 * begun + rest.error for one in ahead):
+        return min(length, SHORT * away), None
+    multipliers = before.sample.about.floquet.multipliers
+    grown = np.abs(np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))) > 1.0
+    if near and np.count_nonzero(grown) != np.count_nonzero(rest.others.real > 0):
+        return min(length, SHORT * away), None
+    return length, _hopf(run, rest) if near else None
+
+
+def _self_excited(curve: Curve) -> bool:
+    """Whether a family is one of a physical parameter and of equations that keep nothing."""
+    return bool(curve.equations.physical) and not curve.equations.model.conservative and can_rest(curve)
+
+
+def _shrinks_to(run: Run, step: Step, away: float) -> tuple[Rest | None, float]:
+    """The Hopf point near an orbit, and by how much of their way parameter and period miss it, `away` along the tangent.
+
+    Both are even in the amplitude, so that they change by half of what the tangent says.
+    """
+    found, name = step.found, run.settings.parameter
+    rest = rest_of(run.curve, found, name) if np.isfinite(away) else None
+    if rest is None:
+        return None, np.inf
+    left = np.array([rest.value - step.point.value, rest.period - found.place.period])
+    slopes = np.array([step.sample.slopes[name], step.sample.slopes["period"]])
+    least = np.array([rest.error, 1e-6 * rest.period])
+    return rest, float(np.max(np.abs(left - 0.5 * away * slopes) / np.maximum(np.abs(left), least)))
+
+
+def _hopf(run: Run, rest: Rest, more: str = "") -> End:
+    name, where = run.settings.parameter, np.array2string(rest.state, precision=6)
+    reason = (
+        f"the orbits shrink to the Hopf point at {name} {rest.value:.12g} (+- {rest.error:.1g}), period "
+        f"{rest.period:.12g} s, of the equilibrium {where}{more}"
+    )
+    return End("hopf", reason, rest.value, rest.period, rest.error)
+
+
+def _turned_over(curve: Curve, before: Solution, found: Solution) -> bool:
+    """Whether an orbit is the one before half a period later, as behind an equilibrium."""
+    one, other = (full_samples(curve, each, COMPARED)[1][:-1] for each in (before, found))
+    one, other = ((each - each.mean(axis=0)) / np.ptp(one, axis=0) for each in (one, other))
+    return bool(np.sum(one * other) < TURNED * np.linalg.norm(one) * np.linalg.norm(other))
 
 
 def _shrinking(curve: Curve, before: Solution, found: Solution) -> bool:
@@ -92,14 +171,22 @@ def _extent_and_place(curve: Curve, found: Solution) -> tuple[float, float]:
     return float(np.ptp(q, axis=0).max()), float(np.abs(q[0]).max())
 
 
-def _at_equilibrium(curve: Curve, found: Solution) -> End:
-    where, period = np.array2string(centre(curve, found), precision=6), found.place.period
-    return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s")
+def _at_equilibrium(run: Run, found: Solution) -> End:
+    where, period = np.array2string(centre(run.curve, found), precision=6), found.place.period
+    rest = rest_of(run.curve, found, run.settings.parameter) if can_rest(run.curve) else None
+    known = (rest.value, rest.period, rest.error) if rest else ()
+    period = rest.period if rest else period
+    return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s", *known)
 
 
 def end_of_failure(run: Run, step: Step, failure: str) -> End:
     """The reason why no further step could be taken."""
     curve, found = run.curve, step.found
+    if _self_excited(curve):
+        rest, off = _shrinks_to(run, step, vanishing(curve, step.sample, step.point.step))
+        left = np.inf if rest is None else abs(step.point.value - rest.value) / abs(run.origin.value - rest.value)
+        if rest is not None and (off < AGREED or left < HALTED):
+            return _hopf(run, rest, f"; {failure}")
     share, state = slowness(curve, found)
     grown = found.place.period / step.shortest_period
     slow = grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and not curve.equations.model.forced
@@ -110,7 +197,7 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
     size, far = _extent_and_place(curve, found)
     if size < 10 * LEAST * far and linear(curve, found, NEARLY):
-        return _at_equilibrium(curve, found)
+        return _at_equilibrium(run, found)
     return _singular(curve, found, failure) or End("step underflow", failure)
 
 
