@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.joins import agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
@@ -38,6 +39,8 @@ AHEAD = 6.0
 """It is looked for when amplitude 0 is no more than so many steps away;"""
 SHORT = 0.7
 """steps to what is wanted before it go so far of the way."""
+JOINING = 1e-2
+"""A family ends in another one from which its orbits are apart by no more than this share of their motion"""
 TURNED = -0.5
 """Cosine between two orbits' deviations from their means below which the second one is half a period late."""
 SMALLER = 0.95
@@ -84,6 +87,8 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
         return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.found)
     elif _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
         return _at_equilibrium(run, found)
+    if passed(curve, before.found, found):
+        raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
     share, state = slowness(curve, found)
@@ -99,27 +104,51 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
 
 
 def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
-    """How long the next step may be so as not to pass amplitude 0, or the Hopf point where that is reached.
+    """How long the next step may be, so as not to pass over the Hopf point or the family in which this one ends.
 
-    It ends the family where nothing is wanted before it, and no multiplier is left to pass the unit circle.
+    Or that end, where it is near and nothing is wanted before it.
     """
-    if not _self_excited(run.curve):
+    try:
+        length, ended = _to_hopf(run, before, length) if _self_excited(run.curve) else (length, None)
+        return (length, ended) if ended else _to_join(run, before, length)
+    except IntegrationError:  # as far ahead as is looked
         return length, None
+
+
+def _to_hopf(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+    """The same towards a Hopf point, before which no multiplier may be left to pass the unit circle."""
     away = vanishing(run.curve, before.sample, length)
     rest, off = _shrinks_to(run, before, away) if away < AHEAD * length else (None, np.inf)
     if rest is None or off > AGREED:
         return length, None
-    now, begun = before.point.value, abs(run.origin.value - rest.value)
-    near = away < length or abs(now - rest.value) < CLOSE * begun
-    wanted = [*run.at, *([] if run.until is None else [run.until])]
-    ahead = [one for one in wanted if min(now, rest.value) < one < max(now, rest.value)]
-    if any(abs(one - rest.value) > 1e-9 * begun + rest.error for one in ahead):
-        return min(length, SHORT * away), None
+    near = away < length or abs(before.point.value - rest.value) < CLOSE * abs(run.origin.value - rest.value)
     multipliers = before.sample.about.floquet.multipliers
     grown = np.abs(np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))) > 1.0
-    if near and np.count_nonzero(grown) != np.count_nonzero(rest.others.real > 0):
+    other = near and np.count_nonzero(grown) != np.count_nonzero(rest.others.real > 0)
+    if other or _wanted(run, before, rest.value, rest.error):
         return min(length, SHORT * away), None
     return length, _hopf(run, rest) if near else None
+
+
+def _to_join(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+    """The same towards a family that is joined: seen from a first guess, then from orbits a small share beside it."""
+    for kept, away, beside in approaching(run.curve, before.sample, length):
+        if SHORT * away > length:
+            continue
+        join = solved(run.curve, before.found, run.settings.parameter, kept)
+        if join is None or not agrees(join, before, away, run.settings.parameter):
+            continue
+        if beside > JOINING or _wanted(run, before, join.value, join.error):
+            return min(length, SHORT * away), None
+        return length, end_of(join)
+    return length, None
+
+
+def _wanted(run: Run, before: Step, value: float, error: float) -> bool:
+    """Whether something that is asked for lies before this value of the parameter."""
+    now, far = before.point.value, 1e-9 * abs(run.origin.value - value) + error
+    wanted = [*run.at, *([] if run.until is None else [run.until])]
+    return any(min(now, value) < one < max(now, value) and abs(one - value) > far for one in wanted)
 
 
 def _self_excited(curve: Curve) -> bool:
@@ -182,6 +211,10 @@ def _at_equilibrium(run: Run, found: Solution) -> End:
 def end_of_failure(run: Run, step: Step, failure: str) -> End:
     """The reason why no further step could be taken."""
     curve, found = run.curve, step.found
+    for kept, away, _ in approaching(curve, step.sample, step.point.step):
+        join = solved(curve, found, run.settings.parameter, kept)
+        if join is not None and agrees(join, step, away, run.settings.parameter):
+            return end_of(join, f"; {failure}")
     if _self_excited(curve):
         rest, off = _shrinks_to(run, step, vanishing(curve, step.sample, step.point.step))
         left = np.inf if rest is None else abs(step.point.value - rest.value) / abs(run.origin.value - rest.value)

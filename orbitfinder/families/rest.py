@@ -62,14 +62,20 @@ def deviations(curve: Curve, place: Unknowns, states: np.ndarray) -> tuple[np.nd
     return mean, states - mean, weights
 
 
+def predicted(curve: Curve, sample: Sample, length: float) -> tuple[Unknowns, np.ndarray]:
+    """The orbit so far ahead along the tangent, and its states at the mesh."""
+    guess = advanced(sample.found.place, sample.whole, length)
+    return guess, curve.equations.march.states(guess.nodes, guess.mesh, guess.tail)
+
+
 def vanishing(curve: Curve, sample: Sample, length: float) -> float:
     """How far ahead along the tangent the deviations d from the mean are 0, told by d' at `length` ahead; inf if never.
 
     <d', d> / <d, d> falls linearly, through 0 at an equilibrium: behind it are the same orbits, half a period later.
     """
-    found, guess = sample.found, advanced(sample.found.place, sample.whole, length)
+    found = sample.found
     _, here, weights = deviations(curve, found.place, found.march.states)
-    _, there, _ = deviations(curve, guess, curve.equations.march.states(guess.nodes, guess.mesh, guess.tail))
+    _, there, _ = deviations(curve, *predicted(curve, sample, length))
     units = np.maximum(np.ptp(here, axis=0), 1e-300)
     share = float(np.sum(weights @ (here * there / units**2)) / np.sum(weights @ (here / units) ** 2))
     return length / (1.0 - share) if share < 1.0 else np.inf
