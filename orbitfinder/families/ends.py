@@ -45,6 +45,8 @@ TURNED = -0.5
 """Cosine between two orbits' deviations from their means below which the second one is half a period late."""
 SMALLER = 0.95
 """... and how much smaller the orbits become."""
+EXPLODED, EXPLOSION = 1e-5, 0.02
+"""A family is in a canard when within this share of its way in the parameter its period or extents change by this."""
 ABRUPT = 30.0
 """A largest acceleration this many times the median one speaks of a singularity where a family cannot go on."""
 SLOW_SHARE = 0.4
@@ -231,7 +233,28 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
     size, far = _extent_and_place(curve, found)
     if size < 10 * LEAST * far and linear(curve, found, NEARLY):
         return _at_equilibrium(run, found)
-    return _singular(curve, found, failure) or End("step underflow", failure)
+    return _canard(run, step, failure) or _singular(curve, found, failure) or End("step underflow", failure)
+
+
+def _canard(run: Run, step: Step, failure: str) -> End | None:
+    """The end of a family of relaxation oscillations that changes beyond what its parameter's digits can tell."""
+    if not _self_excited(run.curve):
+        return None
+    k, name = run.curve.equations.physical.index(run.settings.parameter), run.settings.parameter
+    values, periods = step.portraits[:, 1 + k], step.portraits[:, 0]
+    apart = np.abs(values - values[-1]) > EXPLODED * np.ptp(values)
+    first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
+    sizes = step.portraits[first:, -run.curve.equations.size :]
+    period, size = (float(np.max(np.ptp(one, axis=0) / np.max(one, axis=0))) for one in (periods[first:, None], sizes))
+    if values.size - first < FEWEST_STEPS or max(period, size) < EXPLOSION:
+        return None
+    width = float(np.ptp(values[first:]))
+    reason = (
+        f"a canard explosion: within {width:.1g} of {name} {values[-1]:.12g} the period changes from "
+        f"{periods[first]:.6g} to {periods[-1]:.6g} s and the extents by {100 * size:.2g} %, along orbits that follow a "
+        f"repelling slow motion for so long that shooting cannot hold them; {failure}"
+    )
+    return End("canard", reason, float(values[-1]), float(periods[-1]), width)
 
 
 def shortest_step(run: Run, step: Step) -> float:
