@@ -305,9 +305,7 @@ def _branch_of(file: Path, trust: bool, switch: int | str | None, branch: int) -
     family = load_family(file)
     if switch is None:
         raise InputError(f"{file}: a whole family; give one orbit of it, such as {file}#0")
-    known = isinstance(switch, str) or (
-        0 <= switch < len(family.events) and family.events[switch].kind in SWITCHABLE
-    )
+    known = isinstance(switch, str) or (0 <= switch < len(family.events) and family.events[switch].kind in SWITCHABLE)
     try:
         return switch_branch(file, switch, branch, model=build_model(family.system, file.parent if trust else None))
     except InputError as error:

@@ -194,7 +194,7 @@ def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
         if nearer is None or _grown(nearer) == _grown(start):
             break
         start, length = nearer, length / 4
-    return None if start is None else _symmetric(_outwards(start, place))
+    return None if start is None else symmetric(_outwards(start, place))
 
 
 def _at(cover: Cover, event: Event, direction: np.ndarray, length: float) -> Start | None:
@@ -215,7 +215,7 @@ def _grown(start: Start | None) -> int:
     return int(np.count_nonzero(np.abs(multipliers) > 1.0 + OUTSIDE))
 
 
-def _symmetric(start: Start) -> Start:
+def symmetric(start: Start) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
     if start.curve.equations.links or start.curve.equations.symmetry.relative:
         return start
@@ -382,7 +382,9 @@ def _joined(family: Family, which: str, settings: FamilySettings | None, model: 
     problem = Problem(there, Guess(state, period), pins, winding=tuple(orbit["winding"]), symmetry=orbit["symmetry"])
     start = begin(problem, replace(settings or FamilySettings(), parameter=family.parameter), orbit["symmetry"])
     place = start.found.place
-    event = Event(end.kind, -1, np.nan, float(end.parameter or np.nan), state, place.period, np.nan if energy is None else energy)
+    event = Event(
+        end.kind, -1, np.nan, float(end.parameter or np.nan), state, place.period, np.nan if energy is None else energy
+    )
     return Branch(start, family.name, event, which, 1, f"{family.name}-{which}")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.joins import agrees, approaching, end_of, passed, solved
+from orbitfinder.families.joins import Kept, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
@@ -16,7 +16,7 @@ from orbitfinder.families.run import Interval, Run, Step, portrait
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.loop import Condition
-from orbitfinder.loops.symmetry import NONE, beside, half_period_gaps, involutions, recognise
+from orbitfinder.loops.symmetry import NONE, beside, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
@@ -65,10 +65,8 @@ EDGE = 1e-2
 """Share of a step that a fold must be away from its ends to be looked at from both sides."""
 MIRRORED = 1e-4
 """Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
-KNOWN = 3e-10
-"""Share of a period or an action by which orbits beside the family that is joined are off, being told from it badly."""
-UNSURE = 2e-3
-"""... but no more than this share of how much they have changed: a join had 6e-4, an isola's fold 1.5."""
+THERE = 1e-2
+"""A join is where a family turns when the two values of the parameter differ by this share of its change in the step."""
 SAME, ALIKE = 1e-7, 1e-4
 """Orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit."""
 COMPARED = 128
@@ -431,11 +429,10 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
 
 
 def mirrored(interval: Interval, at: float) -> bool:
-    """Whether a family is its own mirror image about a fold in energy, or a parameter, `at` so far into a step.
+    """Whether a hybrid family is its own mirror image about a fold in energy, or a parameter, `at` so far into a step.
 
     Then orbits of one energy on its two sides have one period, and of one parameter one action, which at a plain fold
-    differ to first order, and at one close to a branch point that the family passes to third. Raises
-    `ConvergenceError` at the edge of the step.
+    differ to first order. Raises `ConvergenceError` at the edge of the step.
     """
     name = next(iter(interval.curve.equations.physical), "")
 
@@ -450,35 +447,30 @@ def mirrored(interval: Interval, at: float) -> bool:
         raise ConvergenceError("the family turns at the edge of a step")
     level = ends[near]
     other = read(float(brentq(lambda distance: float(read(distance)[0] - level[0]), at, far, rtol=1e-12)))
-    change = abs(level[1] - turn[1])
-    allowed = max(MIRRORED * change, min(UNSURE * change, KNOWN * abs(turn[1])))
-    return bool(abs(other[1] - level[1]) < allowed)
+    return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
 
 
-def merged(interval: Interval, at: float) -> End | None:
-    """At a fold in energy or a parameter so far into a step: whether the family joins one of more symmetry or of a
-    shorter period.
+def merged(interval: Interval, at: float, name: str) -> End | None:
+    """At a fold so far into a step: whether the family joins one of more symmetry or of a shorter period.
 
     A branch is its own mirror image about the orbit that it was born from, so that what it is followed in turns there.
     """
     curve, found = interval.curve, interval.sample(at).found
-    model, symmetry = curve.equations.model, curve.equations.symmetry
     times, states = full_samples(curve, found)
-    name, parts = recognise(times, states, model), range(2, MOST_COVERS + 1)
+    seen, parts = recognise(times, states, curve.equations.model), range(2, MOST_COVERS + 1)
     gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in parts}
-    states = states / curve.units
-    extent = float(np.ptp(states, axis=0).max())
-    covers = [k for k in parts if gaps_of[k] < JOINED * extent]
-    what = ""
-    if covers:
-        what = f"of period T/{max(covers)}"
-    elif name not in (NONE.name, symmetry.name):
-        what = f"of symmetry {name}"
-    elif symmetry.forward is None:
-        gaps = [half_period_gaps(one, states, model.angular).max() for one in involutions(model) if one.sense > 0]
-        what = "that is its own mirror image" if min(gaps) < JOINED * extent else ""
-    if not what or not mirrored(interval, at):
+    extent = float(np.ptp(states / curve.units, axis=0).max())
+    covers = max((k for k in parts if gaps_of[k] < JOINED * extent), default=1)
+    if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):
         return None
+    if not curve.equations.links:
+        join = solved(curve, found, name, Kept(covers), seen if covers == 1 else "")
+        values = [parameter_value(curve, interval.sample(one).found.place, name) for one in (0.0, at, interval.length)]
+        there = join is not None and abs(join.value - values[1]) < THERE * np.ptp(values)
+        return end_of(join) if join is not None and there else None
+    if not mirrored(interval, at):
+        return None
+    what = f"of period T/{covers}" if covers > 1 else f"of symmetry {seen}"
     told = {"energy": (parameter_value(curve, found.place, "energy"), " J")}
     told = {one: (parameter_value(curve, found.place, one), "") for one in curve.equations.physical} or told
     where = ", ".join(f"{one} {value:.9g}{unit}" for one, (value, unit) in told.items())

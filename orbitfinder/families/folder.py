@@ -264,7 +264,10 @@ def tested(curve: Curve) -> dict[str, Any]:
 
 
 def directions(
-    origin: FamilyPoint, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]], away: int = 1,
+    origin: FamilyPoint,
+    settings: FamilySettings,
+    goals: tuple[float | None, tuple[float, ...]],
+    away: int = 1,
     born: float | None = None,
 ) -> Iterator[tuple[int, float | None, tuple[float, ...]]]:
     """(direction, stop, exact values) of every run that is wanted: as set, or from "both" towards the goals.

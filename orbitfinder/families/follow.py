@@ -167,12 +167,13 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
         turned = one.kind == "fold" and one.detail != "period"
-        joined = merged(interval, one.arclength) if turned else left_circle(run.curve, one)
+        joined = merged(interval, one.arclength, settings.parameter) if turned else left_circle(run.curve, one)
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
             clear = _within([each for each in events if each is not event], origin, reach - turned * ECHO)
-            return Batch(run.direction, _ordered(_within(points, origin, reach)), (*clear, event), joined)
+            located = clear if turned else [*clear, event]  # a join is an end and no fold
+            return Batch(run.direction, _ordered(_within(points, origin, reach)), tuple(located), joined)
     ended = ended or returned(run.curve, before, after)
     return Batch(run.direction, (*_ordered(points), after.point), tuple(events), ended)
 

@@ -8,24 +8,25 @@ in that family's own formulation, whose equations are regular, whichever side it
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.branches import symmetric
 from orbitfinder.families.critical import Critical
 from orbitfinder.families.point import freed, parameter_value
 from orbitfinder.families.rest import predicted
-from orbitfinder.families.run import Sample, Step
+from orbitfinder.families.run import Sample, Step, parameter_slopes
 from orbitfinder.families.stability import spectrum
-from orbitfinder.families.start import Start, corrected, curve_at, symmetry_of
+from orbitfinder.families.start import Start, corrected, curve_at, reformulated, symmetry_of
 from orbitfinder.integrate.march import uniform
 from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane, tangent
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import pinned
-from orbitfinder.loops.symmetry import Involution, Symmetry, called, involutions
+from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.records.family import End
 
@@ -38,8 +39,11 @@ BESIDE = (1e-7, 0.5)
 CRITICAL = 0.5
 """A multiplier of the joined family is this near to the critical one beside the join."""
 MOST_SECANT = 16
-FIRST, FARTHEST = 1e-3, 1.0
-"""Arclengths along the joined family: of the first difference, and how far the join may be"""
+FIRST, FARTHEST, SOLVED, STALLED = 1e-3, 1.0, 1e-12, 1e-6
+"""Arclengths along the joined family: of the first difference, how far the join may be, of the last step, and of one
+after which steps that become no shorter are round-off"""
+SURE = 1e-6
+"""Largest error bar of a join, relative to the parameter"""
 KNOWN = 1e-13
 """What multipliers of order one, and parameters, are known to."""
 
@@ -118,7 +122,9 @@ def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray
 def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Kept, float, float]]:
     """What families it might join within a step: what they keep, how far ahead, and how far the orbit is beside them."""
     found = sample.found
-    near = [one for one in _beside(curve, sampled(curve, found.place, found.march.states)) if BESIDE[0] < one[2] < BESIDE[1]]
+    near = [
+        one for one in _beside(curve, sampled(curve, found.place, found.march.states)) if BESIDE[0] < one[2] < BESIDE[1]
+    ]
     if not near:
         return
     place, path = predicted(curve, sample, length)
@@ -140,21 +146,28 @@ def passed(curve: Curve, before: Solution, after: Solution) -> bool:
     return False
 
 
-def solved(curve: Curve, found: Solution, name: str, kept: Kept) -> Join | None:
-    """The orbit at which a family beside an orbit, that keeps so much, is joined; `name` is the parameter."""
+def solved(curve: Curve, found: Solution, name: str, kept: Kept, symmetry: str = "") -> Join | None:
+    """The orbit at which a family beside an orbit, that keeps so much, is joined; `name` is the parameter.
+
+    One that keeps another `symmetry`, which reverses time, is begun as that orbit in its formulation.
+    """
     try:
-        start = _beside_join(curve, found, kept)
-        return None if start is None else _critical(start, name, kept)
+        if symmetry:
+            here = Start(curve, found, found.place.head)
+            start: Start | None = reformulated(here, named(symmetry, curve.equations.model))
+        else:
+            start = _beside_join(curve, found, kept)
+        return None if start is None else _critical(symmetric(start), name, kept)
     except (ConvergenceError, IntegrationError, InputError, np.linalg.LinAlgError):
         return None
 
 
 def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
-    """The orbit of the joined family at the parameter's value of one beside it, in the formulation of both symmetries."""
+    """The orbit of the joined family at the parameter's value of one beside it, begun as the mean over its images."""
     p, place = curve.equations, found.place
-    maps = p.symmetry.maps if kept.one is None or kept.parts == 1 else (*p.symmetry.maps, kept.one)
-    symmetry = Symmetry(tuple(sorted(maps, key=lambda one: one.sense)), p.symmetry.first_order)
-    symmetry = called(symmetry, p.model)
+    symmetry = p.symmetry
+    if kept.one is not None and kept.parts == 2:
+        symmetry = called(replace(symmetry, maps=(kept.one,)), p.model)
     states = kept.joined(sampled(curve, place, found.march.states), p.model.angular)
     if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
         return None
@@ -162,9 +175,11 @@ def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
     part = round((len(states) - 1) * symmetry.fraction)
     count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
     mesh = uniform(symmetry.fraction, count, STEPS)
-    fresh = equations.unknowns(states[:part : part // count], place.period / kept.covers, mesh, place.free)
+    fresh = equations.unknowns(states[: part : part // count], place.period / kept.covers, mesh, place.free)
     names = (*(one.name for one in p.model.invariants), "energy")
-    held = {names[one.quantity]: one.value for one in curve.conditions if one.normal is None and one.quantity is not None}
+    held = {
+        names[one.quantity]: one.value for one in curve.conditions if one.normal is None and one.quantity is not None
+    }
     held |= {"period": one.value / kept.covers for one in curve.conditions if one.quantity is None}
     there = curve_at(equations, fresh, tuple(held), np.array(curve.turns) // kept.covers, held)
     own = next(iter(p.physical), "energy")
@@ -187,25 +202,22 @@ def _critical(start: Start, name: str, kept: Kept) -> Join | None:
         found = correct(curve, guess, aim, place, reach=1.0 + abs(distance))
         return found, test(curve, found)
 
-    (known, low), here = (base, test(curve, base)), FIRST
-    values, last = [parameter_value(curve, known.place, name)], 0.0
+    (known, low), here, last, moved = (base, test(curve, base)), FIRST, 0.0, np.inf
     for _ in range(MOST_SECANT):
         known, value = at(here)
-        values.append(parameter_value(curve, known.place, name))
-        if value == low:
-            break
         slope = (value - low) / (here - last)
-        step = -value / slope
-        if abs(step) < 1e-3 * FIRST * abs(here - last) or abs(values[-1] - values[-2]) <= KNOWN * abs(values[-1]):
-            break
-        last, low, here = here, value, here + step
-        if not abs(here) < FARTHEST:
+        step = -value / slope if slope else np.nan
+        if not abs(here + step) < FARTHEST:
             return None
+        if abs(step) < SOLVED or moved < STALLED and abs(step) > moved / 2:
+            break
+        last, low, here, moved = here, value, here + step, abs(step)
     else:
         return None
-    rate = abs(values[-1] - values[-2]) / max(abs(value - low), 1e-300)
-    error = abs(values[-1] - values[-2]) + rate * max(about.blur, KNOWN) + KNOWN * abs(values[-1])
-    return Join(curve, known, values[-1], error, kept, base)
+    rate = parameter_slopes(curve, known.place, known.place.head_of(tangent(curve, known, whole)))[name]
+    value = parameter_value(curve, known.place, name)
+    error = abs(rate) * (abs(step) + max(about.blur, KNOWN) / abs(slope)) + KNOWN * abs(value)
+    return Join(curve, known, value, error, kept, base)
 
 
 def agrees(join: Join, before: Step, away: float, name: str) -> bool:
@@ -214,7 +226,8 @@ def agrees(join: Join, before: Step, away: float, name: str) -> bool:
     left = [join.value - before.point.value, join.found.place.period * join.kept.covers - before.point.period]
     allowed = [3 * away * abs(slopes[one]) for one in (name, "period")]
     least = [join.error + 1e-9 * abs(join.value), 1e-9 * before.point.period]
-    return all(abs(one) <= most + floor for one, most, floor in zip(left, allowed, least, strict=True))
+    told = join.error < SURE * max(abs(join.value), abs(before.point.value))
+    return told and all(abs(one) <= most + floor for one, most, floor in zip(left, allowed, least, strict=True))
 
 
 def end_of(join: Join, more: str = "") -> End:
@@ -223,7 +236,7 @@ def end_of(join: Join, more: str = "") -> End:
     symmetry = symmetry_of(curve, join.found)
     alone = join.kept.one is not None and join.kept.parts == 1
     what = "that is its own mirror image" if alone else f"of symmetry {symmetry}"
-    what = what if join.kept.one is not None else f"of period T/{join.kept.covers}"
+    what = what if join.kept.covers == 1 else f"of period T/{join.kept.covers}"
     told = {one: (parameter_value(curve, place, one), "") for one in curve.equations.physical}
     told = told or {"energy": (parameter_value(curve, place, "energy"), " J")}
     where = ", ".join(f"{one} {value:.12g}{unit}" for one, (value, unit) in told.items())
