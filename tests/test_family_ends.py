@@ -140,7 +140,7 @@ def test_a_self_excited_oscillator_in_si():
 
 @pytest.mark.slow
 def test_a_canard_is_said_for_what_it_is():
-    """FitzHugh's and Nagumo's nerve, ever slower: at rate 0.08 through the canard to its Hopf point, at 0.02 into it."""
+    """FitzHugh's and Nagumo's nerve: at rate 0.08 through the canard to its Hopf point, at 0.02 into it."""
     model = of.systems.fitzhugh_nagumo()
     orbit = of.find_orbit(of.Problem(model, of.Guess([-0.30042436673355616, -0.18828741564996918], 39.4744)))
     family = of.follow_family(orbit, "current", settings=DOWN, model=model)

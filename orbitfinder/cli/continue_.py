@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     Origin = Orbit | Problem | Branch
 
 
-class Switch(click.ParamType):
+class Switch(click.ParamType):  # type: ignore[type-arg]
     """The index of an event, or the end at which another family is joined."""
 
     name = "event"

@@ -35,8 +35,8 @@ from orbitfinder.families.start import (
     symmetry_of,
     unknown_parameters,
 )
-from orbitfinder.loops.continued import CRITICAL, Curve, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.conditions import Pin
+from orbitfinder.loops.continued import CRITICAL, Curve, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.loop import Equations, Unknowns
 from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned

@@ -66,7 +66,7 @@ EDGE = 1e-2
 MIRRORED = 1e-4
 """Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
 THERE = 1e-2
-"""A join is where a family turns when the two values of the parameter differ by this share of its change in the step."""
+"""A family turns at a join when their parameters differ by less than this share of its change in the step."""
 SAME, ALIKE = 1e-7, 1e-4
 """Orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit."""
 COMPARED = 128
@@ -132,13 +132,13 @@ def _to_hopf(run: Run, before: Step, length: float) -> tuple[float, End | None]:
 
 def _to_join(run: Run, before: Step, length: float) -> tuple[float, End | None]:
     """The same towards a family that is joined: seen from a first guess, then from orbits a small share beside it."""
-    for kept, away, beside in approaching(run.curve, before.sample, length):
+    for kept, away, apart in approaching(run.curve, before.sample, length):
         if SHORT * away > length:
             continue
         join = solved(run.curve, before.found, run.settings.parameter, kept)
         if join is None or not agrees(join, before, away, run.settings.parameter):
             continue
-        if beside > JOINING or _wanted(run, before, join.value, join.error):
+        if apart > JOINING or _wanted(run, before, join.value, join.error):
             return min(length, SHORT * away), None
         return length, end_of(join)
     return length, None
@@ -157,7 +157,7 @@ def _self_excited(curve: Curve) -> bool:
 
 
 def _shrinks_to(run: Run, step: Step, away: float) -> tuple[Rest | None, float]:
-    """The Hopf point near an orbit, and by how much of their way parameter and period miss it, `away` along the tangent.
+    """The Hopf point near an orbit, and by how much of their way parameter and period miss it `away` along the tangent.
 
     Both are even in the amplitude, so that they change by half of what the tangent says.
     """
@@ -249,8 +249,8 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
     width = float(np.ptp(values[first:]))
     reason = (
         f"a canard explosion: within {width:.1g} of {name} {values[-1]:.12g} the period changes from "
-        f"{periods[first]:.6g} to {periods[-1]:.6g} s and the extents by {100 * size:.2g} %, along orbits that follow a "
-        f"repelling slow motion for so long that shooting cannot hold them; {failure}"
+        f"{periods[first]:.6g} to {periods[-1]:.6g} s and the extents by {100 * size:.2g} %, along orbits that follow "
+        f"a repelling slow motion for so long that shooting cannot hold them; {failure}"
     )
     return End("canard", reason, float(values[-1]), float(periods[-1]), width)
 

@@ -1,8 +1,8 @@
 """Where a family joins one of more symmetry or of a shorter period: seen coming, and solved for on the family joined.
 
-What the joined family keeps, a map S after a part of the period, gives d(t) = S x(t) - x(t + T/k) of an orbit beside it.
-Along the branch d passes 0 where a multiplier of the joined family's root map is a root of 1: that orbit is found there,
-in that family's own formulation, whose equations are regular, whichever side it is come from.
+What the joined family keeps, a map S after a part of the period, makes d(t) = S x(t) - x(t + T/k) of an orbit beside
+it. Along the branch d passes 0 where a multiplier of the joined family's root map is a root of 1: that orbit is found
+in that family's own formulation, whose equations are regular there, whichever side it is come from.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ KNOWN = 1e-13
 
 @dataclass(frozen=True)
 class Kept:
-    """What a joined family keeps: it repeats after 1/`parts` of the period, in the image by `one` where there is one."""
+    """What a joined family keeps: it repeats after 1/`parts` of the period, by `one` in its image."""
 
     parts: int
     one: Involution | None = None
@@ -76,7 +76,7 @@ class Kept:
             return np.vstack([found, found[:1] + states[-1] - states[0]])
         drift = np.linspace(0.0, 1.0, count + 1)[:, None] * (states[-1] - states[0])
         found = (states - drift)[:-1].reshape(self.parts, count // self.parts, -1).mean(axis=0)
-        return np.vstack([found, found[:1]]) + drift[: len(found) + 1]
+        return np.asarray(np.vstack([found, found[:1]]) + drift[: len(found) + 1])
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray
 
 
 def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Kept, float, float]]:
-    """What families it might join within a step: what they keep, how far ahead, and how far the orbit is beside them."""
+    """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
     found = sample.found
     near = [
         one for one in _beside(curve, sampled(curve, found.place, found.march.states)) if BESIDE[0] < one[2] < BESIDE[1]
@@ -180,7 +180,9 @@ def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
     held = {
         names[one.quantity]: one.value for one in curve.conditions if one.normal is None and one.quantity is not None
     }
-    held |= {"period": one.value / kept.covers for one in curve.conditions if one.quantity is None}
+    for one in curve.conditions:
+        if one.quantity is None:
+            held["period"] = one.value / kept.covers
     there = curve_at(equations, fresh, tuple(held), np.array(curve.turns) // kept.covers, held)
     own = next(iter(p.physical), "energy")
     return corrected(there, fresh, pinned(equations, own, parameter_value(curve, place, own)))
@@ -209,7 +211,7 @@ def _critical(start: Start, name: str, kept: Kept) -> Join | None:
         step = -value / slope if slope else np.nan
         if not abs(here + step) < FARTHEST:
             return None
-        if abs(step) < SOLVED or moved < STALLED and abs(step) > moved / 2:
+        if abs(step) < SOLVED or moved < min(STALLED, 2 * abs(step)):
             break
         last, low, here, moved = here, value, here + step, abs(step)
     else:
@@ -243,8 +245,8 @@ def end_of(join: Join, more: str = "") -> End:
     period = place.period * join.kept.covers
     orbit = join.regular.place if alone else place  # at the join itself both families meet in one formulation
     joined = {
-        "state": orbit.nodes[0], "period": orbit.period, "symmetry": curve.equations.symmetry.name,
-        "winding": curve.turns, "free": freed(curve, orbit), "energy": parameter_value(curve, orbit, "energy"),
+        "state": orbit.nodes[0].tolist(), "period": float(orbit.period), "symmetry": curve.equations.symmetry.name,
+        "winding": list(curve.turns), "free": freed(curve, orbit), "energy": parameter_value(curve, orbit, "energy"),
     }  # fmt: skip
     reason = f"joins a family {what} at {where}, period {period:.12g} s{more}"
-    return End("merged", reason, join.value, period, join.error, joined)
+    return End("merged", reason, join.value, float(period), float(join.error), joined)

@@ -106,7 +106,7 @@ def rest_of(curve: Curve, found: Solution, name: str) -> Rest | None:
     bar = float(np.abs(np.append(by_state[k], by_free[k])) @ bars + ROUND_OFF * abs(values_[k]))
     if name in curve.equations.physical:
         bar = float(bars[there.nodes.shape[1] + curve.equations.physical.index(name)])
-    return Rest(there.nodes[0], value, bar, there.period, values[nearest[2:]] * 2 * np.pi / there.period)
+    return Rest(there.nodes[0], value, bar, float(there.period), values[nearest[2:]] * 2 * np.pi / there.period)
 
 
 class _Extended:
