@@ -256,3 +256,13 @@ def test_the_direction_towards_a_target():
     away = FamilySettings(parameter="p", directions="away")
     for until, sign in ((3.0, 1), (1.5, -1), (0.5, 1), (None, 1)):
         assert [one[0] for one in directions(point, away, (until, ()), 1, 1.0)] == [sign]
+
+
+def test_an_equilibrium_solved_for_in_a_parameter():
+    """A pendulum of one energy as its gravity grows: it hangs still where the potential's bottom is that energy."""
+    model = of.chain(1)
+    problem = of.Problem(model, of.Guess([0.3, 0.0], 1.65))
+    start = begin(problem, FamilySettings(parameter="gravity"))
+    rest = rest_of(start.curve, start.found, "gravity")
+    assert rest.value == pytest.approx(9.8 * np.cos(0.3), rel=1e-11)
+    assert rest.period == pytest.approx(2 * np.pi / np.sqrt(rest.value * 0.5 / (1 / 12 + 0.25)), rel=1e-11)

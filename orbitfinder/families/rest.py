@@ -86,8 +86,8 @@ def rest_of(curve: Curve, found: Solution, name: str) -> Rest | None:
     extended = _Extended(curve, found)
     z = extended.start
     for _ in range(MOST_NEWTON):
-        matrix, rows = extended.linearised(z)
-        step = np.linalg.lstsq(matrix, -rows, rcond=1e-13)[0]
+        matrix = extended.linearised(z)
+        step = np.linalg.lstsq(matrix, -extended.rows(z), rcond=1e-10)[0]
         z, moved = z + step, float(np.abs(step).max())
         if not moved < FAR:
             return None
@@ -123,6 +123,9 @@ class _Extended:
         v = vectors[:, np.argmin(np.abs(values - 1j))]
         self.c = v.conj() / np.linalg.norm(v) ** 2
         self.start = np.concatenate([y, [1.0], v.real, v.imag])
+        there = self.at(self.start)
+        held = curve.slopes(there, curve.conditions) * there.joined(units, there.period, 0.0, self.sizes[self.size :])
+        self.held = np.maximum(np.abs(held).max(axis=1, initial=0.0), 1e-300)
 
     def at(self, z: np.ndarray) -> Unknowns:
         """The equilibrium as an orbit of one node."""
@@ -142,30 +145,15 @@ class _Extended:
         found = self.curve.equations.march.arcs[0].rates(there.nodes, there.tail)[0]
         return np.asarray(found / self.sizes[: self.size] * self.place.period / (2 * np.pi))
 
-    def linearised(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The Jacobian of the rows, and the rows."""
-        size, count, there, curve = self.size, self.count, self.at(z), self.curve
-        omega, v = float(z[count]), z[count + 1 : count + 1 + size] + 1j * z[count + 1 + size :]
-        slopes, held = self.slopes(z), curve.slopes(there, curve.conditions)
-        matrix = np.zeros((3 * size + 2 + len(held), z.size))
-        turned = slopes - 1j * omega * np.eye(size)
-        for j in range(count):
-            step = DIFFERENCE * np.eye(count)[j]
-            ends = [z[:count] + step, z[:count] - step]
-            bent = (self.slopes(ends[0]) - self.slopes(ends[1])) @ v / (2 * DIFFERENCE)
-            matrix[size : 3 * size, j] = np.concatenate([bent.real, bent.imag])
-            if j >= size:
-                matrix[:size, j] = (self.rates(ends[0]) - self.rates(ends[1])) / (2 * DIFFERENCE)
-        matrix[:size, :size] = slopes
-        matrix[size : 3 * size, count] = np.concatenate([v.imag, -v.real])
-        whole = np.vstack([turned, self.c])
-        blocks = np.block([[whole.real, -whole.imag], [whole.imag, whole.real]])
-        order = [*range(size), *range(size + 1, 2 * size + 1), size, 2 * size + 1]
-        matrix[size : 3 * size + 2, count + 1 :] = blocks[order]
-        matrix[3 * size + 2 :, :count] = np.delete(held, size, axis=1) * self.sizes
-        matrix[3 * size + 2 :, count] = -held[:, size] * there.period / omega
-        left = whole @ v - np.append(np.zeros(size), 1.0)
-        rows = [self.rates(z), np.concatenate([left.real, left.imag])[order], curve.values(there, curve.conditions)]
-        units = np.maximum(np.abs(matrix[3 * size + 2 :]).max(axis=1, initial=0.0), 1e-300)
-        scales = np.concatenate([np.ones(3 * size + 2), units])
-        return matrix / scales[:, None], np.concatenate(rows) / scales
+    def rows(self, z: np.ndarray) -> np.ndarray:
+        """The rows: of f, of J v - i omega v and its c.v, of what is held, in the units that its slopes have at first."""
+        size, count, there = self.size, self.count, self.at(z)
+        v = z[count + 1 : count + 1 + size] + 1j * z[count + 1 + size :]
+        turned = np.append(self.slopes(z) @ v - 1j * z[count] * v, self.c @ v - 1.0)
+        held = self.curve.values(there, self.curve.conditions) / self.held
+        return np.concatenate([self.rates(z), turned.real, turned.imag, held])
+
+    def linearised(self, z: np.ndarray) -> np.ndarray:
+        """Their Jacobian, by central differences."""
+        steps = DIFFERENCE * np.eye(z.size)
+        return np.array([self.rows(z + one) - self.rows(z - one) for one in steps]).T / (2 * DIFFERENCE)
