@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
-from orbitfinder.families.joins import Kept, agrees, approaching, end_of, passed, solved
+from orbitfinder.families.joins import EVEN, Kept, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
 from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
@@ -57,15 +57,13 @@ UNDECIDED = 1e11
 """Beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
 SETTLED = 1e-3
 """and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then."""
-MOST_COVERS = 6
-"""A family may join another one of up to this many times shorter a period."""
 JOINED = 1e-3
 """How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
 EDGE = 1e-2
 """Share of a step that a fold must be away from its ends to be looked at from both sides."""
 MIRRORED = 1e-4
 """Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
-THERE = 1e-2
+THERE = 1e-3
 """A family turns at a join when their parameters differ by less than this share of its change in the step."""
 SAME, ALIKE = 1e-7, 1e-4
 """Orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit."""
@@ -457,10 +455,10 @@ def merged(interval: Interval, at: float, name: str) -> End | None:
     """
     curve, found = interval.curve, interval.sample(at).found
     times, states = full_samples(curve, found)
-    seen, parts = recognise(times, states, curve.equations.model), range(2, MOST_COVERS + 1)
-    gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in parts}
+    seen = recognise(times, states, curve.equations.model)
+    gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in EVEN}
     extent = float(np.ptp(states / curve.units, axis=0).max())
-    covers = max((k for k in parts if gaps_of[k] < JOINED * extent), default=1)
+    covers = max((k for k in EVEN if gaps_of[k] < JOINED * extent), default=1)
     if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):
         return None
     if not curve.equations.links:

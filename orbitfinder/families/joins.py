@@ -30,6 +30,9 @@ from orbitfinder.loops.symmetry import Involution, called, involutions, named
 from orbitfinder.mechanics.model import wrapped
 from orbitfinder.records.family import End
 
+EVEN = (2, 4, 6)
+"""So many times shorter may be the period of a family about which another one is its own mirror image: on the other side
+of one of odd share, as at a third, it goes on as another branch."""
 SAMPLED = 480
 """Samples over a period, divisible by every `parts`"""
 STEPS = 20
@@ -96,7 +99,7 @@ def joinable(curve: Curve) -> list[Kept]:
     p = curve.equations
     if p.links or p.symmetry.relative or curve.test:
         return []
-    parts = [Kept(k) for k in (2, 4, 6) if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
+    parts = [Kept(k) for k in EVEN if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
     if p.symmetry.forward is not None:
         return parts
     forward = [one for one in involutions(p.model) if one.sense > 0]
