@@ -266,3 +266,17 @@ def test_an_equilibrium_solved_for_in_a_parameter():
     rest = rest_of(start.curve, start.found, "gravity")
     assert rest.value == pytest.approx(9.8 * np.cos(0.3), rel=1e-11)
     assert rest.period == pytest.approx(2 * np.pi / np.sqrt(rest.value * 0.5 / (1 / 12 + 0.25)), rel=1e-11)
+
+
+def test_conservative_joins_from_both_sides():
+    """The triple pendulum's second mode: a doubling, and branches that lose its reflection, its brake or both."""
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "triple-mode-2.toml")
+    settings = FamilySettings(certify=False, resonances=2)
+    family = of.follow_family(problem, until=-33.0, settings=replace(settings, directions="forward"))
+    places = [k for k, one in enumerate(family.events) if one.kind in ("period_doubling", "branch_point")]
+    assert len(places) == 3
+    for k in places:
+        branch = of.follow_family(of.switch_branch(family, k), points=4, settings=settings)
+        (end,) = (one for one in branch.ends if one.kind == "merged")
+        assert end.parameter == pytest.approx(family.events[k].parameter, rel=1e-11) and end.error < 1e-9
+        assert "fold" not in {one.kind for one in branch.events}

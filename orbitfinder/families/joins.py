@@ -31,8 +31,8 @@ from orbitfinder.mechanics.model import wrapped
 from orbitfinder.records.family import End
 
 EVEN = (2, 4, 6)
-"""So many times shorter may be the period of a family about which another one is its own mirror image: on the other side
-of one of odd share, as at a third, it goes on as another branch."""
+"""So many times shorter may be the period of a family about which another one is its own mirror image: behind one of an
+odd share, such as a third, it goes on as another branch."""
 SAMPLED = 480
 """Samples over a period, divisible by every `parts`"""
 STEPS = 20

@@ -146,7 +146,7 @@ class _Extended:
         return np.asarray(found / self.sizes[: self.size] * self.place.period / (2 * np.pi))
 
     def rows(self, z: np.ndarray) -> np.ndarray:
-        """The rows: of f, of J v - i omega v and its c.v, of what is held, in the units that its slopes have at first."""
+        """f, J v - i omega v, c.v, and what is held in the units that its slopes have at first."""
         size, count, there = self.size, self.count, self.at(z)
         v = z[count + 1 : count + 1 + size] + 1j * z[count + 1 + size :]
         turned = np.append(self.slopes(z) @ v - 1j * z[count] * v, self.c @ v - 1.0)
