@@ -209,15 +209,11 @@ def _at_equilibrium(run: Run, found: Solution) -> End:
 def end_of_failure(run: Run, step: Step, failure: str) -> End:
     """The reason why no further step could be taken."""
     curve, found = run.curve, step.found
-    for kept, away, _ in approaching(curve, step.sample, step.point.step):
-        join = solved(curve, found, run.settings.parameter, kept)
-        if join is not None and agrees(join, step, away, run.settings.parameter):
-            return end_of(join, f"; {failure}")
-    if _self_excited(curve):
-        rest, off = _shrinks_to(run, step, vanishing(curve, step.sample, step.point.step))
-        left = np.inf if rest is None else abs(step.point.value - rest.value) / abs(run.origin.value - rest.value)
-        if rest is not None and (off < AGREED or left < HALTED):
-            return _hopf(run, rest, f"; {failure}")
+    try:
+        if (met := _met(run, step, failure)) is not None:
+            return met
+    except IntegrationError:
+        pass
     share, state = slowness(curve, found)
     grown = found.place.period / step.shortest_period
     slow = grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and not curve.equations.model.forced
@@ -240,8 +236,8 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
     values, periods = step.portraits[:, 1 + k], step.portraits[:, 0]
     apart = np.abs(values - values[-1]) > EXPLODED * np.ptp(values)
     first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
-    sizes = step.portraits[first:, -run.curve.equations.size :]
-    period, size = (float(np.max(np.ptp(one, axis=0) / np.max(one, axis=0))) for one in (periods[first:, None], sizes))
+    sizes = np.maximum(step.portraits[first:, -run.curve.equations.size :], 1e-300)
+    period, size = (float(np.max(np.ptp(one, axis=0) / one.max(axis=0))) for one in (periods[first:, None], sizes))
     if values.size - first < FEWEST_STEPS or max(period, size) < EXPLOSION:
         return None
     width = float(np.ptp(values[first:]))
@@ -251,6 +247,22 @@ def _canard(run: Run, step: Step, failure: str) -> End | None:
         f"a repelling slow motion for so long that shooting cannot hold them; {failure}"
     )
     return End("canard", reason, float(values[-1]), float(periods[-1]), width)
+
+
+def _met(run: Run, step: Step, failure: str) -> End | None:
+    """The join or the Hopf point that a family failed to reach."""
+    curve, found, name = run.curve, step.found, run.settings.parameter
+    for kept, away, _ in approaching(curve, step.sample, step.point.step):
+        join = solved(curve, found, name, kept)
+        if join is not None and agrees(join, step, away, name):
+            return end_of(join, f"; {failure}")
+    if not _self_excited(curve):
+        return None
+    rest, off = _shrinks_to(run, step, vanishing(curve, step.sample, step.point.step))
+    if rest is None:
+        return None
+    halted = abs(step.point.value - rest.value) < HALTED * abs(run.origin.value - rest.value)
+    return _hopf(run, rest, f"; {failure}") if off < AGREED or halted else None
 
 
 def shortest_step(run: Run, step: Step) -> float:

@@ -87,6 +87,8 @@ def rest_of(curve: Curve, found: Solution, name: str) -> Rest | None:
     z = extended.start
     for _ in range(MOST_NEWTON):
         matrix = extended.linearised(z)
+        if not np.all(np.isfinite(matrix)):
+            return None
         step = np.linalg.lstsq(matrix, -extended.rows(z), rcond=1e-10)[0]
         z, moved = z + step, float(np.abs(step).max())
         if not moved < FAR:
@@ -123,8 +125,8 @@ class _Extended:
         v = vectors[:, np.argmin(np.abs(values - 1j))]
         self.c = v.conj() / np.linalg.norm(v) ** 2
         self.start = np.concatenate([y, [1.0], v.real, v.imag])
-        there = self.at(self.start)
-        held = curve.slopes(there, curve.conditions) * there.joined(units, there.period, 0.0, self.sizes[self.size :])
+        rest = self.at(self.start)
+        held = curve.slopes(rest, curve.conditions) * rest.joined(units, rest.period, 0.0, self.sizes[self.size :])
         self.held = np.maximum(np.abs(held).max(axis=1, initial=0.0), 1e-300)
 
     def at(self, z: np.ndarray) -> Unknowns:
