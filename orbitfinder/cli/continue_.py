@@ -38,6 +38,21 @@ if TYPE_CHECKING:
     Origin = Orbit | Problem | Branch
 
 
+class Switch(click.ParamType):  # type: ignore[type-arg]
+    """The index of an event, or the end at which another family is joined."""
+
+    name = "event"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | str:
+        """The index as a number."""
+        if isinstance(value, str) and not value.isdecimal() and value not in ("start", "end"):
+            self.fail(f"{value!r} is neither the index of an event nor start nor end", param, ctx)
+        return value if value in ("start", "end") else int(value)
+
+
+SWITCH = Switch()
+
+
 @click.command(name="continue")
 @click.argument("file", type=FILES, metavar="FILE|ORBIT.json|FAMILY.json")
 @click.option(
@@ -50,7 +65,10 @@ if TYPE_CHECKING:
     "--direction", type=click.Choice(("both", "forward", "backward", "away")), default=None,
     help="Both ways, the parameter growing or falling, or away from a branch's birth.  [default: both, or away]",
 )  # fmt: skip
-@click.option("--switch", "event", type=click.IntRange(0), metavar="EVENT", help="Switch at the event with this index.")
+@click.option(
+    "--switch", "event", type=SWITCH, metavar="EVENT|start|end",
+    help="Switch at the event with this index, or to the family that is joined at that end.",
+)  # fmt: skip
 @click.option(
     "--curve", type=click.IntRange(0), metavar="EVENT", help="Follow the event with this index in two parameters."
 )
@@ -68,7 +86,8 @@ if TYPE_CHECKING:
 @json_option
 def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path, **chosen: Any) -> None:
     """Follow the family of orbits through an ORBIT.json, the orbit of a problem FILE, or from an event of a FAMILY.json
-    a branch (--switch), or the event itself in two parameters (--curve).
+    a branch (--switch), or the event itself in two parameters (--curve); --switch start|end goes on along the family
+    that is joined at that end.
 
     Both ways along the family unless --until, --at or --direction say where to go; a branch away from its birth.
     Folds, branch points, period doublings, tori, resonances, collisions and stability changes are located. A run
@@ -85,7 +104,7 @@ def continue_(file: Path, parameter: str | None, at: str, points: int, out: Path
       orbitfinder continue families/duffing-resonance/family.json --curve 0 --parameters force,frequency
     """
     values = numbers(at)
-    directions = chosen["direction"] or ("both" if chosen["event"] is None else "away")
+    directions = chosen["direction"] or ("away" if isinstance(chosen["event"], int) else "both")
     narrowest = {} if chosen["resolve"] is None else {"narrowest": chosen["resolve"]}
     with display(f"{file}: reading") as shown:
         from orbitfinder.families.branches import SWITCHABLE
@@ -228,7 +247,7 @@ def summary(family: Family) -> dict[str, Any]:
         "name": family.name, "parameter": family.parameter, "parameters": list(family.parameters),
         "points": len(family.points),
         "certified": sum(one.certified for one in family.points), "events": events,
-        "ends": [{"kind": end.kind, "reason": end.reason} for end in family.ends],
+        "ends": [{k: v for k, v in vars(end).items() if v is not None and k != "joined"} for end in family.ends],
     }  # fmt: skip
 
 
@@ -245,7 +264,7 @@ def numbers(text: str) -> tuple[float, ...]:
     return tuple(found)
 
 
-def origin_of(file: Path, trust: bool, switch: int | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
+def origin_of(file: Path, trust: bool, switch: int | str | None = None, branch: int = 1) -> tuple[Origin, Model | None]:
     """The Orbit of an orbit.json or FILE#K, the Branch of a family.json, or the Problem of a file, with its model."""
     from orbitfinder.problemfile.read import load_problem
 
@@ -279,14 +298,14 @@ def curve_of(file: Path, parameter: str | None, chosen: Mapping[str, Any]) -> Lo
     return curve_start(family, chosen["curve"], names, model=model)
 
 
-def _branch_of(file: Path, trust: bool, switch: int | None, branch: int) -> Branch:
+def _branch_of(file: Path, trust: bool, switch: int | str | None, branch: int) -> Branch:
     from orbitfinder.families.branches import SWITCHABLE, switch_branch
     from orbitfinder.mechanics.catalogue import build_model
 
     family = load_family(file)
     if switch is None:
         raise InputError(f"{file}: a whole family; give one orbit of it, such as {file}#0")
-    known = 0 <= switch < len(family.events) and family.events[switch].kind in SWITCHABLE
+    known = isinstance(switch, str) or (0 <= switch < len(family.events) and family.events[switch].kind in SWITCHABLE)
     try:
         return switch_branch(file, switch, branch, model=build_model(family.system, file.parent if trust else None))
     except InputError as error:

@@ -21,8 +21,10 @@ from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
 from orbitfinder.families.point import FamilySettings, parameter_value, shift_at, unknowns_of
 from orbitfinder.families.run import parameter_slopes
+from orbitfinder.families.stability import spectrum
 from orbitfinder.families.start import (
     Start,
+    begin,
     corrected,
     curve_at,
     curve_of,
@@ -33,19 +35,25 @@ from orbitfinder.families.start import (
     symmetry_of,
     unknown_parameters,
 )
+from orbitfinder.loops.conditions import Pin
 from orbitfinder.loops.continued import CRITICAL, Curve, advanced, at_place, correct, plane, scaled, tangent
 from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.problem import Guess, Problem
 from orbitfinder.loops.symmetry import Symmetry, called, involutions, momenta_of, named, turned
-from orbitfinder.mechanics.catalogue import build_model
+from orbitfinder.mechanics.catalogue import build_model, with_parameters
 from orbitfinder.mechanics.hybrid import repeated
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.family import Event, Family, load_family
 from orbitfinder.records.orbit import SHARE
 from orbitfinder.records.reading import finite
 
+CHOICE = 'give the number of an event, "start" or "end"'
 SWITCHABLE = ("branch_point", "period_doubling", "resonance")
 DISTANCES = (0.02, 0.005, 0.05, 0.1)
 """How far from the old family, in sizes of its orbit, the new one is looked for; the first that succeeds is taken."""
+CLOSER, OUTSIDE = 3, 1e-6
+"""How often it is looked for four times nearer where more or fewer multipliers are by this much outside the unit circle
+there: between the two an event of the new family would be missed."""
 DIFFERENCE = 1e-4
 """Arclength of the differences by which the old family's own direction is told."""
 ALIKE = 0.25
@@ -179,21 +187,35 @@ def _branch(cover: Cover, event: Event, direction: np.ndarray) -> Start | None:
     curve, place = cover.curve, cover.place
     moved = ((direction[: place.nodes.size].reshape(place.nodes.shape) / curve.scales.states) ** 2).sum(axis=1)
     direction = direction / np.sqrt(moved.max())  # the start may be where the two families part least
-    for length in DISTANCES:
-        aim = plane(curve, place, direction, length * float(curve.scales.metric(place) @ direction**2))
-        try:
-            start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
-        except (ConvergenceError, IntegrationError):
-            continue
-        if event.order > 1 and _is_cover(start, event.order, length):
-            continue
-        if start.found.place.period * np.abs(start.found.place.unfolding).max(initial=0.0) > UNFOLDED:
-            continue
-        return _symmetric(_outwards(start, place))
-    return None
+    known = ((length, _at(cover, event, direction, length)) for length in DISTANCES)
+    length, start = next((one for one in known if one[1] is not None), (0.0, None))
+    for _ in range(CLOSER if start is not None else 0):
+        nearer = _at(cover, event, direction, length / 4)
+        if nearer is None or _grown(nearer) == _grown(start):
+            break
+        start, length = nearer, length / 4
+    return None if start is None else symmetric(_outwards(start, place))
 
 
-def _symmetric(start: Start) -> Start:
+def _at(cover: Cover, event: Event, direction: np.ndarray, length: float) -> Start | None:
+    """The new family so far from the old one in a direction, or None."""
+    curve, place = cover.curve, cover.place
+    aim = plane(curve, place, direction, length * float(curve.scales.metric(place) @ direction**2))
+    try:
+        start = corrected(curve, advanced(place, direction, length), aim, place, reach=2 * length)
+    except (ConvergenceError, IntegrationError):
+        return None
+    damped = start.found.place.period * np.abs(start.found.place.unfolding).max(initial=0.0) > UNFOLDED
+    return None if damped or (event.order > 1 and _is_cover(start, event.order, length)) else start
+
+
+def _grown(start: Start | None) -> int:
+    """How many multipliers are outside the unit circle, the same until something happens on the way from the birth."""
+    multipliers = spectrum(start.curve, start.found).floquet.multipliers if start is not None else np.zeros(0)
+    return int(np.count_nonzero(np.abs(multipliers) > 1.0 + OUTSIDE))
+
+
+def symmetric(start: Start) -> Start:
     """The same start in the formulation of the symmetry that its orbit has, going the same way."""
     if start.curve.equations.links or start.curve.equations.symmetry.relative:
         return start
@@ -284,7 +306,7 @@ class Branch:
     start: Start
     family: str
     event: Event
-    number: int
+    number: int | str
     branch: int
     name: str
 
@@ -298,17 +320,18 @@ class Branch:
 
 def switch_branch(
     family: Family | str | Path,
-    event: int | Event,
+    event: int | str | Event,
     branch: int = 1,
     *,
     settings: FamilySettings | None = None,
     model: Model | None = None,
 ) -> Branch:
-    """A branch that leaves a family at an event; `of.follow_family` follows it.
+    """A branch that leaves a family at an event, or the family that it joins; `of.follow_family` follows it.
 
     Args:
         family: a Family, or its family.json.
-        event: one of its events, or its number in order along the family, from 0.
+        event: one of its events, or its number in order along the family, from 0; "start" or "end" for the family that
+            is joined at that end.
         branch: which of those that leave there, from 1.
         settings: how it will be followed.
         model: needed only for a system that no file describes.
@@ -331,6 +354,8 @@ def switch_branch(
         >>> of.follow_family(branch, points=3).points[-1].symmetry
         'none'
     """
+    if isinstance(event, str):
+        return _joined(family if isinstance(family, Family) else load_family(family), event, settings, model)
     if isinstance(event, Event):
         family = family if isinstance(family, Family) else load_family(family)
         event = next((k for k, one in enumerate(family.events) if one is event), -1)
@@ -338,6 +363,29 @@ def switch_branch(
     if not 1 <= branch <= len(found):
         raise InputError(f"branch: {branch} asked for, {len(found)} found at event {event}; give 1 to {len(found)}")
     return found[branch - 1]
+
+
+def _joined(family: Family, which: str, settings: FamilySettings | None, model: Model | None) -> Branch:
+    """The start of the family that another one joins at its start or end, at the orbit recorded there."""
+    ends = dict(zip(("start", "end"), family.ends, strict=False))
+    if len(family.ends) == 1 and (known := family.ends[0]).parameter is not None:
+        first, last = (abs(family.points[k].value - known.parameter) for k in (0, -1))
+        ends = {"start" if first < last else "end": known}
+    found = {side: (end, end.joined) for side, end in ends.items() if end.joined}
+    if which not in found:
+        told = f"its {' and its '.join(found)}" if found else "neither side"
+        raise InputError(f"event: {family.name} joins another family at {told}, got {which!r}; {CHOICE}")
+    end, orbit = found[which]
+    state, period, energy = np.asarray(orbit["state"], float), float(orbit["period"]), orbit.get("energy")
+    there = with_parameters(model or build_model(family.system), orbit["free"])
+    pins = (Pin("energy", energy),) if there.conservative and energy is not None else ()
+    problem = Problem(there, Guess(state, period), pins, winding=tuple(orbit["winding"]), symmetry=orbit["symmetry"])
+    start = begin(problem, replace(settings or FamilySettings(), parameter=family.parameter), orbit["symmetry"])
+    place = start.found.place
+    event = Event(
+        end.kind, -1, np.nan, float(end.parameter or np.nan), state, place.period, np.nan if energy is None else energy
+    )
+    return Branch(start, family.name, event, which, 1, f"{family.name}-{which}")
 
 
 def branches(

@@ -8,13 +8,15 @@ import numpy as np
 from scipy.optimize import brentq
 
 from orbitfinder.errors import ConvergenceError, IntegrationError
+from orbitfinder.families.joins import EVEN, Kept, agrees, approaching, end_of, passed, solved
 from orbitfinder.families.minimal import dead_point
 from orbitfinder.families.point import LEAST, extents, freed, parameter_value
+from orbitfinder.families.rest import Rest, can_rest, rest_of, vanishing
 from orbitfinder.families.run import Interval, Run, Step, portrait
 from orbitfinder.families.start import full_samples, return_gaps
 from orbitfinder.loops.continued import Curve, Solution, correct
 from orbitfinder.loops.loop import Condition
-from orbitfinder.loops.symmetry import NONE, beside, half_period_gaps, involutions, recognise
+from orbitfinder.loops.symmetry import NONE, beside, recognise
 from orbitfinder.records.family import End, FamilyPoint
 
 SLOW = 0.1
@@ -26,8 +28,25 @@ MOST_NEWTON = 12
 LINEAR, NEARLY, STEADY = 1e-7, 1e-5, 1e-5
 """A small oscillation's period is the linear one's to this share: where a family shrinks, and where it fails; and how
 little the period changes in a step there."""
+AGREED = 0.2
+"""A Hopf point is where orbits shrink to when parameter and period, followed along the tangent to amplitude 0, miss its
+own by less than this share of how far they are from it,"""
+CLOSE = 1e-3
+"""or when they are this much nearer to it than the family's first orbit was."""
+HALTED = 1e-5
+"""... and nearer than this, where a step cannot be taken, whatever the tangent says."""
+AHEAD = 6.0
+"""It is looked for when amplitude 0 is no more than so many steps away;"""
+SHORT = 0.7
+"""steps to what is wanted before it go so far of the way."""
+JOINING = 1e-2
+"""A family ends in another one from which its orbits are apart by no more than this share of their motion"""
+TURNED = -0.5
+"""Cosine between two orbits' deviations from their means below which the second one is half a period late."""
 SMALLER = 0.95
 """... and how much smaller the orbits become."""
+EXPLODED, EXPLOSION = 1e-5, 0.02
+"""A family is in a canard when within this share of its way in the parameter its period or extents change by this."""
 ABRUPT = 30.0
 """A largest acceleration this many times the median one speaks of a singularity where a family cannot go on."""
 SLOW_SHARE = 0.4
@@ -38,20 +57,18 @@ UNDECIDED = 1e11
 """Beyond this multiplier the closure that double precision can hold says nothing about the orbit,"""
 SETTLED = 1e-3
 """and a nearly homoclinic family ends once its energy changes by less than this share of what it has by then."""
-MOST_COVERS = 6
-"""A family may join another one of up to this many times shorter a period."""
 JOINED = 1e-3
 """How symmetric, relative to its extent, an orbit at a fold must be to belong to the family joined there."""
 EDGE = 1e-2
 """Share of a step that a fold must be away from its ends to be looked at from both sides."""
 MIRRORED = 1e-4
 """Periods on the two sides of a mirror differ by less than this share of how much they have changed."""
-KNOWN = 3e-10
-"""Share of a period or an action by which orbits beside the family that is joined are off, being told from it badly."""
-UNSURE = 2e-3
-"""... but no more than this share of how much they have changed: a join had 6e-4, an isola's fold 1.5."""
+THERE = 1e-3
+"""A family turns at a join when their parameters differ by less than this share of its change in the step."""
 SAME, ALIKE = 1e-7, 1e-4
 """Orbits whose periods, parameters and actions, and whose means and spreads, are as near as this, are one orbit."""
+COMPARED = 128
+"""Samples of an orbit that is compared with the one before it"""
 FEWEST_STEPS = 5
 """A closed family has at least so many steps."""
 HOMOCLINIC_STEP = 1e-2
@@ -61,10 +78,15 @@ HOMOCLINIC_STEP = 1e-2
 def end_at(run: Run, before: Step, after: Step) -> End | None:
     """The reason to stop after a step, or None."""
     curve, found = run.curve, after.found
-    if collapsed(curve, before.found, found):
-        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(curve, before.found)
-    if _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
-        return _at_equilibrium(curve, found)
+    if _self_excited(curve):
+        if _turned_over(curve, before.found, found):
+            raise ConvergenceError("the orbits pass amplitude 0 within one step")
+    elif collapsed(curve, before.found, found):
+        return _steady(curve, before) if curve.equations.symmetry.relative else _at_equilibrium(run, before.found)
+    elif _shrinking(curve, before.found, found) and linear(curve, found, LINEAR):
+        return _at_equilibrium(run, found)
+    if passed(curve, before.found, found):
+        raise ConvergenceError("another family is joined within one step")
     if curve.equations.model.forced:
         return None
     share, state = slowness(curve, found)
@@ -77,6 +99,90 @@ def end_at(run: Run, before: Step, after: Step) -> End | None:
         more = f", multiplier {after.point.scale:.2g}, while the energy stands still"
     saddle = more is not None and near_saddle(curve, found, state)
     return _homoclinic(curve, found, state, grown, str(more)) if saddle else None
+
+
+def approach(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+    """How long the next step may be, so as not to pass over the Hopf point or the family in which this one ends.
+
+    Or that end, where it is near and nothing is wanted before it.
+    """
+    try:
+        length, ended = _to_hopf(run, before, length) if _self_excited(run.curve) else (length, None)
+        return (length, ended) if ended else _to_join(run, before, length)
+    except IntegrationError:  # as far ahead as is looked
+        return length, None
+
+
+def _to_hopf(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+    """The same towards a Hopf point, before which no multiplier may be left to pass the unit circle."""
+    away = vanishing(run.curve, before.sample, length)
+    rest, off = _shrinks_to(run, before, away) if away < AHEAD * length else (None, np.inf)
+    if rest is None or off > AGREED:
+        return length, None
+    near = away < length or abs(before.point.value - rest.value) < CLOSE * abs(run.origin.value - rest.value)
+    multipliers = before.sample.about.floquet.multipliers
+    grown = np.abs(np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))) > 1.0
+    other = near and np.count_nonzero(grown) != np.count_nonzero(rest.others.real > 0)
+    if other or _wanted(run, before, rest.value, rest.error):
+        return min(length, SHORT * away), None
+    return length, _hopf(run, rest) if near else None
+
+
+def _to_join(run: Run, before: Step, length: float) -> tuple[float, End | None]:
+    """The same towards a family that is joined: seen from a first guess, then from orbits a small share beside it."""
+    for kept, away, apart in approaching(run.curve, before.sample, length):
+        if SHORT * away > length:
+            continue
+        join = solved(run.curve, before.found, run.settings.parameter, kept)
+        if join is None or not agrees(join, before, away, run.settings.parameter):
+            continue
+        if apart > JOINING or _wanted(run, before, join.value, join.error):
+            return min(length, SHORT * away), None
+        return length, end_of(join)
+    return length, None
+
+
+def _wanted(run: Run, before: Step, value: float, error: float) -> bool:
+    """Whether something that is asked for lies before this value of the parameter."""
+    now, far = before.point.value, 1e-9 * abs(run.origin.value - value) + error
+    wanted = [*run.at, *([] if run.until is None else [run.until])]
+    return any(min(now, value) < one < max(now, value) and abs(one - value) > far for one in wanted)
+
+
+def _self_excited(curve: Curve) -> bool:
+    """Whether a family is one of a physical parameter and of equations that keep nothing."""
+    return bool(curve.equations.physical) and not curve.equations.model.conservative and can_rest(curve)
+
+
+def _shrinks_to(run: Run, step: Step, away: float) -> tuple[Rest | None, float]:
+    """The Hopf point near an orbit, and by how much of their way parameter and period miss it `away` along the tangent.
+
+    Both are even in the amplitude, so that they change by half of what the tangent says.
+    """
+    found, name = step.found, run.settings.parameter
+    rest = rest_of(run.curve, found, name) if np.isfinite(away) else None
+    if rest is None:
+        return None, np.inf
+    left = np.array([rest.value - step.point.value, rest.period - found.place.period])
+    slopes = np.array([step.sample.slopes[name], step.sample.slopes["period"]])
+    least = np.array([rest.error, 1e-6 * rest.period])
+    return rest, float(np.max(np.abs(left - 0.5 * away * slopes) / np.maximum(np.abs(left), least)))
+
+
+def _hopf(run: Run, rest: Rest, more: str = "") -> End:
+    name, where = run.settings.parameter, np.array2string(rest.state, precision=6)
+    reason = (
+        f"the orbits shrink to the Hopf point at {name} {rest.value:.12g} (+- {rest.error:.1g}), period "
+        f"{rest.period:.12g} s, of the equilibrium {where}{more}"
+    )
+    return End("hopf", reason, rest.value, rest.period, rest.error)
+
+
+def _turned_over(curve: Curve, before: Solution, found: Solution) -> bool:
+    """Whether an orbit is the one before half a period later, as behind an equilibrium."""
+    one, other = (full_samples(curve, each, COMPARED)[1][:-1] for each in (before, found))
+    one, other = ((each - each.mean(axis=0)) / np.ptp(one, axis=0) for each in (one, other))
+    return bool(np.sum(one * other) < TURNED * np.linalg.norm(one) * np.linalg.norm(other))
 
 
 def _shrinking(curve: Curve, before: Solution, found: Solution) -> bool:
@@ -92,14 +198,22 @@ def _extent_and_place(curve: Curve, found: Solution) -> tuple[float, float]:
     return float(np.ptp(q, axis=0).max()), float(np.abs(q[0]).max())
 
 
-def _at_equilibrium(curve: Curve, found: Solution) -> End:
-    where, period = np.array2string(centre(curve, found), precision=6), found.place.period
-    return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s")
+def _at_equilibrium(run: Run, found: Solution) -> End:
+    where, period = np.array2string(centre(run.curve, found), precision=6), found.place.period
+    rest = rest_of(run.curve, found, run.settings.parameter) if can_rest(run.curve) else None
+    known = (rest.value, rest.period, rest.error) if rest else ()
+    period = rest.period if rest else period
+    return End("equilibrium", f"the orbits shrink to the equilibrium at q = {where}, period {period:.9g} s", *known)
 
 
 def end_of_failure(run: Run, step: Step, failure: str) -> End:
     """The reason why no further step could be taken."""
     curve, found = run.curve, step.found
+    try:
+        if (met := _met(run, step, failure)) is not None:
+            return met
+    except IntegrationError:
+        pass
     share, state = slowness(curve, found)
     grown = found.place.period / step.shortest_period
     slow = grown > UNDERFLOW_GROWTH and share > UNDERFLOW_SHARE and not curve.equations.model.forced
@@ -110,8 +224,45 @@ def end_of_failure(run: Run, step: Step, failure: str) -> End:
         return End("dead point", f"{dead}, where the coordinates of this family end; {failure}")
     size, far = _extent_and_place(curve, found)
     if size < 10 * LEAST * far and linear(curve, found, NEARLY):
-        return _at_equilibrium(curve, found)
-    return _singular(curve, found, failure) or End("step underflow", failure)
+        return _at_equilibrium(run, found)
+    return _canard(run, step, failure) or _singular(curve, found, failure) or End("step underflow", failure)
+
+
+def _canard(run: Run, step: Step, failure: str) -> End | None:
+    """The end of a family of relaxation oscillations that changes beyond what its parameter's digits can tell."""
+    if not _self_excited(run.curve):
+        return None
+    k, name = run.curve.equations.physical.index(run.settings.parameter), run.settings.parameter
+    values, periods = step.portraits[:, 1 + k], step.portraits[:, 0]
+    apart = np.abs(values - values[-1]) > EXPLODED * np.ptp(values)
+    first = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
+    sizes = np.maximum(step.portraits[first:, -run.curve.equations.size :], 1e-300)
+    period, size = (float(np.max(np.ptp(one, axis=0) / one.max(axis=0))) for one in (periods[first:, None], sizes))
+    if values.size - first < FEWEST_STEPS or max(period, size) < EXPLOSION:
+        return None
+    width = float(np.ptp(values[first:]))
+    reason = (
+        f"a canard explosion: within {width:.1g} of {name} {values[-1]:.12g} the period changes from "
+        f"{periods[first]:.6g} to {periods[-1]:.6g} s and the extents by {100 * size:.2g} %, along orbits that follow "
+        f"a repelling slow motion for so long that shooting cannot hold them; {failure}"
+    )
+    return End("canard", reason, float(values[-1]), float(periods[-1]), width)
+
+
+def _met(run: Run, step: Step, failure: str) -> End | None:
+    """The join or the Hopf point that a family failed to reach."""
+    curve, found, name = run.curve, step.found, run.settings.parameter
+    for kept, away, _ in approaching(curve, step.sample, step.point.step):
+        join = solved(curve, found, name, kept)
+        if join is not None and agrees(join, step, away, name):
+            return end_of(join, f"; {failure}")
+    if not _self_excited(curve):
+        return None
+    rest, off = _shrinks_to(run, step, vanishing(curve, step.sample, step.point.step))
+    if rest is None:
+        return None
+    halted = abs(step.point.value - rest.value) < HALTED * abs(run.origin.value - rest.value)
+    return _hopf(run, rest, f"; {failure}") if off < AGREED or halted else None
 
 
 def shortest_step(run: Run, step: Step) -> float:
@@ -288,11 +439,10 @@ def returned(curve: Curve, before: Step, after: Step) -> End | None:
 
 
 def mirrored(interval: Interval, at: float) -> bool:
-    """Whether a family is its own mirror image about a fold in energy, or a parameter, `at` so far into a step.
+    """Whether a hybrid family is its own mirror image about a fold in energy, or a parameter, `at` so far into a step.
 
     Then orbits of one energy on its two sides have one period, and of one parameter one action, which at a plain fold
-    differ to first order, and at one close to a branch point that the family passes to third. Raises
-    `ConvergenceError` at the edge of the step.
+    differ to first order. Raises `ConvergenceError` at the edge of the step.
     """
     name = next(iter(interval.curve.equations.physical), "")
 
@@ -307,35 +457,30 @@ def mirrored(interval: Interval, at: float) -> bool:
         raise ConvergenceError("the family turns at the edge of a step")
     level = ends[near]
     other = read(float(brentq(lambda distance: float(read(distance)[0] - level[0]), at, far, rtol=1e-12)))
-    change = abs(level[1] - turn[1])
-    allowed = max(MIRRORED * change, min(UNSURE * change, KNOWN * abs(turn[1])))
-    return bool(abs(other[1] - level[1]) < allowed)
+    return bool(abs(other[1] - level[1]) < MIRRORED * abs(level[1] - turn[1]))
 
 
-def merged(interval: Interval, at: float) -> End | None:
-    """At a fold in energy or a parameter so far into a step: whether the family joins one of more symmetry or of a
-    shorter period.
+def merged(interval: Interval, at: float, name: str) -> End | None:
+    """At a fold so far into a step: whether the family joins one of more symmetry or of a shorter period.
 
     A branch is its own mirror image about the orbit that it was born from, so that what it is followed in turns there.
     """
     curve, found = interval.curve, interval.sample(at).found
-    model, symmetry = curve.equations.model, curve.equations.symmetry
     times, states = full_samples(curve, found)
-    name, parts = recognise(times, states, model), range(2, MOST_COVERS + 1)
-    gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in parts}
-    states = states / curve.units
-    extent = float(np.ptp(states, axis=0).max())
-    covers = [k for k in parts if gaps_of[k] < JOINED * extent]
-    what = ""
-    if covers:
-        what = f"of period T/{max(covers)}"
-    elif name not in (NONE.name, symmetry.name):
-        what = f"of symmetry {name}"
-    elif symmetry.forward is None:
-        gaps = [half_period_gaps(one, states, model.angular).max() for one in involutions(model) if one.sense > 0]
-        what = "that is its own mirror image" if min(gaps) < JOINED * extent else ""
-    if not what or not mirrored(interval, at):
+    seen = recognise(times, states, curve.equations.model)
+    gaps_of = {k: float((return_gaps(states, k) / curve.units).max()) for k in EVEN}
+    extent = float(np.ptp(states / curve.units, axis=0).max())
+    covers = max((k for k in EVEN if gaps_of[k] < JOINED * extent), default=1)
+    if covers == 1 and seen in (NONE.name, curve.equations.symmetry.name):
         return None
+    if not curve.equations.links:
+        join = solved(curve, found, name, Kept(covers), seen if covers == 1 else "")
+        values = [parameter_value(curve, interval.sample(one).found.place, name) for one in (0.0, at, interval.length)]
+        there = join is not None and abs(join.value - values[1]) < THERE * np.ptp(values)
+        return end_of(join) if join is not None and there else None
+    if not mirrored(interval, at):
+        return None
+    what = f"of period T/{covers}" if covers > 1 else f"of symmetry {seen}"
     told = {"energy": (parameter_value(curve, found.place, "energy"), " J")}
     told = {one: (parameter_value(curve, found.place, one), "") for one in curve.equations.physical} or told
     where = ", ".join(f"{one} {value:.9g}{unit}" for one, (value, unit) in told.items())

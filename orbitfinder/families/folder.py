@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -133,7 +134,8 @@ def follow_family(
                 curve = replace(curve, test=origin.start.curve.test, degenerate=origin.start.curve.degenerate)
             if not journal.sealed and settings.certify:
                 _check_again(journal, curve, folder)
-        return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress)
+        born = origin.event.parameter if isinstance(origin, Branch) and isinstance(origin.number, int) else None
+        return _finish(folder, journal, curve, settings, (until, tuple(map(float, at))), progress, born)
 
 
 def _read(path: str | Path) -> Orbit:
@@ -262,10 +264,25 @@ def tested(curve: Curve) -> dict[str, Any]:
 
 
 def directions(
-    origin: FamilyPoint, settings: FamilySettings, goals: tuple[float | None, tuple[float, ...]], away: int = 1
+    origin: FamilyPoint,
+    settings: FamilySettings,
+    goals: tuple[float | None, tuple[float, ...]],
+    away: int = 1,
+    born: float | None = None,
 ) -> Iterator[tuple[int, float | None, tuple[float, ...]]]:
-    """(direction, stop, exact values) of every run that is wanted: as set, or from "both" towards the goals."""
+    """(direction, stop, exact values) of every run that is wanted: as set, or from "both" towards the goals.
+
+    A branch whose first point is already beyond where it shall stop goes back towards where it was `born`.
+    """  # fmt: skip
     until, at = goals
+    if settings.directions == "away" and until is not None and born is not None:
+        if (until - born) * (until - origin.value) < 0:
+            away = -away
+        elif (until - origin.value) * (origin.value - born) < 0:
+            logging.getLogger(__name__).warning(
+                "until: %r lies behind the branch, which is born at %s %.9g and begins at %.9g",
+                until, settings.parameter, born, origin.value,
+            )  # fmt: skip
     if settings.directions != "both" or (until is None and not at):
         signs = {"both": (1, -1), "forward": (1,), "backward": (-1,), "away": (away,)}.get(settings.directions)
         if signs is None:
@@ -289,12 +306,13 @@ def _finish(
     settings: FamilySettings,
     goals: tuple[float | None, tuple[float, ...]],
     progress: Progress | None,
+    born: float | None = None,
 ) -> Family:
     """Follow what is left in each direction, journalling every step where there is a folder."""
     origin: FamilyPoint = restored(FamilyPoint, journal.header["origin"])
     check = _independent(curve, settings)
     batches = list(journal.batches)
-    for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1))):
+    for sign, stop, exact in directions(origin, settings, goals, int(journal.header.get("away", 1)), born):
         done, end = journal.steps(sign), journal.end(sign)
         if end is not None and not (end.kind == "point limit" and len(done) < settings.points):
             continue

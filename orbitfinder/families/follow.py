@@ -17,7 +17,7 @@ import numpy as np
 from orbitfinder.errors import ConvergenceError, IntegrationError, plural
 from orbitfinder.families.changes import first_lost, test_of
 from orbitfinder.families.codimension_two import find_special, left_circle
-from orbitfinder.families.ends import end_at, end_of_failure, merged, returned, shortest_step
+from orbitfinder.families.ends import approach, end_at, end_of_failure, merged, returned, shortest_step
 from orbitfinder.families.events import event_at, find_events
 from orbitfinder.families.passages import avoided
 from orbitfinder.families.point import FamilySettings, make_point, parameter_value
@@ -67,7 +67,9 @@ def follow(run: Run, done: Sequence[FamilyPoint] = ()) -> Iterator[Batch]:
 
 def next_step(run: Run, before: Step) -> tuple[Step, Batch]:
     """The next point, by as short a step as it takes. Raises the last error when the step underflows."""
-    length = before.point.step
+    length, ended = approach(run, before, before.point.step)
+    if ended is not None:
+        return before, Batch(run.direction, end=ended)
     while True:
         try:
             return _attempt(run, before, length)
@@ -149,7 +151,7 @@ def _limits(run: Run, turn: float, stretch: float) -> tuple[float, float]:
 def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
     """Everything between two points, in order: events, points asked for, and the end if there is one."""
     settings, origin = run.settings, before.point
-    interval = make_interval(run.curve, before.sample, last)
+    interval, ended = make_interval(run.curve, before.sample, last), end_at(run, before, after)
     found = _events(interval, settings)
     events = [_placed(event, run, origin) for event in found]
     folds = [event.arclength for event in found if (event.kind, event.detail) == ("fold", settings.parameter)]
@@ -161,17 +163,17 @@ def _batch(run: Run, before: Step, after: Step, last: Sample) -> Batch:
         reach = abs(final[0].arclength - origin.arclength)
         kept = [*_within(points, origin, reach), final[0]]
         return Batch(run.direction, _ordered(kept), tuple(_within(events, origin, reach)), end)
-    ended = end_at(run, before, after)
     if ended is not None and ended.kind in ("equilibrium", "relative equilibrium"):
         return Batch(run.direction, (), (), ended)
     for event, one in zip(events, found, strict=True):
         turned = one.kind == "fold" and one.detail != "period"
-        joined = merged(interval, one.arclength) if turned else left_circle(run.curve, one)
+        joined = merged(interval, one.arclength, settings.parameter) if turned else left_circle(run.curve, one)
         if joined is not None:
             reach = abs(event.arclength - origin.arclength)
             # the tangent is ill-defined where two families cross: other folds seen beside this one are its echoes
             clear = _within([each for each in events if each is not event], origin, reach - turned * ECHO)
-            return Batch(run.direction, _ordered(_within(points, origin, reach)), (*clear, event), joined)
+            located = clear if turned else [*clear, event]  # a join is an end and no fold
+            return Batch(run.direction, _ordered(_within(points, origin, reach)), tuple(located), joined)
     ended = ended or returned(run.curve, before, after)
     return Batch(run.direction, (*_ordered(points), after.point), tuple(events), ended)
 

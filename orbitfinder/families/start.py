@@ -46,6 +46,10 @@ FIRST_STEPS = 160
 LOOKS = (40, 160, 640)
 """... in one segment, to see where a motion goes"""
 SAMPLES = 512
+MOST_COVERS = 30
+"""A guess may go round its orbit so many times;"""
+NEAR, COVERED = 0.2, 1e-5
+"""... which then comes back to its start within these shares of its extents, sampled anyhow and at the very instant."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +86,30 @@ def begin(
 
 
 def _tried(problem: Problem, free: tuple[str, ...]) -> Start:
-    """Newton from the guess itself, or else from the orbit that the guess leads to."""
+    """Newton from the guess itself over its least period, or else from the orbit that the guess leads to."""
     try:
-        return _start(problem, free)
+        start = _start(problem, free)
     except (ConvergenceError, IntegrationError):
         return _found_first(problem, free)
+    place, covers = start.found.place, 1 if problem.boundary.maps else cover_of(start.curve, start.found)
+    if covers == 1:
+        return start
+    state, turns = place.nodes[0], tuple(int(k) // covers for k in start.curve.turns)
+    pins = natural_pin(problem, state) if problem.model.conservative else problem.pin
+    return _start(replace(problem, guess=Guess(state, place.period / covers), pin=pins, winding=turns), free)
+
+
+def cover_of(curve: Curve, found: Solution) -> int:
+    """How many times an orbit goes round a shorter one, looked closely at where samples come near their start."""
+    if curve.equations.links or curve.equations.model.forced:
+        return 1
+    rough = full_samples(curve, found)[1]
+    extents = np.maximum(np.ptp(rough, axis=0), 1e-300)
+    for covers in (k for k in range(MOST_COVERS, 1, -1) if (return_gaps(rough, k) < NEAR * extents).all()):
+        states = full_samples(curve, found, -(-SAMPLES // covers) * covers)[1]
+        if (return_gaps(states, covers) < COVERED * extents).all():
+            return covers
+    return 1
 
 
 def _found_first(problem: Problem, free: tuple[str, ...]) -> Start:

@@ -137,10 +137,18 @@ class Event(Shown):
 
 @dataclass(frozen=True)
 class End:
-    """Why a family stopped in one direction: a short name and the sentence."""
+    """Why a family stopped in one direction: a short name and the sentence.
+
+    Of what was solved for there, a Hopf point or a join, the family's parameter, the period and the error bar of the
+    parameter; `joined` is the orbit of the family that is joined: state, period, symmetry, winding, free.
+    """
 
     kind: str
     reason: str
+    parameter: float | None = None
+    period: float | None = None
+    error: float | None = None
+    joined: Mapping[str, Any] | None = None
 
 
 UNITS = {"energy": "J", "period": "s"}
@@ -278,7 +286,8 @@ def plain(value: Any) -> Any:
         entries = {name: plain(getattr(value, DENSE.get(name, name))) for name in told}
         return entries if value.energy == value.energy else entries | {"energy": None}  # where none is conserved
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
+        entries = {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
+        return {k: v for k, v in entries.items() if v is not None or not isinstance(value, End)}
     if isinstance(value, (Mapping, list, tuple)):
         return walked(value, plain)
     return plain_numbers(value)

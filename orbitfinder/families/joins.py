@@ -1,0 +1,255 @@
+"""Where a family joins one of more symmetry or of a shorter period: seen coming, and solved for on the family joined.
+
+What the joined family keeps, a map S after a part of the period, makes d(t) = S x(t) - x(t + T/k) of an orbit beside
+it. Along the branch d passes 0 where a multiplier of the joined family's root map is a root of 1: that orbit is found
+in that family's own formulation, whose equations are regular there, whichever side it is come from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import gcd
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from orbitfinder.errors import ConvergenceError, InputError, IntegrationError
+from orbitfinder.families.branches import symmetric
+from orbitfinder.families.critical import Critical
+from orbitfinder.families.point import freed, parameter_value
+from orbitfinder.families.rest import predicted
+from orbitfinder.families.run import Sample, Step, parameter_slopes
+from orbitfinder.families.stability import spectrum
+from orbitfinder.families.start import Start, corrected, curve_at, reformulated, symmetry_of
+from orbitfinder.integrate.march import uniform
+from orbitfinder.loops.continued import Curve, Solution, advanced, correct, plane, tangent
+from orbitfinder.loops.loop import Equations, Unknowns
+from orbitfinder.loops.problem import pinned
+from orbitfinder.loops.symmetry import Involution, called, involutions, named
+from orbitfinder.mechanics.model import wrapped
+from orbitfinder.records.family import End
+
+EVEN = (2, 4, 6)
+"""So many times shorter may be the period of a family about which another one is its own mirror image: behind one of an
+odd share, such as a third, it goes on as another branch."""
+SAMPLED = 480
+"""Samples over a period, divisible by every `parts`"""
+STEPS = 20
+"""Runge-Kutta steps in a segment of the first guess of the joined orbit"""
+BESIDE = (1e-7, 0.5)
+"""d relative to the motion: above round-off, and small enough for an orbit to be beside another family."""
+CRITICAL = 0.5
+"""A multiplier of the joined family is this near to the critical one beside the join."""
+MOST_SECANT = 16
+FIRST, FARTHEST, SOLVED, STALLED = 1e-3, 1.0, 1e-12, 1e-6
+"""Arclengths along the joined family: of the first difference, how far the join may be, of the last step, and of one
+after which steps that become no shorter are round-off"""
+SURE = 1e-6
+"""Largest error bar of a join, relative to the parameter"""
+KNOWN = 1e-13
+"""What multipliers of order one, and parameters, are known to."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a joined family keeps: it repeats after 1/`parts` of the period, by `one` in its image."""
+
+    parts: int
+    one: Involution | None = None
+
+    @property
+    def covers(self) -> int:
+        """How many times shorter the joined period is."""
+        return self.parts if self.one is None else 1
+
+    def gaps(self, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """d of samples (k+1 x d) over a period."""
+        later = (len(states) - 1) // self.parts % (len(states) - 1)
+        here = states[: len(states) - 1 - later]
+        image = here if self.one is None else here @ self.one.matrix(angles.size).T
+        return np.asarray(wrapped(image - states[later : later + len(here)], angles))
+
+    def joined(self, states: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """The samples over the joined period that those of an orbit beside it become by the mean over their images."""
+        count = len(states) - 1
+        if self.one is not None:
+            later = np.roll(states[:-1], -(count // self.parts), axis=0)
+            found = states[:-1] + wrapped(later @ self.one.matrix(angles.size).T - states[:-1], angles) / 2
+            return np.vstack([found, found[:1] + states[-1] - states[0]])
+        drift = np.linspace(0.0, 1.0, count + 1)[:, None] * (states[-1] - states[0])
+        found = (states - drift)[:-1].reshape(self.parts, count // self.parts, -1).mean(axis=0)
+        return np.asarray(np.vstack([found, found[:1]]) + drift[: len(found) + 1])
+
+
+@dataclass(frozen=True)
+class Join:
+    """The orbit at which a family is joined, on that family's curve, and the error bar of the parameter."""
+
+    curve: Curve
+    found: Solution
+    value: float
+    error: float
+    kept: Kept
+    regular: Solution
+
+
+def joinable(curve: Curve) -> list[Kept]:
+    """What families that this one is its own mirror image about may keep."""
+    p = curve.equations
+    if p.links or p.symmetry.relative or curve.test:
+        return []
+    parts = [Kept(k) for k in EVEN if not any(turn % k for turn in curve.turns) and not curve.cycles % k]
+    if p.symmetry.forward is not None:
+        return parts
+    forward = [one for one in involutions(p.model) if one.sense > 0]
+    return parts + [Kept(count, one) for one in forward for count in (1, 2)]
+
+
+def sampled(curve: Curve, place: Unknowns, states: np.ndarray) -> np.ndarray:
+    """States at equal times over the whole period, of those at the mesh."""
+    p = curve.equations
+    mesh, states = p.symmetry.whole(place.mesh, states, curve.constant)
+    slopes = p.march.rates(states, place.tail, mesh * place.period) * place.period
+    return np.asarray(CubicHermiteSpline(mesh, states, slopes)(np.linspace(0.0, 1.0, SAMPLED + 1)))
+
+
+def _beside(curve: Curve, states: np.ndarray) -> Iterator[tuple[Kept, np.ndarray, float]]:
+    """What an orbit nearly keeps, d, and its size relative to the motion's."""
+    away, angles = (states - states.mean(axis=0)) / curve.units, curve.equations.model.angular
+    for kept in joinable(curve):
+        gaps = kept.gaps(states, angles) / curve.units
+        yield kept, gaps, float(np.sqrt((gaps**2).mean() / max((away**2).mean(), 1e-300)))
+
+
+def approaching(curve: Curve, sample: Sample, length: float) -> Iterator[tuple[Kept, float, float]]:
+    """The families that might be joined: what they keep, how far ahead, and how far the orbit is beside them."""
+    found = sample.found
+    near = [
+        one for one in _beside(curve, sampled(curve, found.place, found.march.states)) if BESIDE[0] < one[2] < BESIDE[1]
+    ]
+    if not near:
+        return
+    place, path = predicted(curve, sample, length)
+    states = sampled(curve, place, path)
+    for kept, gaps, size in near:
+        later = kept.gaps(states, curve.equations.model.angular) / curve.units
+        share = float((later * gaps).sum() / (gaps**2).sum())
+        if share < 1.0:
+            yield kept, length / (1.0 - share), size
+
+
+def passed(curve: Curve, before: Solution, after: Solution) -> bool:
+    """Whether a family was joined between two orbits: the second one keeps what the first did not, or is its image."""
+    one, other = (sampled(curve, each.place, each.march.states) for each in (before, after))
+    for (_, here, size), (_, there, left) in zip(_beside(curve, one), _beside(curve, other), strict=True):
+        sizes = float(np.linalg.norm(here) * np.linalg.norm(there))
+        if size > BESIDE[0] > 1e2 * left or (max(size, left) < BESIDE[1] and (here * there).sum() < -0.5 * sizes):
+            return True
+    return False
+
+
+def solved(curve: Curve, found: Solution, name: str, kept: Kept, symmetry: str = "") -> Join | None:
+    """The orbit at which a family beside an orbit, that keeps so much, is joined; `name` is the parameter.
+
+    One that keeps another `symmetry`, which reverses time, is begun as that orbit in its formulation.
+    """
+    try:
+        if symmetry:
+            here = Start(curve, found, found.place.head)
+            start: Start | None = reformulated(here, named(symmetry, curve.equations.model))
+        else:
+            start = _beside_join(curve, found, kept)
+        return None if start is None else _critical(symmetric(start), name, kept)
+    except (ConvergenceError, IntegrationError, InputError, np.linalg.LinAlgError):
+        return None
+
+
+def _beside_join(curve: Curve, found: Solution, kept: Kept) -> Start | None:
+    """The orbit of the joined family at the parameter's value of one beside it, begun as the mean over its images."""
+    p, place = curve.equations, found.place
+    symmetry = p.symmetry
+    if kept.one is not None and kept.parts == 2:
+        symmetry = called(replace(symmetry, maps=(kept.one,)), p.model)
+    states = kept.joined(sampled(curve, place, found.march.states), p.model.angular)
+    if not symmetry.held_by(p.model, states[0], max(curve.cycles // kept.covers, 1)):
+        return None
+    equations = Equations(p.model, symmetry, p.free, action=True)
+    part = round((len(states) - 1) * symmetry.fraction)
+    count = next(k for k in (8, 6, 5, 4, 3, 2, 1) if part % k == 0)
+    mesh = uniform(symmetry.fraction, count, STEPS)
+    fresh = equations.unknowns(states[: part : part // count], place.period / kept.covers, mesh, place.free)
+    names = (*(one.name for one in p.model.invariants), "energy")
+    held = {
+        names[one.quantity]: one.value for one in curve.conditions if one.normal is None and one.quantity is not None
+    }
+    for one in curve.conditions:
+        if one.quantity is None:
+            held["period"] = one.value / kept.covers
+    there = curve_at(equations, fresh, tuple(held), np.array(curve.turns) // kept.covers, held)
+    own = next(iter(p.physical), "energy")
+    return corrected(there, fresh, pinned(equations, own, parameter_value(curve, place, own)))
+
+
+def _critical(start: Start, name: str, kept: Kept) -> Join | None:
+    """Along the joined family to where the multiplier with which the branch leaves is a root of 1, by secants."""
+    curve, base = start.curve, start.found
+    about, whole = spectrum(curve, base), tangent(curve, base, start.direction)
+    order = about.root * kept.covers
+    roots = [np.exp(2j * np.pi * j / order) for j in range(order) if gcd(j, kept.covers) == 1]
+    critical = min(roots, key=lambda root: np.abs(about.values - root).min(initial=np.inf))
+    if not np.abs(about.values - critical).min(initial=np.inf) < CRITICAL:
+        return None
+    test, place = Critical("branch_point", (name, name), multiplier=complex(critical)), base.place
+
+    def at(distance: float) -> tuple[Solution, float]:
+        guess, aim = advanced(place, whole, distance), plane(curve, place, whole, distance)
+        found = correct(curve, guess, aim, place, reach=1.0 + abs(distance))
+        return found, test(curve, found)
+
+    (known, low), here, last, moved = (base, test(curve, base)), FIRST, 0.0, np.inf
+    for _ in range(MOST_SECANT):
+        known, value = at(here)
+        slope = (value - low) / (here - last)
+        step = -value / slope if slope else np.nan
+        if not abs(here + step) < FARTHEST:
+            return None
+        if abs(step) < SOLVED or moved < min(STALLED, 2 * abs(step)):
+            break
+        last, low, here, moved = here, value, here + step, abs(step)
+    else:
+        return None
+    rate = parameter_slopes(curve, known.place, known.place.head_of(tangent(curve, known, whole)))[name]
+    value = parameter_value(curve, known.place, name)
+    error = abs(rate) * (abs(step) + max(about.blur, KNOWN) / abs(slope)) + KNOWN * abs(value)
+    return Join(curve, known, value, error, kept, base)
+
+
+def agrees(join: Join, before: Step, away: float, name: str) -> bool:
+    """Whether a step may come to a join: parameter and period are as near to its own as they change on the way."""
+    slopes = before.sample.slopes
+    left = [join.value - before.point.value, join.found.place.period * join.kept.covers - before.point.period]
+    allowed = [3 * away * abs(slopes[one]) for one in (name, "period")]
+    least = [join.error + 1e-9 * abs(join.value), 1e-9 * before.point.period]
+    told = join.error < SURE * max(abs(join.value), abs(before.point.value))
+    return told and all(abs(one) <= most + floor for one, most, floor in zip(left, allowed, least, strict=True))
+
+
+def end_of(join: Join, more: str = "") -> End:
+    """The end of a family at a join, with the family that is joined."""
+    curve, place = join.curve, join.found.place
+    symmetry = symmetry_of(curve, join.found)
+    alone = join.kept.one is not None and join.kept.parts == 1
+    what = "that is its own mirror image" if alone else f"of symmetry {symmetry}"
+    what = what if join.kept.covers == 1 else f"of period T/{join.kept.covers}"
+    told = {one: (parameter_value(curve, place, one), "") for one in curve.equations.physical}
+    told = told or {"energy": (parameter_value(curve, place, "energy"), " J")}
+    where = ", ".join(f"{one} {value:.12g}{unit}" for one, (value, unit) in told.items())
+    period = place.period * join.kept.covers
+    orbit = join.regular.place if alone else place  # at the join itself both families meet in one formulation
+    joined = {
+        "state": orbit.nodes[0].tolist(), "period": float(orbit.period), "symmetry": curve.equations.symmetry.name,
+        "winding": list(curve.turns), "free": freed(curve, orbit), "energy": parameter_value(curve, orbit, "energy"),
+    }  # fmt: skip
+    reason = f"joins a family {what} at {where}, period {period:.12g} s{more}"
+    return End("merged", reason, join.value, float(period), float(join.error), joined)

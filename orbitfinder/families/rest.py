@@ -1,0 +1,161 @@
+"""Where the orbits of a family shrink to a point: its Hopf point, or the centre of its oscillations, solved for.
+
+With f the rates, J their slopes and p the freed parameter, the unknowns z = (x, p, omega, v) satisfy
+
+    f(x, p) = 0,    (J(x, p) - i omega) v = 0,    c.v = 1,
+
+and what is held along the family, an energy or the period 2 pi / omega, has its value: Newton in scaled units from the
+last orbit's mean and period. Source: A. Griewank, G. Reddien, IMA J. Numer. Anal. 3 (1983) 295-303.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orbitfinder.families.point import parameter_value
+from orbitfinder.families.run import Sample
+from orbitfinder.loops.continued import Curve, Solution, advanced
+from orbitfinder.loops.loop import Unknowns
+from orbitfinder.mechanics.scales import parameter_sizes
+
+MOST_NEWTON = 20
+DIFFERENCE = 1e-5
+"""Half of a central difference of slopes, in the units of the unknowns: only rates of convergence depend on it."""
+SOLVED = 1e-11
+"""A last step below this, in the scaled unknowns, has solved the equations,"""
+CHECKED = 1e-7
+"""and an eigenvalue of J is then this near to i omega, relative to it."""
+FAR = 1e2
+"""A step of so many units leads away from what the orbit is near."""
+ROUND_OFF = 8 * float(np.finfo(float).eps)
+"""What each row is known to, relative to the sizes of its terms"""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """An equilibrium with eigenvalues +-i omega: state (d), value and error bar of the parameter, 2 pi / omega (s).
+
+    `others` are the remaining eigenvalues of J.
+    """
+
+    state: np.ndarray
+    value: float
+    error: float
+    period: float
+    others: np.ndarray
+
+
+def can_rest(curve: Curve) -> bool:
+    """Whether orbits of a family may shrink to an equilibrium: autonomous, of one arc, not relative, not running."""
+    p = curve.equations
+    return not (p.links or p.model.forced or p.symmetry.relative or curve.test or any(curve.turns))
+
+
+def deviations(curve: Curve, place: Unknowns, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mean (d) over the period, deviations from it (k x d), and their weights (k), the trapezoids of the mesh."""
+    mesh, states = curve.equations.symmetry.whole(place.mesh, states, curve.constant)
+    edges = np.diff(mesh, prepend=mesh[0], append=mesh[-1])
+    weights = 0.5 * (edges[1:] + edges[:-1])
+    mean = weights @ states
+    return mean, states - mean, weights
+
+
+def predicted(curve: Curve, sample: Sample, length: float) -> tuple[Unknowns, np.ndarray]:
+    """The orbit so far ahead along the tangent, and its states at the mesh."""
+    guess = advanced(sample.found.place, sample.whole, length)
+    return guess, curve.equations.march.states(guess.nodes, guess.mesh, guess.tail)
+
+
+def vanishing(curve: Curve, sample: Sample, length: float) -> float:
+    """How far ahead along the tangent the deviations d from the mean are 0, told by d' at `length` ahead; inf if never.
+
+    <d', d> / <d, d> falls linearly, through 0 at an equilibrium: behind it are the same orbits, half a period later.
+    """
+    found = sample.found
+    _, here, weights = deviations(curve, found.place, found.march.states)
+    _, there, _ = deviations(curve, *predicted(curve, sample, length))
+    units = np.maximum(np.ptp(here, axis=0), 1e-300)
+    share = float(np.sum(weights @ (here * there / units**2)) / np.sum(weights @ (here / units) ** 2))
+    return length / (1.0 - share) if share < 1.0 else np.inf
+
+
+def rest_of(curve: Curve, found: Solution, name: str) -> Rest | None:
+    """The equilibrium that an orbit is an oscillation about, with the family's parameter `name`; None without one."""
+    extended = _Extended(curve, found)
+    z = extended.start
+    for _ in range(MOST_NEWTON):
+        matrix = extended.linearised(z)
+        if not np.all(np.isfinite(matrix)):
+            return None
+        step = np.linalg.lstsq(matrix, -extended.rows(z), rcond=1e-10)[0]
+        z, moved = z + step, float(np.abs(step).max())
+        if not moved < FAR:
+            return None
+        if moved < SOLVED:
+            break
+    else:
+        return None
+    there, values = extended.at(z), np.linalg.eigvals(extended.slopes(z)) / z[extended.count]
+    nearest = np.argsort(np.minimum(np.abs(values - 1j), np.abs(values + 1j)))
+    if not abs(abs(values[nearest[1]].imag) - 1.0) + abs(values[nearest[1]].real) < CHECKED or not there.period > 0:
+        return None
+    error = moved + np.abs(np.linalg.pinv(matrix)) @ (ROUND_OFF * (np.abs(matrix) @ np.abs(z)))
+    bars = error[: extended.count] * extended.sizes
+    value, (values_, by_state, by_free) = parameter_value(curve, there, name), curve.equations.quantities_at(there)
+    k = curve.equations.energy
+    bar = float(np.abs(np.append(by_state[k], by_free[k])) @ bars + ROUND_OFF * abs(values_[k]))
+    if name in curve.equations.physical:
+        bar = float(bars[there.nodes.shape[1] + curve.equations.physical.index(name)])
+    return Rest(there.nodes[0], value, bar, float(there.period), values[nearest[2:]] * 2 * np.pi / there.period)
+
+
+class _Extended:
+    """The rows of an equilibrium with a pair +-i omega over z = (x, free) / sizes, omega and v, rates in periods."""
+
+    def __init__(self, curve: Curve, found: Solution) -> None:
+        self.curve, self.place, p = curve, found.place, curve.equations
+        mean, there, _ = deviations(curve, found.place, found.march.states)
+        units = np.maximum(curve.units, np.ptp(there, axis=0))
+        self.sizes = np.concatenate([units, parameter_sizes(p.model, p.free, found.place.free)])
+        self.size, self.count = mean.size, self.sizes.size
+        y = np.concatenate([mean, found.place.free]) / self.sizes
+        values, vectors = np.linalg.eig(self.slopes(y))
+        v = vectors[:, np.argmin(np.abs(values - 1j))]
+        self.c = v.conj() / np.linalg.norm(v) ** 2
+        self.start = np.concatenate([y, [1.0], v.real, v.imag])
+        rest = self.at(self.start)
+        held = curve.slopes(rest, curve.conditions) * rest.joined(units, rest.period, 0.0, self.sizes[self.size :])
+        self.held = np.maximum(np.abs(held).max(axis=1, initial=0.0), 1e-300)
+
+    def at(self, z: np.ndarray) -> Unknowns:
+        """The equilibrium as an orbit of one node."""
+        x, free = np.split(z[: self.count] * self.sizes, [self.size])
+        period = self.place.period / z[self.count] if z.size > self.count else self.place.period
+        return replace(self.place, nodes=x[None], period=period, free=free)
+
+    def slopes(self, z: np.ndarray) -> np.ndarray:
+        """J."""
+        there, units = self.at(z), self.sizes[: self.size]
+        found = self.curve.equations.march.arcs[0].slopes(there.nodes[0], there.tail)
+        return np.asarray(found * units / units[:, None] * self.place.period / (2 * np.pi))
+
+    def rates(self, z: np.ndarray) -> np.ndarray:
+        """f."""
+        there = self.at(z)
+        found = self.curve.equations.march.arcs[0].rates(there.nodes, there.tail)[0]
+        return np.asarray(found / self.sizes[: self.size] * self.place.period / (2 * np.pi))
+
+    def rows(self, z: np.ndarray) -> np.ndarray:
+        """f, J v - i omega v, c.v, and what is held in the units that its slopes have at first."""
+        size, count, there = self.size, self.count, self.at(z)
+        v = z[count + 1 : count + 1 + size] + 1j * z[count + 1 + size :]
+        turned = np.append(self.slopes(z) @ v - 1j * z[count] * v, self.c @ v - 1.0)
+        held = self.curve.values(there, self.curve.conditions) / self.held
+        return np.concatenate([self.rates(z), turned.real, turned.imag, held])
+
+    def linearised(self, z: np.ndarray) -> np.ndarray:
+        """Their Jacobian, by central differences."""
+        steps = DIFFERENCE * np.eye(z.size)
+        return np.array([self.rows(z + one) - self.rows(z - one) for one in steps]).T / (2 * DIFFERENCE)

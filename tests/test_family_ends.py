@@ -1,0 +1,282 @@
+"""Where families end: Hopf points and joins, solved for; joined families gone on along; branches that begin too far."""
+
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orbitfinder as of
+from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError
+from orbitfinder.families.folder import directions
+from orbitfinder.families.joins import Kept
+from orbitfinder.families.point import FamilySettings
+from orbitfinder.families.rest import can_rest, rest_of
+from orbitfinder.families.start import begin, full_samples
+from orbitfinder.loops.symmetry import REFLECTION_MAP
+from orbitfinder.records.family import End, plain, save_family
+
+QUIET = FamilySettings(certify=False, events=False)
+DOWN, UP = (replace(QUIET, directions=one) for one in ("backward", "forward"))
+MORRIS_LECAR = ((93.857618373725453, 78.756609546026915), (212.01881610037437, 42.281921426198822))
+"""Hopf points (current, period), by Newton at 50 digits"""
+HALF = 0.5
+
+
+def phases(orbit, model, parameter, count):
+    """The same orbit begun at so many instants."""
+    start = begin(orbit, FamilySettings(parameter=parameter), model=model)
+    states = full_samples(start.curve, start.found)[1]
+    return [of.Problem(model, of.Guess(states[512 * k // count], orbit.period)) for k in range(count)]
+
+
+def hopf(family, side=0):
+    """The Hopf point in which a family ends."""
+    end = family.ends[side]
+    assert end.kind == "hopf", end.reason
+    assert end.error < 1e-8 * max(abs(end.parameter), 1.0)
+    return end.parameter, end.period
+
+
+def normal_form(unit=1.0):
+    """r' = mu r - r^3, one turn in 2 pi: amplitude sqrt(mu), and its Hopf point at 0 exactly."""
+
+    def field(_, x, p):
+        y = x.y * unit
+        square = x.x**2 + y**2
+        return [p.mu * x.x - y - x.x * square, (x.x + p.mu * y - y * square) / unit]
+
+    return of.ode(field, ["x", "y"], {"mu": HALF})
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-2, 1e4])
+def test_the_normal_form_ends_at_zero(unit):
+    """From four phases, in any unit of one component, and no event before."""
+    model, settings = normal_form(unit), replace(DOWN, events=True)
+    for angle in (0.0, 0.8, 2.3, 4.0):
+        state = np.sqrt(HALF) * np.array([np.cos(angle), np.sin(angle) / unit])
+        family = of.follow_family(of.Problem(model, of.Guess(state, 2 * np.pi)), "mu", settings=settings, model=model)
+        value, period = hopf(family)
+        assert abs(value) < 1e-10 and period == pytest.approx(2 * np.pi, rel=1e-10) and not family.events
+        assert family.points[0].value < 0.05
+
+
+def brusselator():
+    model = of.systems.brusselator()
+    return model, of.find_orbit(of.Problem(model, of.Guess([3.6, 1.3], 7.2)))
+
+
+def test_the_brusselator_ends_at_two_from_every_phase():
+    """Its Hopf point is at rate = 1 + feed^2 with the frequency `feed`; 0.2.0 said step underflow from all of these."""
+    model, orbit = brusselator()
+    for problem in phases(orbit, model, "rate", 8):
+        value, period = hopf(of.follow_family(problem, "rate", settings=DOWN))
+        assert value == pytest.approx(2.0, abs=1e-10) and period == pytest.approx(2 * np.pi, abs=1e-10)
+
+
+def test_what_is_wanted_before_a_hopf_point_is_reached():
+    """Until and at values between the last orbit and the Hopf point; beyond it there is only the end."""
+    model, orbit = brusselator()
+    family = of.follow_family(orbit, "rate", until=2.000001, at=[2.00001], settings=DOWN, model=model)
+    assert family.ends[0].kind == "target" and family.points[0].value == 2.000001
+    assert any(one.value == 2.00001 for one in family.points)
+    beyond = of.follow_family(orbit, "rate", until=1.9, settings=DOWN, model=model)
+    assert hopf(beyond)[0] == pytest.approx(2.0, abs=1e-10)
+
+
+def morris_lecar(unit=1.0):
+    """The nerve of C. Morris and H. Lecar with a Hopf point of each sign of the current, V told in `unit` mV."""
+
+    def field(_, x, p):
+        volt, w = x.V * unit, x.w
+        opening = (1 + ca.tanh((volt + 1.2) / 18)) / 2
+        rate = p.current - 2 * (volt + 60) - 4.4 * opening * (volt - 120) - 8 * w * (volt + 84)
+        return [rate / 20 / unit, 0.04 * ((1 + ca.tanh((volt - 2) / 30)) / 2 - w) * ca.cosh((volt - 2) / 60)]
+
+    return of.ode(field, ["V", "w"], {"current": 100.0})
+
+
+@pytest.mark.parametrize("unit", [1.0, 200.0])
+def test_both_hopf_points_of_morris_and_lecar(unit):
+    """And the two folds between them, in mV as in units of 200 mV."""
+    model = morris_lecar(unit)
+    orbit = of.find_orbit(of.Problem(model, of.Guess([-8.962315401151326 / unit, 0.15398149396221966], 85.29)))
+    family = of.follow_family(orbit, "current", settings=FamilySettings(certify=False), model=model)
+    assert [one.kind for one in family.events if one.kind != "stability_change"] == ["fold", "fold"]
+    for side, (value, period) in enumerate(MORRIS_LECAR):
+        assert hopf(family, side) == (pytest.approx(value, rel=1e-10), pytest.approx(period, rel=1e-10))
+
+
+def test_a_family_goes_round_its_orbit_once():
+    """A guess of five periods, as `recurrences` gives it: 0.2.0 followed the orbit five times round."""
+    model = morris_lecar()
+    close = of.guesses.recurrences(model, [-20.0, 0.1], 1000.0, count=1)[0]
+    assert close.guess.period > 400
+    family = of.follow_family(of.Problem(model, close.guess), "current", settings=UP, points=1, model=model)
+    assert family.points[0].period == pytest.approx(85.29064104291239, abs=1e-9)
+
+
+def test_a_self_excited_oscillator_in_si():
+    """x'' = -w^2 x + (mu - x^2) x' at w = 100 rad/s from any phase: the Hopf point at mu = 0, and no fold before it."""
+    rate = 100.0
+
+    def equations(_, x, p):
+        return [x.v, -(rate**2) * x.x + (p.mu - x.x**2) * x.v]
+
+    model = of.ode(equations, ["x", "v"], {"mu": HALF})
+    size = 2 * np.sqrt(HALF)
+    for angle in (0.0, 0.8, 2.0):
+        guess = of.Guess([size * np.cos(angle), -size * rate * np.sin(angle)], 2 * np.pi / rate)
+        settings = replace(DOWN, events=True)
+        family = of.follow_family(of.Problem(model, guess), "mu", settings=settings, model=model)
+        value, period = hopf(family)
+        assert abs(value) < 1e-10 and period == pytest.approx(2 * np.pi / rate, rel=1e-10) and not family.events
+
+
+@pytest.mark.slow
+def test_a_canard_is_said_for_what_it_is():
+    """FitzHugh's and Nagumo's nerve: at rate 0.08 through the canard to its Hopf point, at 0.02 into it."""
+    model = of.systems.fitzhugh_nagumo()
+    orbit = of.find_orbit(of.Problem(model, of.Guess([-0.30042436673355616, -0.18828741564996918], 39.4744)))
+    family = of.follow_family(orbit, "current", settings=DOWN, model=model)
+    assert hopf(family) == (pytest.approx(0.3312813374547458, rel=1e-10), pytest.approx(22.805916865386, rel=1e-10))
+    slower = of.follow_family(orbit, "rate", until=0.02, settings=DOWN, model=model).points[0]
+    end = of.follow_family(slower, "current", settings=DOWN).ends[0]
+    assert end.kind == "canard" and end.parameter == pytest.approx(0.2997912, abs=1e-6) and end.error < 1e-5
+    assert "the period changes from" in end.reason and "shooting cannot hold them" in end.reason
+
+
+def test_an_equilibrium_solved_for_of_a_pendulum():
+    """The energy at rest and the linear period, of a conservative family; and none where the motion runs round."""
+    model = of.chain(1)
+    problem = of.Problem(model, of.Guess([0.05, 0.0], 1.64))
+    family = of.follow_family(problem, settings=DOWN)
+    end = family.ends[0]
+    assert end.kind == "equilibrium" and end.parameter == pytest.approx(-4.9, abs=1e-13)
+    assert end.period == pytest.approx(2 * np.pi / np.sqrt(9.8 * 0.5 / (1 / 12 + 0.25)), rel=1e-12)
+    start = begin(problem, FamilySettings())
+    assert can_rest(start.curve) and rest_of(start.curve, start.found, "energy").others.size == 0
+    turning = begin(of.Problem(model, of.Guess([0.0, 9.0], 0.8), winding=(1,)), FamilySettings())
+    assert not can_rest(turning.curve)
+
+
+def test_ends_in_files(tmp_path):
+    """What was solved for is in family.json, what was not is left out, and older files load."""
+    model, orbit = brusselator()
+    family = of.follow_family(orbit, "rate", settings=DOWN, model=model, out=tmp_path, name="clock")
+    document = json.loads((tmp_path / "clock" / "family.json").read_text())
+    assert sorted(document["ends"][0]) == ["error", "kind", "parameter", "period", "reason"]
+    assert of.load_family(tmp_path / "clock" / "family.json").ends == family.ends
+    assert plain(End("target", "reached")) == {"kind": "target", "reason": "reached"}
+
+
+def test_what_is_kept():
+    """The gaps of what has a symmetry are 0, and the mean over the images has it."""
+    times = np.linspace(0, 2 * np.pi, 481)
+    states = np.stack([np.cos(times) + 0.1 * np.cos(2 * times), np.sin(times) + 0.2 * np.sin(3 * times)], axis=1)
+    mirror, angles = Kept(2, REFLECTION_MAP), np.array([False])
+    assert np.abs(mirror.gaps(states, angles)).max() == pytest.approx(0.2)
+    assert np.abs(mirror.gaps(mirror.joined(states, angles), angles)).max() < 1e-15
+    half = Kept(2).joined(states, angles)
+    assert len(half) == 241 and half[:, 0] == pytest.approx(0.1 * np.cos(2 * times[:241]), abs=1e-15)
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    """The driven pendulum's symmetric swings, and the lopsided ones from their birth on."""
+    settings = FamilySettings(certify=False)
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "driven-pendulum.toml")
+    symmetric = of.follow_family(problem, "torque", until=2.5, settings=settings)
+    return symmetric, of.follow_family(of.switch_branch(symmetric, 0), settings=settings)
+
+
+def test_a_join_is_seen_from_both_sides(pendulum):
+    """From the lopsided side at both of its ends to what the symmetric side says, never as a fold, from any orbit."""
+    symmetric, lopsided = pendulum
+    birth = next(one for one in symmetric.events if one.kind == "branch_point")
+    assert [end.kind for end in lopsided.ends] == ["merged", "merged"]
+    assert lopsided.ends[0].parameter == pytest.approx(birth.parameter, rel=1e-10)
+    assert "fold" not in {one.kind for one in lopsided.events}
+    for k in (3, len(lopsided.points) // 2):
+        again = of.follow_family(lopsided.points[k], "torque", settings=QUIET)
+        for end, known in zip(again.ends, lopsided.ends, strict=True):
+            assert end.kind == "merged" and end.parameter == pytest.approx(known.parameter, rel=1e-10)
+            assert end.error < 1e-9
+
+
+def test_the_joined_family_is_gone_on_along(pendulum, tmp_path):
+    """From the second join the symmetric swings, both ways, through the place where they lose stability."""
+    _, lopsided = pendulum
+    end = lopsided.ends[1]
+    assert end.joined["symmetry"] == "reflection" and end.joined["period"] == pytest.approx(1.0, rel=1e-12)
+    branch = of.switch_branch(lopsided, "end")
+    joined = of.follow_family(branch, points=2, settings=FamilySettings(certify=False))
+    assert {one.symmetry for one in joined.points} == {"reflection"} and len(joined.points) == 5
+    assert joined.points[2].value == pytest.approx(end.parameter, rel=1e-12)
+    met = [one.parameter for one in joined.events if one.kind == "branch_point"]
+    assert met == [] or met == pytest.approx([end.parameter], rel=1e-9)
+    with pytest.raises(InputError, match="joins another family at its start and its end, got 'middle'"):
+        of.switch_branch(lopsided, "middle")
+
+
+def test_the_command_goes_on_from_a_join(pendulum, tmp_path):
+    """--switch end, as said, and the words for what cannot be."""
+    file = save_family(replace(pendulum[1], name="lopsided"), tmp_path / "lopsided")
+    command = ["continue", str(file), "--switch", "end", "--points", "1", "--out", str(tmp_path), "--no-figures"]
+    done = CliRunner().invoke(cli, [*command, "--json"])
+    assert done.exit_code == 0 and json.loads(done.stdout)["name"] == "lopsided-end", done.output
+    wrong = CliRunner().invoke(cli, ["continue", str(file), "--switch", "ende"])
+    assert wrong.exit_code == 2 and "neither the index of an event nor start nor end" in wrong.output
+    save_family(replace(pendulum[0], name="symmetric"), tmp_path / "symmetric")
+    none = CliRunner().invoke(cli, ["continue", str(tmp_path / "symmetric" / "family.json"), "--switch", "start"])
+    assert none.exit_code == 2 and "joins another family at neither side" in none.output
+
+
+def test_a_target_behind_the_first_point_of_a_branch(pendulum, caplog):
+    """Between birth and first point it is turned to, behind the birth it is said."""
+    symmetric, _ = pendulum
+    branch = of.switch_branch(symmetric, 0)
+    born, begun = branch.event.parameter, branch.start.found.place.free[0]
+    away = FamilySettings(certify=False, events=False, directions="away")
+    family = of.follow_family(branch, until=(born + begun) / 2, settings=away)
+    assert family.ends[0].kind == "target" and len(family.points) == 2
+    with caplog.at_level(logging.WARNING):
+        of.follow_family(branch, until=born - 0.1 * np.sign(begun - born), settings=away, points=1)
+    assert "lies behind the branch" in caplog.text
+
+
+def test_the_direction_towards_a_target():
+    """Away from a birth at 1 and a first point at 2: on to 3, back to 1.5, and on from 0.5, which is behind."""
+    point = type("Point", (), {"value": 2.0})()
+    away = FamilySettings(parameter="p", directions="away")
+    for until, sign in ((3.0, 1), (1.5, -1), (0.5, 1), (None, 1)):
+        assert [one[0] for one in directions(point, away, (until, ()), 1, 1.0)] == [sign]
+
+
+def test_an_equilibrium_solved_for_in_a_parameter():
+    """A pendulum of one energy as its gravity grows: it hangs still where the potential's bottom is that energy."""
+    model = of.chain(1)
+    problem = of.Problem(model, of.Guess([0.3, 0.0], 1.65))
+    start = begin(problem, FamilySettings(parameter="gravity"))
+    rest = rest_of(start.curve, start.found, "gravity")
+    assert rest.value == pytest.approx(9.8 * np.cos(0.3), rel=1e-11)
+    assert rest.period == pytest.approx(2 * np.pi / np.sqrt(rest.value * 0.5 / (1 / 12 + 0.25)), rel=1e-11)
+
+
+def test_conservative_joins_from_both_sides():
+    """The triple pendulum's second mode: a doubling, and branches that lose its reflection, its brake or both."""
+    problem = of.load_problem(Path(__file__).parents[1] / "problems" / "families" / "triple-mode-2.toml")
+    settings = FamilySettings(certify=False, resonances=2)
+    family = of.follow_family(problem, until=-33.0, settings=replace(settings, directions="forward"))
+    places = [k for k, one in enumerate(family.events) if one.kind in ("period_doubling", "branch_point")]
+    assert len(places) == 3
+    for k in places:
+        branch = of.follow_family(of.switch_branch(family, k), points=4, settings=settings)
+        (end,) = (one for one in branch.ends if one.kind == "merged")
+        assert end.parameter == pytest.approx(family.events[k].parameter, rel=1e-11) and end.error < 1e-9
+        assert "fold" not in {one.kind for one in branch.events}
