@@ -230,23 +230,27 @@ def whole_family(file: Path) -> bool:
 
 
 def named_orbits(
-    files: Sequence[Path], trust: bool, pictured: bool = True, families: bool = False
+    files: Sequence[Path], trust: bool, pictured: bool = True, families: bool = False, out: Path | None = None
 ) -> list[tuple[Path, Any, Model]]:
     """What `plot`, `animate` and `export` work on: all read, and named as files may be, before anything is written.
 
-    With `families` a family.json stands for its Family.
+    With `families` a family.json stands for its Family. `InputError` for two of one name that go to one folder, which
+    is `out` or that of their file.
     """
     from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.problemfile.read import checked_name
 
-    found: list[tuple[Path, Any, Model]] = []
+    found, seen = list[tuple[Path, Any, "Model"]](), dict[tuple[Path, str], Path]()
     for file in files:
         if families and whole_family(file):
             family = load_family(file)
             found.append((file, family, build_model(family.system, file.parent if trust else None)))
         else:
             found.append((file, *orbit_and_model(file, trust, pictured)))
-        checked_name(found[-1][1].name, f"{file}: name")
+        name = found[-1][1].name
+        checked_name(name, f"{file}: name")
+        if (other := seen.setdefault((out or file.parent, name), file)) != file:
+            raise InputError(f"--out: {other} and {file} are both named {name!r}; give them one at a time")
     return found
 
 

@@ -10,6 +10,7 @@ import re
 import shutil
 import sys
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import click
 from click.core import ParameterSource
 
 from orbitfinder._runtime.limit import limited
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.records.reading import finite
 
 FILES = click.Path(path_type=Path)
@@ -132,7 +133,18 @@ def coloured(line: str) -> str:
 
 
 def finish(kind: str, document: Mapping[str, Any], passed: bool = True) -> None:
-    """The end of a command: its document where --json was given, exit code 1 for what did not pass."""
+    """The end of a command: its document where --json was given, exit code 1 for what did not pass.
+
+    `OrbitfinderError` where one of the files that it says were written is not there, or is two results' at once.
+    """
+    entries = [document, *(one for one in document.get("results", ()) if isinstance(one, dict))]
+    written = Counter(
+        str(file) for one in entries if isinstance(one.get("written"), list | tuple) for file in one["written"]
+    )
+    for file, count in written.items():
+        if count > 1 or not Path(file).exists():
+            what = f"{count} results were written there, each over the one before" if count > 1 else "was not written"
+            raise OrbitfinderError(f"{file}: {what}; please report this, with the command")
     if wants_json():
         print_json({"format": f"orbitfinder/{kind}"} | dict(document))
     if not passed:
