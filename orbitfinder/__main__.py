@@ -9,7 +9,7 @@ import signal
 import sys
 import warnings
 
-from orbitfinder._runtime import interrupt, streams
+from orbitfinder._runtime import guard, interrupt, streams
 
 INTERRUPTED = 130
 
@@ -23,7 +23,7 @@ def main() -> None:
     streams.sound()
     warnings.formatwarning = lambda message, category, *_, **__: f"{category.__name__}: {message}\n"
     try:
-        with interrupt.watch():
+        with interrupt.watch(), guard.guarded():
             from orbitfinder.cli.group import cli
 
             cli(prog_name="orbitfinder")

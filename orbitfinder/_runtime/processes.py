@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from orbitfinder._runtime import PROCESSORS, interrupt
+from orbitfinder._runtime import PROCESSORS, guard, interrupt
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that BLAS libraries read when they are loaded"""
@@ -111,7 +111,8 @@ def dismissed(hands: Iterable[Hand]) -> None:
 def _begin(pipe: Connection, work: Callable[..., None], *arguments: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    work(pipe, *arguments)
+    with guard.guarded(says=False):
+        work(pipe, *arguments)
 
 
 def _end_with_parent() -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orbitfinder._runtime import interrupt, processes, streams
-from orbitfinder._runtime.limit import limited
+from orbitfinder._runtime.limit import limited, resumed
 from orbitfinder.cli.console import Display, Progress
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.records.family import load_family
@@ -45,6 +45,8 @@ class Job:
     figures: bool
     trust: bool
     limit: float | None = None
+    spent: float = 0.0
+    """s of the limit that the reading of the file has taken"""
     loaded: ProblemFile | None = None
     """the file as read in this process"""
 
@@ -82,15 +84,17 @@ class Outcome:
 
 def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None) -> list[Job]:
     """Jobs for problem files, everything that can be checked before computing checked."""
-    from orbitfinder.problemfile.read import load_problem_file
-
     jobs: dict[str, Job] = {}
     for file in files:
-        loaded = load_problem_file(file, trust)
+        began = time.monotonic()
+        with limited(limit):
+            from orbitfinder.problemfile.read import load_problem_file
+
+            loaded = load_problem_file(file, trust)
         name = loaded.wanted.name
         if name in jobs:
             raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
-        jobs[name] = Job(file, name, out, figures, trust, limit, loaded)
+        jobs[name] = Job(file, name, out, figures, trust, limit, time.monotonic() - began, loaded)
     check_writable(out)
     for name in jobs:
         if (out / name).exists():
@@ -119,7 +123,7 @@ def run_job(job: Job, shown: Display | None = None) -> Outcome:
     began = time.perf_counter()
     report = None if shown is None else (lambda iteration: shown.show(progress(job.name, iteration)))
     try:
-        with limited(job.limit):
+        with resumed(job.limit, job.spent):
             loaded = job.loaded or load_problem_file(job.file, job.trust)
             problem = loaded.wanted
             orbit = solve(problem, loaded.starts, loaded.seed, report)
@@ -288,7 +292,7 @@ def run_jobs(jobs: Sequence[Job], workers: int, shown: Display) -> Iterator[Outc
                 hand = next((one for one in hands if one not in doing), None) or processes.hired(_serve)
                 hands += [] if hand in hands else [hand]
                 doing[hand] = todo.pop(0)
-                hand.tell(replace(doing[hand], loaded=None))
+                hand.tell(replace(doing[hand], loaded=None, spent=0.0))
             for hand in processes.ready(doing):
                 job, answer = doing.pop(hand), hand.answer()
                 if answer is None:

@@ -181,9 +181,10 @@ def _remember_compile(context: click.Context, _: click.Parameter, value: str | N
 
     context.call_on_close(restore)
     if value == "on":
-        from orbitfinder.integrate.compiled import available
+        with limited(context.params.get("limit")):
+            from orbitfinder.integrate.compiled import available
 
-        found, reason = available()
+            found, reason = available()
         if not found:
             click.echo(f"--compile on: {reason}; running interpreted", err=True)
 
@@ -205,5 +206,5 @@ def limit_option(default: float | None = None, each: str = "") -> click.Option:
     what = f"Stop {each or 'the command'} after this time; what is finished by then is kept."
     return click.Option(
         ["--limit"], type=click.FloatRange(0.0, min_open=True), default=default, show_default=default is not None,
-        metavar="SECONDS", callback=hold, expose_value=bool(each), help=what,
+        metavar="SECONDS", callback=hold, expose_value=bool(each), help=what, is_eager=True,
     )  # fmt: skip

@@ -19,6 +19,7 @@ import numpy as np
 
 from orbitfinder._runtime import limit as limited
 from orbitfinder._runtime import processes
+from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import (
     ConvergenceError,
@@ -150,14 +151,14 @@ def sweep(
             rows = study.rows() if workers == 1 else _shared(study, min(workers, len(study.values)), folder)
             for k, row in rows:
                 found[k] = row
+                finished(lambda: study.swept(found, time.monotonic() - began))
                 limited.note(f"{len(found)} of {len(study.values)} values are done")
                 if progress:
                     progress(row, len(found), len(study.values))
     except LimitError as error:
         late = {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in found}
         found |= late
-    ordered = tuple(found[k] for k in sorted(found))
-    return Sweep(study.names, ordered, problem.model.state_names, time.monotonic() - began)
+    return study.swept(found, time.monotonic() - began)
 
 
 def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
@@ -206,6 +207,11 @@ class _Study:
         self._pin = (*problem.pin, *(Pin(name, value) for name, value in own.items()))
         self._here: tuple[np.ndarray, Refined] | None = None
         self._before: tuple[np.ndarray, Refined] | None = None
+
+    def swept(self, found: Mapping[int, Row], seconds: float) -> Sweep:
+        """Rows by number as a Sweep."""
+        rows = tuple(found[k] for k in sorted(found))
+        return Sweep(self.names, rows, self.problem.model.state_names, seconds)
 
     def named(self, k: int) -> dict[str, float]:
         """The k-th values by name."""

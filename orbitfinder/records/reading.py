@@ -7,6 +7,7 @@ expanded, nested or counted beyond the bounds below, and only regular files are 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import io
@@ -26,6 +27,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from orbitfinder._runtime import interrupt
 from orbitfinder.errors import InputError, shortened
 
 LARGEST_FILE = 100_000_000
@@ -334,17 +336,22 @@ def read_as(kind: Any, value: Any, where: str, remedy: str) -> Any:
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a file whole or not at all: a temporary file beside it, then a rename."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with interrupt.undisturbed():
+        temporary = ""
+        try:
+            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)
+            os.replace(temporary, path)
+        except BaseException as error:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            if isinstance(error, OSError):  # of a full disk the system names no file, and otherwise the temporary one
+                raise type(error)(error.errno, error.strerror, str(path)) from error
+            raise
 
 
 def json_bytes(document: Any, compact: bool = False) -> bytes:
