@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime import interrupt
+from orbitfinder._runtime import interrupt, limit
 from orbitfinder.errors import LimitError
 
 SHARE = 0.05
@@ -30,8 +30,8 @@ class Keeper:
         self.next, self.written = 0.0, False
 
     def flush(self) -> None:
-        """Write what is finished and not written yet, undisturbed by signals and `guard`."""
-        with interrupt.held_back():
+        """Write what is finished and not written yet, whatever signals come and deadlines pass meanwhile."""
+        with interrupt.held_back(), limit.lifted():
             began = time.monotonic()
             if self.part is not None and (made := self.part()) is not None:
                 self.write(made, self.target)

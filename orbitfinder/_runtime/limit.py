@@ -86,6 +86,16 @@ def resumed(seconds: float | None, spent: float) -> Iterator[None]:
         _deadline.reset(token)
 
 
+@contextlib.contextmanager
+def lifted() -> Iterator[None]:
+    """A block that no deadline ends."""
+    token = _deadline.set(None)
+    try:
+        yield
+    finally:
+        _deadline.reset(token)
+
+
 def left() -> float:
     """Seconds to the deadline; infinite where there is none, negative after it."""
     deadline = _deadline.get()

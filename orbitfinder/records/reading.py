@@ -334,10 +334,19 @@ def read_as(kind: Any, value: Any, where: str, remedy: str) -> Any:
         raise InputError(f"{where}: {error}; {remedy}") from error
 
 
+@contextlib.contextmanager
+def named(path: Path) -> Iterator[None]:
+    """What cannot be written in the block is said of this file: of a full disk the system names none."""
+    try:
+        yield
+    except OSError as error:
+        raise type(error)(error.errno, error.strerror or str(error), str(path)) from error
+
+
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a file whole or not at all: a temporary file beside it, then a rename."""
-    with interrupt.undisturbed():
-        temporary = ""
+    temporary = ""
+    with interrupt.undisturbed(), named(path):
         try:
             handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
             with os.fdopen(handle, "wb") as stream:
@@ -346,11 +355,9 @@ def write_atomically(path: Path, data: bytes) -> None:
             os.umask(umask)
             os.chmod(temporary, 0o666 & ~umask)
             os.replace(temporary, path)
-        except BaseException as error:
+        except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
-            if isinstance(error, OSError):  # of a full disk the system names no file, and otherwise the temporary one
-                raise type(error)(error.errno, error.strerror, str(path)) from error
             raise
 
 
