@@ -17,6 +17,7 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line; Ctrl-C at any moment, even during imports, is exit code 130."""
     streams.leave_current_folder_out()
+    os.environ["MPLBACKEND"] = "agg"  # pictures are files; what the environment says may be no backend at all
     if os.path.exists("matplotlibrc"):  # Matplotlib would read its settings there before any others
         with contextlib.chdir(os.path.dirname(os.path.abspath(__file__))):
             import orbitfinder.show.style  # noqa: F401

@@ -1,4 +1,4 @@
-"""What is finished stays however a command is stopped, what does not answer is left, and a full disk is said of its file.
+"""What is finished stays however a command is stopped, what does not answer is left, a full disk is said of its file.
 
 Stopped from within: a real signal, or the deadline moved to now, at a chosen look of the computation at its limit.
 """
@@ -18,6 +18,7 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder._runtime import keeping, limit
 from orbitfinder.cli.group import cli
+from orbitfinder.errors import InputError
 from orbitfinder.records.controller import load_controller
 from orbitfinder.records.family import load_family
 from orbitfinder.records.optima import load_optima
@@ -308,3 +309,46 @@ def test_every_verb_names_the_file_that_could_not_be_written(tmp_path, verb):
     said = done.stderr.strip().splitlines()[-1]
     assert str(tmp_path) in said and "standard output" not in said, said
     assert not [one for one in tmp_path.rglob("*") if one.is_file() and one.name.endswith((".json", ".npz", ".png"))]
+
+
+# --- smaller things that hid or lost something
+
+
+def test_the_environment_names_no_backend(tmp_path):
+    """`MPLBACKEND=nonsense`: a traceback, though no command ever opens a window."""
+    words = [sys.executable, "-m", "orbitfinder", "plot", str(TRIPLE), "-o", str(tmp_path)]
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "nonsense"}
+    done = subprocess.run(words, capture_output=True, text=True, env=env, check=False)
+    assert done.returncode == 0 and list(tmp_path.glob("*.png")), done.stderr
+
+
+def test_modes_of_a_linkage_that_moves_no_mass_are_refused(monkeypatch):
+    """LAPACK's complaint of a mutated file was a traceback."""
+    from orbitfinder.guesses import modes
+
+    whole = modes.stationary_terms
+    monkeypatch.setattr(modes, "stationary_terms", lambda *given: (*whole(*given)[:3], 0 * whole(*given)[3]))
+    with pytest.raises(InputError, match=r"guess.mode: no modes at .*; give a state and a period"):
+        of.load_problem(ROOT / "problems" / "linkages" / "five-bar-slow-mode.toml")
+
+
+def test_a_command_that_found_nothing_leaves_no_empty_folder(tmp_path):
+    orbit = ROOT / "results" / "gallery" / "henon-heiles-near-the-saddle" / "orbit.json"
+    done = ran("connect", orbit, "-o", tmp_path / "a" / "b")
+    assert done.exit_code == 1 and "take one of the same family" in done.stderr and not list(tmp_path.iterdir())
+    (tmp_path / "mine").mkdir()
+    ran("connect", orbit, "-o", tmp_path / "mine")
+    assert [one.name for one in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_section_of_one_degree_of_freedom_is_drawn_with_its_orbit(tmp_path):
+    """`axes: need two different components, got xdot, xdot`, though none were given and there are no others."""
+    orbit = ROOT / "results" / "gallery" / "van-der-pol" / "orbit.json"
+    done = ran("section", orbit, "--seeds", 3, "--returns", 50, "-o", tmp_path)
+    assert done.exit_code == 0 and (tmp_path / "van-der-pol" / "section.png").is_file(), done.output
+
+
+def test_an_atlas_in_place_of_a_problem_is_called_one():
+    book = ROOT / "results" / "atlas" / "rossler.sqlite"
+    done = ran("continue", book)
+    assert done.exit_code == 2 and f"{book}: an atlas database; give one orbit of it by its id: {book}#1" in done.stderr

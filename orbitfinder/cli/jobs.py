@@ -12,8 +12,11 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import click
 
 from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited, resumed
@@ -103,7 +106,10 @@ def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit:
 
 
 def check_writable(folder: Path, option: str = "--out") -> None:
-    """`InputError` when files cannot be created in a folder (made if need be)."""
+    """`InputError` when files cannot be created in a folder, made if need be; what a command leaves empty goes."""
+    context = click.get_current_context(silent=True)
+    for made in reversed([one for one in (folder, *folder.parents) if context and not one.exists()]):
+        context.call_on_close(partial(_gone_if_empty, made))  # type: ignore[union-attr]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -113,6 +119,11 @@ def check_writable(folder: Path, option: str = "--out") -> None:
         raise InputError(
             f"{option}: cannot write in {str(folder)!r} ({reason}); choose a folder that you can write to"
         ) from error
+
+
+def _gone_if_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 def run_job(job: Job, shown: Display | None = None) -> Outcome:

@@ -218,7 +218,8 @@ def _axes(model: Model, plane: Plane, axes: Sequence[str] | None) -> tuple[int, 
         left = [i for i in range(len(names)) if i != plane.component]
         return (left[0], left[-1]) if half > 1 or len(left) > 1 else (left[0], left[0])
     given = tuple(axes)
-    if len(given) != 2 or given[0] == given[1]:
+    several = len(names) - (plane.component >= 0) > 1
+    if len(given) != 2 or (given[0] == given[1] and several):
         raise InputError(
             f"axes: need two different components, got {', '.join(map(str, given))}; one of {', '.join(names)}"
         )
