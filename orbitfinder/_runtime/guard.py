@@ -51,7 +51,7 @@ def guarded(says: bool = True) -> Iterator[None]:
 
 def _ring(*_: object) -> None:
     """`LimitError` at the deadline, not where that would leave something half-done."""
-    if limit.running and not interrupt.busy():
+    if limit.running and not interrupt.busy:
         limit.running[-1].heard = limit.left() < 0
         limit.check()
 
@@ -65,7 +65,7 @@ def _watch(ours: socket.socket, out: list[TextIO]) -> None:
             if ready and not numbers:
                 return
             now, past = time.monotonic(), limit.running[-1] if limit.running else None
-            busy = now if interrupt.busy() else busy
+            busy = now if interrupt.busy else busy
             mine = [one for one in numbers if one in interrupt.SIGNALS and interrupt.ours(one)]
             signals, told = signals + mine, now if mine and not signals else told
             if past and now > past.end and not past.heard and hasattr(signal, "pthread_kill"):
@@ -77,18 +77,17 @@ def _watch(ours: socket.socket, out: list[TextIO]) -> None:
 
 
 def _leave(code: int, why: str, out: list[TextIO]) -> None:
-    """End the process, what is finished kept, what is being written written, its processes ended."""
-    for keeper in keeping.open_now[-1:]:
+    """End the process and its children, what is finished kept."""
+    for keeper in keeping.under_way[-1:]:
         with contextlib.suppress(Exception):  # the main thread may be at it; the file on the disk is whole
-            if not interrupt.busy():
-                keeper.flush()
+            keeper.flush()
         why += keeper.sentence
     why = why.rstrip(": ;")
     for stream in out[1:]:
         stream.write(f"{why}\n")
-    if out and code == 1 and "--json" in sys.argv:
-        out[0].write(json.dumps({"format": "orbitfinder/error", "error": why.removeprefix("Error: ")}) + "\n")
-        out[0].flush()
+        if code == 1 and "--json" in sys.argv:
+            out[0].write(json.dumps({"format": "orbitfinder/error", "error": why.removeprefix("Error: ")}) + "\n")
+            out[0].flush()
     for child in multiprocessing.active_children():
         child.kill()
     os._exit(code)

@@ -13,7 +13,8 @@ from typing import Any
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 seen: list[int] = []
 """The signals since `watch()` was entered."""
-_whole, _depth = threading.RLock(), [0]
+busy: list[bool] = []
+"""Not empty while something is done that must not end half-done"""
 
 
 def _note(number: int, _: FrameType | None) -> None:
@@ -64,17 +65,11 @@ def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
     """A block that `guard` lets come to its end."""
-    with _whole:
-        _depth[0] += 1
-        try:
-            yield
-        finally:
-            _depth[0] -= 1
-
-
-def busy() -> bool:
-    """Whether somebody is `undisturbed`."""
-    return _depth[0] > 0
+    busy.append(True)
+    try:
+        yield
+    finally:
+        busy.pop()
 
 
 def ours(number: int) -> bool:

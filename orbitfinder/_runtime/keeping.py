@@ -8,10 +8,11 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
+from contextvars import Context
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime import interrupt, limit
+from orbitfinder._runtime import interrupt
 from orbitfinder.errors import LimitError
 
 SHARE = 0.05
@@ -21,44 +22,34 @@ STOPPED = "stopped"
 
 
 class Keeper:
-    """One thing in the making, its file, how that is written, and how long it took last."""
+    """One thing in the making, its file, and what is kept of it, in words."""
 
     def __init__(self, target: Path, write: Callable[[Any, Path], object]) -> None:
-        self.write, self.fresh = write, not target.exists()
+        self.fresh, self.write, self.sentence, self.next = not target.exists(), write, "nothing was finished yet", 0.0
         self.target = target if self.fresh else target.with_name(f"{target.stem}-{STOPPED}{target.suffix}")
-        self.part: Callable[[], Any] | None = None
-        self.next, self.written = 0.0, False
+        self.part: Callable[[], Any] = lambda: None
 
     def flush(self) -> None:
         """Write what is finished and not written yet, whatever signals come and deadlines pass meanwhile."""
-        with interrupt.held_back(), limit.lifted():
-            began = time.monotonic()
-            if self.part is not None and (made := self.part()) is not None:
+        began = time.monotonic()
+        with interrupt.held_back():
+            if (made := Context().run(self.part)) is not None:
                 self.write(made, self.target)
-                self.written = True
-            self.part = None
-            self.next = time.monotonic() + (time.monotonic() - began) / SHARE
-
-    @property
-    def sentence(self) -> str:
-        """What is kept, in words."""
-        return f"what is finished is kept in {self.target}" if self.written else "nothing was finished yet"
+                self.sentence = f"what is finished is kept in {self.target}"
+            self.part = lambda: None
+        self.next = time.monotonic() + (time.monotonic() - began) / SHARE
 
 
-open_now: list[Keeper] = []
-"""Those whose work is under way, the innermost last"""
+under_way: list[Keeper] = []
+"""The innermost last"""
 last: list[str] = []
 """What was kept of work that was stopped, in words"""
 
 
 @contextlib.contextmanager
 def kept(target: Path, write: Callable[[Any, Path], object]) -> Iterator[None]:
-    """Inside the block what `finished` is given is written by `write`, of which a stopped block leaves the last.
-
-    A `LimitError` says what is kept where. A file of an earlier run is not written over before all is there.
-    """
-    keeper = Keeper(target, write)
-    open_now.append(keeper)
+    """Inside the block what `finished` is given is written by `write`; a `LimitError` says where it is."""
+    under_way.append(keeper := Keeper(target, write))
     try:
         yield
     except BaseException as error:
@@ -68,13 +59,12 @@ def kept(target: Path, write: Callable[[Any, Path], object]) -> Iterator[None]:
             raise LimitError(f"{error}; {keeper.sentence}") from error
         raise
     finally:
-        open_now.remove(keeper)
+        under_way.remove(keeper)
 
 
 def finished(part: Callable[[], Any]) -> None:
     """What there is by now of what is in the making, None for nothing, for the innermost `kept`; made to be written."""
-    if open_now:
-        keeper = open_now[-1]
-        keeper.part = part
-        if keeper.fresh and time.monotonic() >= keeper.next:
-            keeper.flush()
+    if under_way:
+        under_way[-1].part = part
+        if under_way[-1].fresh and time.monotonic() >= under_way[-1].next:
+            under_way[-1].flush()

@@ -48,11 +48,13 @@ running: list[Deadline] = []
 _deadline: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 
-def limited(seconds: float | None) -> contextlib.AbstractContextManager[None]:
+@contextlib.contextmanager
+def limited(seconds: float | None, spent: float = 0.0) -> Iterator[None]:
     """A limit of time for a block: `with of.limited(60.0): ...`.
 
     Args:
         seconds: s; None is no limit, of nested ones the earliest holds.
+        spent: how many of them are gone before the block begins.
 
     Returns:
         A context manager.
@@ -64,12 +66,6 @@ def limited(seconds: float | None) -> contextlib.AbstractContextManager[None]:
         >>> with of.limited(60.0):
         ...     found = of.find_orbit(problem)
     """
-    return resumed(seconds, 0.0)
-
-
-@contextlib.contextmanager
-def resumed(seconds: float | None, spent: float) -> Iterator[None]:
-    """`limited` for work of which a part has been done, in so many seconds."""
     if seconds is not None and not (seconds > 0 and not math.isnan(seconds)):
         raise InputError(f"limit: must be a positive number of seconds, got {seconds}")
     outer, end = _deadline.get(), math.inf if seconds is None else time.monotonic() + seconds - spent
@@ -83,16 +79,6 @@ def resumed(seconds: float | None, spent: float) -> Iterator[None]:
         yield
     finally:
         running[:] = [one for one in running if one is not made]
-        _deadline.reset(token)
-
-
-@contextlib.contextmanager
-def lifted() -> Iterator[None]:
-    """A block that no deadline ends."""
-    token = _deadline.set(None)
-    try:
-        yield
-    finally:
         _deadline.reset(token)
 
 

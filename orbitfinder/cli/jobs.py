@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder._runtime import interrupt, processes, streams
-from orbitfinder._runtime.limit import limited, resumed
+from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import Display, Progress
 from orbitfinder.errors import InputError, OrbitfinderError, plural
 from orbitfinder.records.family import load_family
@@ -134,7 +134,7 @@ def run_job(job: Job, shown: Display | None = None) -> Outcome:
     began = time.perf_counter()
     report = None if shown is None else (lambda iteration: shown.show(progress(job.name, iteration)))
     try:
-        with resumed(job.limit, job.spent):
+        with limited(job.limit, job.spent):
             loaded = job.loaded or load_problem_file(job.file, job.trust)
             problem = loaded.wanted
             orbit = solve(problem, loaded.starts, loaded.seed, report)

@@ -17,7 +17,6 @@ from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
     from orbitfinder.orbits.sweep import Row, Sweep
-    from orbitfinder.records.orbit import Orbit
 
 MOST_VALUES = 1_000_000
 
@@ -57,16 +56,12 @@ def sweep(
         from orbitfinder.records.orbit import save_orbit
         from orbitfinder.records.reading import finite, write_atomically, write_json
 
-        there: dict[Path, Orbit] = {}
-
         def save(found: Sweep, path: Path) -> list[Path]:
-            """The table and, in the folder that goes with it, the orbits that are not there yet; all of the files."""
+            """The table and, in the folder that goes with it, the orbits; all of the files."""
             home = path.parent if path.stem == "sweep" else path.with_suffix("")
             files = [home / one.name / "orbit.json" for one in found.orbits if orbits]
             for target, one in zip(files, found.orbits, strict=False):
-                if there.get(target) is not one:
-                    save_orbit(one, target)
-                    there[target] = one
+                save_orbit(one, target)
             write_atomically(path.with_suffix(".csv"), as_csv(list(found.records[0]), found.records))
             return [path.with_suffix(".csv"), write_json(path, finite(found.records)), *files]
 
