@@ -9,7 +9,7 @@ import signal
 import sys
 import warnings
 
-from orbitfinder._runtime import guard, interrupt, streams
+from orbitfinder._runtime import interrupt, streams
 
 INTERRUPTED = 130
 
@@ -24,10 +24,13 @@ def main() -> None:
     streams.sound()
     warnings.formatwarning = lambda message, category, *_, **__: f"{category.__name__}: {message}\n"
     try:
-        with interrupt.watch(), guard.guarded():
-            from orbitfinder.cli.group import cli
+        with interrupt.watch():
+            from orbitfinder._runtime import guard
 
-            cli(prog_name="orbitfinder")
+            with guard.guarded():
+                from orbitfinder.cli.group import cli
+
+                cli(prog_name="orbitfinder")
     except KeyboardInterrupt:
         sys.stderr.write("Interrupted.\n")
         _leave_interrupted()
