@@ -17,6 +17,7 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line; Ctrl-C at any moment, even during imports, is exit code 130."""
     streams.leave_current_folder_out()
+    os.environ["MPLBACKEND"] = "agg"  # pictures are files; what the environment says may be no backend at all
     if os.path.exists("matplotlibrc"):  # Matplotlib would read its settings there before any others
         with contextlib.chdir(os.path.dirname(os.path.abspath(__file__))):
             import orbitfinder.show.style  # noqa: F401
@@ -24,9 +25,12 @@ def main() -> None:
     warnings.formatwarning = lambda message, category, *_, **__: f"{category.__name__}: {message}\n"
     try:
         with interrupt.watch():
-            from orbitfinder.cli.group import cli
+            from orbitfinder._runtime import guard
 
-            cli(prog_name="orbitfinder")
+            with guard.guarded():
+                from orbitfinder.cli.group import cli
+
+                cli(prog_name="orbitfinder")
     except KeyboardInterrupt:
         sys.stderr.write("Interrupted.\n")
         _leave_interrupted()

@@ -345,8 +345,9 @@ def test_command_refuses_what_it_cannot_do(tmp_path):
     assert "no such file" in invoke("export", "none.json", "--to", "csv").stderr
     assert invoke("export", one, "--to", "xml").exit_code == 2
     twin = edited(tmp_path)
-    result = invoke("export", one, twin, "--to", "csv", "-o", tmp_path / "both")
-    assert result.exit_code == 2 and "are both named 'triple-1'; export one at a time" in result.stderr
+    for verb in (["export", "--to", "csv"], ["plot"], ["animate"]):  # one would be written over the other
+        result = invoke(*verb, one, twin, "-o", tmp_path / "both")
+        assert result.exit_code == 2 and "are both named 'triple-1'; give them one at a time" in result.stderr
     result = invoke("export", edited(tmp_path, name="../escape"), "--to", "csv")
     assert result.exit_code == 2 and "name: must consist of letters" in result.stderr
     result = invoke("export", edited(tmp_path, state=[0.0, 1.0]), "--to", "csv")

@@ -110,6 +110,27 @@ def test_a_sweep_that_is_cut_off_keeps_its_rows(duffing):
     assert found.rows[3].reason == "stopped after 3600 s (limit): 2 of 4 values are done"
 
 
+@pytest.mark.parametrize("workers", [2, 3])
+def test_no_process_takes_the_name_of_anothers_orbit(duffing, workers):
+    """Each numbered its own rows from 1, and the files of half the orbits were written over."""
+    cubics = [2.0, 0.1, 1.0, 0.5, -0.3]
+    found = of.sweep(duffing, cubic=cubics, workers=workers)
+    assert [row.values["cubic"] for row in found.rows] == cubics
+    assert [one.name for one in found.orbits] == [f"orbit-{k:04d}" for k in range(1, 6)]
+    assert [one.system["arguments"]["cubic"] for one in found.orbits] == cubics
+
+
+def test_a_swept_orbit_has_a_file_of_its_own(tmp_path, monkeypatch):
+    words = ("sweep", SPRING, "--parameter", "stiffness=29,30,31", "--workers", "2", "--out", tmp_path, "--json")
+    written = [Path(one) for one in json.loads(run(*words)[0])["written"]]
+    assert len(written) == 5 and all(one.is_file() for one in written)
+    values = {of.load_orbit(one).system["arguments"]["stiffness"] for one in written if one.name == "orbit.json"}
+    assert values == {29.0, 30.0, 31.0}
+    monkeypatch.setattr(sweeping.Sweep, "orbits", property(lambda found: (found.rows[0].orbit,) * 2))
+    _, err = run(*words, code=1)
+    assert "0001" in err and "2 results were written there, each over the one before" in err
+
+
 def test_processes_find_the_same(duffing):
     cubics = list(np.linspace(-0.5, 2.0, 6))
     alone, shared = of.sweep(duffing, cubic=cubics), of.sweep(duffing, cubic=cubics, workers=2)

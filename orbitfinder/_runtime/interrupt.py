@@ -13,6 +13,8 @@ from typing import Any
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 seen: list[int] = []
 """The signals since `watch()` was entered."""
+busy: list[bool] = []
+"""Not empty while something is done that must not end half-done"""
 
 
 def _note(number: int, _: FrameType | None) -> None:
@@ -60,6 +62,21 @@ def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
             signal.signal(number, old or signal.SIG_DFL)
 
 
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """A block that `guard` lets come to its end."""
+    busy.append(True)
+    try:
+        yield
+    finally:
+        busy.pop()
+
+
+def ours(number: int) -> bool:
+    """Whether a signal is answered here, and neither held back nor taken over by others."""
+    return signal.getsignal(number) is _note
+
+
 def check() -> None:
     """Raise KeyboardInterrupt again if one was swallowed."""
     if seen:
@@ -77,7 +94,7 @@ def held_back() -> Iterator[None]:
         yield
         return
     waiting: list[int] = []
-    with _handled(lambda number, _: waiting.append(number)):
+    with _handled(lambda number, _: waiting.append(number)), undisturbed():
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             yield

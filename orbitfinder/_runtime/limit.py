@@ -5,7 +5,7 @@
 
 Python code that repeats something calls `check()`. CasADi's long calls are made inside `alarm()`: CVODES and IPOPT
 poll for signals, so an alarm at the deadline ends them. Elsewhere than in the main thread, and on Windows, they are
-waited for.
+waited for. In commands `guard` sees to what does neither.
 """
 
 from __future__ import annotations
@@ -32,17 +32,29 @@ class Deadline:
     end: float
     seconds: float
     note: str = ""
+    heard: bool = False
+    """whether the main thread has been told that it is past"""
+
+    @property
+    def sentence(self) -> str:
+        """That the work was stopped, and how far it had come."""
+        return f"stopped after {self.seconds:g} s (limit)" + (f": {self.note}" if self.note else "")
+
+
+running: list[Deadline] = []
+"""Those of the main thread, for `guard`; the last is the earliest"""
 
 
 _deadline: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 
 @contextlib.contextmanager
-def limited(seconds: float | None) -> Iterator[None]:
+def limited(seconds: float | None, spent: float = 0.0) -> Iterator[None]:
     """A limit of time for a block: `with of.limited(60.0): ...`.
 
     Args:
         seconds: s; None is no limit, of nested ones the earliest holds.
+        spent: how many of them are gone before the block begins.
 
     Returns:
         A context manager.
@@ -56,14 +68,17 @@ def limited(seconds: float | None) -> Iterator[None]:
     """
     if seconds is not None and not (seconds > 0 and not math.isnan(seconds)):
         raise InputError(f"limit: must be a positive number of seconds, got {seconds}")
-    outer, end = _deadline.get(), math.inf if seconds is None else time.monotonic() + seconds
+    outer, end = _deadline.get(), math.inf if seconds is None else time.monotonic() + seconds - spent
     if seconds is None or not math.isfinite(end) or (outer is not None and outer.end <= end):
         yield
         return
-    token = _deadline.set(Deadline(end, seconds))
+    made = Deadline(end, seconds)
+    token, here = _deadline.set(made), threading.current_thread() is threading.main_thread()
+    running.extend([made] * here)
     try:
         yield
     finally:
+        running[:] = [one for one in running if one is not made]
         _deadline.reset(token)
 
 
@@ -84,8 +99,7 @@ def check() -> None:
     """`LimitError` when the deadline is past."""
     deadline = _deadline.get()
     if deadline is not None and time.monotonic() > deadline.end:
-        more = f": {deadline.note}" if deadline.note else ""
-        raise LimitError(f"stopped after {deadline.seconds:g} s (limit){more}")
+        raise LimitError(deadline.sentence)
 
 
 @contextlib.contextmanager

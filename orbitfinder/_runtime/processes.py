@@ -25,7 +25,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from orbitfinder._runtime import PROCESSORS, interrupt, limit
+from orbitfinder._runtime import PROCESSORS, guard, interrupt, limit
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that BLAS libraries read when they are loaded"""
@@ -149,7 +149,8 @@ def answered(module: str, function: str, argument: Any, memory: int) -> None:
 def _begin(pipe: Connection, work: Callable[..., None], *arguments: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    work(pipe, *arguments)
+    with guard.guarded(says=False):
+        work(pipe, *arguments)
 
 
 def _end_with_parent() -> None:

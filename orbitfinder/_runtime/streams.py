@@ -49,9 +49,9 @@ def sound() -> None:
         setattr(sys, name, _text(raw, encoding, errors, name == "stderr" or raw.isatty()))
 
 
-def aside() -> TextIO:
-    """A stream to where standard error leads now, however that is captured later."""
-    return _text(_Lenient(os.dup(2), OSError, closefd=True), "utf-8", "replace", True)
+def aside(descriptor: int = 2) -> TextIO:
+    """A stream to where standard error (or output, 1) leads now, however that is captured later."""
+    return _text(_Lenient(os.dup(descriptor), OSError, closefd=True), "utf-8", "replace", True)
 
 
 def abandoned() -> None:

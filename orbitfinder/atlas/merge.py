@@ -14,12 +14,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from orbitfinder._runtime import limit
 from orbitfinder._runtime.arguments import checked
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.atlas.signature import same_orbit, signature_of
 from orbitfinder.atlas.store import RESTORE, Atlas
 from orbitfinder.atlas.tables import explained, transaction
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, plural
 from orbitfinder.mechanics.model import Model
 from orbitfinder.records.orbit import orbit_from_document
 
@@ -77,7 +78,8 @@ def merge_atlases(
 ) -> Merged:  # fmt: skip
     """Put the orbits, searches and starts of several atlases of one system into one, beside what that holds already.
 
-    Merging is idempotent, commutative and associative. The atlas is written whole or not at all.
+    Merging is idempotent, commutative and associative. Each atlas is taken whole or not at all, and none where one is
+    refused; of a merge that is stopped those stay that are taken.
 
     Args:
         files: the atlases.
@@ -105,16 +107,29 @@ def merge_atlases(
         for book in books[1:]:
             stack.enter_context(Atlas(book.path, books[0].system, model=model, trusted=trusted))  # or it is of another
         out = stack.enter_context(Atlas(atlas, books[0].system, write=True, model=model, trusted=trusted))
-        if out.path.resolve() not in [book.path.resolve() for book in books]:
-            books.append(stack.enter_context(Atlas(atlas, model=model, trusted=trusted)))
-        with explained(out.path), transaction(out.connection):
-            _check_requests(books, union)
-            entries = sorted(one for k, book in enumerate(books) for one in _entries(k, book))
-            for table in ("starts", "orbits", "searches"):
-                out.connection.execute(f"DELETE FROM {table}")
-            known = _orbits(out, books, entries)
-            _starts(out, books, known, [one for one in entries if not one.orphan])
+        held = stack.enter_context(Atlas(atlas, model=model, trusted=trusted))
+        books = [book for book in books if book.path.resolve() != out.path.resolve()]
+        with explained(out.path):
+            _check_requests([*books, held], union)
+            for k, book in enumerate([*books, held]):
+                for one in _entries(k, book):
+                    book.document(one.number)  # `InputError` where it is damaged, before anything is written
+            for k, pair in enumerate([[book, held] for book in books] or [[held]]):
+                limit.note(f"{k} of {plural(len(books), 'atlas')} in {out.path}; the same command takes the others")
+                limit.check()
+                with transaction(out.connection):
+                    _joined(out, pair)
         return _summary(out)
+
+
+def _joined(out: Atlas, books: Sequence[Atlas]) -> None:
+    """Make an atlas the union of several, the last of which reads what it holds; in a transaction."""
+    entries = sorted(one for k, book in enumerate(books) for one in _entries(k, book))
+    for table in ("starts", "orbits", "searches"):
+        out.connection.execute(f"DELETE FROM {table}")
+    out.forget()
+    known = _orbits(out, books, entries)
+    _starts(out, books, known, [one for one in entries if not one.orphan])
 
 
 def _distinct(files: Sequence[str | Path]) -> list[Path]:

@@ -320,6 +320,10 @@ class Atlas(Shown):
             self._loops.pop(next(iter(self._loops)))
         self._loops[number] = signature
 
+    def forget(self) -> None:
+        """Let go of all loops, where ids are to become those of other orbits."""
+        self._loops.clear()
+
     def insert(self, orbit: Orbit, signature: Signature) -> int:
         """Store an orbit without further questions; the id. To be called inside a transaction."""
         if orbit.certificate is None or not orbit.certificate.passed:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import Display, Progress, display
 from orbitfinder.cli.jobs import check_writable, named_orbits, whole_family
 from orbitfinder.cli.options import (
@@ -221,8 +222,9 @@ def _optima(
             cost = float((orbit.control or {})["cost"])
             shown.say(f"{parameter} {value:.9g}, cost {cost:.9g}, period {orbit.period:.9g} s, {orbit.stability}")
 
-        found = follow_optima(problem, parameter, values, until=chosen["until"], points=points, progress=report)
-    written = [save_optima(found, folder / "optima.json")]
+        with kept(folder / "optima.json", save_optima):
+            found = follow_optima(problem, parameter, values, until=chosen["until"], points=points, progress=report)
+            written = [save_optima(found, folder / "optima.json")]
     written += [save_optima_figure(found, folder)] if chosen["figures"] else []
     text(f"{written[0]}: {found.counts}")
     for one in found.changes:

@@ -34,13 +34,7 @@ def export(files: tuple[Path, ...], to: str, out: Path | None, trust: bool) -> N
     """
     from orbitfinder.exports.write import export_orbit
 
-    seen: dict[str, Path] = {}
-    orbits = named_orbits(files, trust)
-    for file, orbit, _ in orbits:
-        if out is not None and seen.setdefault(orbit.name, file) != file:
-            both = f"{seen[orbit.name]} and {file} are both named {orbit.name!r}"
-            raise InputError(f"--out: {both}; export one at a time")
-    for file, orbit, model in orbits:
+    for file, orbit, model in named_orbits(files, trust, out=out):
         folder = file.parent if out is None else out
         check_writable(folder)
         for written in export_orbit(orbit, to, folder, model):
@@ -67,7 +61,7 @@ def plot(files: tuple[Path, ...], out: Path | None, together: bool, level: float
     """
     from orbitfinder.show.plot import save_figures, save_frequency_energy
 
-    drawn = named_orbits(files, trust, families=True)
+    drawn = named_orbits(files, trust, families=True, out=None if together else out)
     if together or level is not None:
         families = [one for _, one, _ in drawn]
         folder = files[0].parent if out is None else out
@@ -108,7 +102,7 @@ def animate(files: tuple[Path, ...], out: Path | None, trust: bool, **chosen: An
         check_suffix(single)
         if len(files) > 1:
             raise InputError(f"--out: {out} is one file for {plural(len(files), 'orbit')}; name a folder")
-    for file, orbit, model in named_orbits(files, trust):
+    for file, orbit, model in named_orbits(files, trust, out=out):
         target = single or (out or file.parent) / f"{orbit.name}.gif"
         check_writable(target.parent)
         settings = settings_for(target, **chosen)

@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from orbitfinder._runtime import __version__, interrupt
+from orbitfinder._runtime import __version__, interrupt, keeping
 from orbitfinder.cli.atlas import atlas
 from orbitfinder.cli.continue_ import continue_
 from orbitfinder.cli.doctor import completion, doctor
@@ -128,7 +128,8 @@ def fitted(told: str) -> str:
 
 
 def _interrupted(ctx: click.Context) -> None:
-    click.echo("Interrupted: finished results are kept, nothing half-written.", err=True)
+    what = keeping.last[-1] if keeping.last else "finished results are kept"
+    click.echo(f"Interrupted: {what}, nothing half-written.", err=True)
     ctx.exit(INTERRUPTED)
 
 

@@ -12,8 +12,11 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import click
 
 from orbitfinder._runtime import interrupt, processes, streams
 from orbitfinder._runtime.limit import limited
@@ -45,6 +48,8 @@ class Job:
     figures: bool
     trust: bool
     limit: float | None = None
+    spent: float = 0.0
+    """s of the limit that the reading of the file has taken"""
     loaded: ProblemFile | None = None
     """the file as read in this process"""
 
@@ -82,15 +87,17 @@ class Outcome:
 
 def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit: float | None = None) -> list[Job]:
     """Jobs for problem files, everything that can be checked before computing checked."""
-    from orbitfinder.problemfile.read import load_problem_file
-
     jobs: dict[str, Job] = {}
     for file in files:
-        loaded = load_problem_file(file, trust)
+        began = time.monotonic()
+        with limited(limit):
+            from orbitfinder.problemfile.read import load_problem_file
+
+            loaded = load_problem_file(file, trust)
         name = loaded.wanted.name
         if name in jobs:
             raise InputError(f"name: {name!r} is used by both {jobs[name].file} and {file}; rename one of them")
-        jobs[name] = Job(file, name, out, figures, trust, limit, loaded)
+        jobs[name] = Job(file, name, out, figures, trust, limit, time.monotonic() - began, loaded)
     check_writable(out)
     for name in jobs:
         if (out / name).exists():
@@ -99,7 +106,10 @@ def prepare(files: Sequence[Path], out: Path, figures: bool, trust: bool, limit:
 
 
 def check_writable(folder: Path, option: str = "--out") -> None:
-    """`InputError` when files cannot be created in a folder (made if need be)."""
+    """`InputError` when files cannot be created in a folder, made if need be; what a command leaves empty goes."""
+    context = click.get_current_context(silent=True)
+    for made in reversed([one for one in (folder, *folder.parents) if context and not one.exists()]):
+        context.call_on_close(partial(_gone_if_empty, made))  # type: ignore[union-attr]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -111,6 +121,11 @@ def check_writable(folder: Path, option: str = "--out") -> None:
         ) from error
 
 
+def _gone_if_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+
+
 def run_job(job: Job, shown: Display | None = None) -> Outcome:
     """Find, certify and write one orbit. Raises `InputError` only; the rest is an Outcome."""
     from orbitfinder.atlas.choose import solve
@@ -119,7 +134,7 @@ def run_job(job: Job, shown: Display | None = None) -> Outcome:
     began = time.perf_counter()
     report = None if shown is None else (lambda iteration: shown.show(progress(job.name, iteration)))
     try:
-        with limited(job.limit):
+        with limited(job.limit, job.spent):
             loaded = job.loaded or load_problem_file(job.file, job.trust)
             problem = loaded.wanted
             orbit = solve(problem, loaded.starts, loaded.seed, report)
@@ -230,23 +245,27 @@ def whole_family(file: Path) -> bool:
 
 
 def named_orbits(
-    files: Sequence[Path], trust: bool, pictured: bool = True, families: bool = False
+    files: Sequence[Path], trust: bool, pictured: bool = True, families: bool = False, out: Path | None = None
 ) -> list[tuple[Path, Any, Model]]:
     """What `plot`, `animate` and `export` work on: all read, and named as files may be, before anything is written.
 
-    With `families` a family.json stands for its Family.
+    With `families` a family.json stands for its Family. `InputError` for two of one name that go to one folder, which
+    is `out` or that of their file.
     """
     from orbitfinder.mechanics.catalogue import build_model
     from orbitfinder.problemfile.read import checked_name
 
-    found: list[tuple[Path, Any, Model]] = []
+    found, seen = list[tuple[Path, Any, "Model"]](), dict[tuple[Path, str], Path]()
     for file in files:
         if families and whole_family(file):
             family = load_family(file)
             found.append((file, family, build_model(family.system, file.parent if trust else None)))
         else:
             found.append((file, *orbit_and_model(file, trust, pictured)))
-        checked_name(found[-1][1].name, f"{file}: name")
+        name = found[-1][1].name
+        checked_name(name, f"{file}: name")
+        if (other := seen.setdefault((out or file.parent, name), file)) != file:
+            raise InputError(f"--out: {other} and {file} are both named {name!r}; give them one at a time")
     return found
 
 
@@ -284,7 +303,7 @@ def run_jobs(jobs: Sequence[Job], workers: int, shown: Display) -> Iterator[Outc
                 hand = next((one for one in hands if one not in doing), None) or processes.hired(_serve)
                 hands += [] if hand in hands else [hand]
                 doing[hand] = todo.pop(0)
-                hand.tell(replace(doing[hand], loaded=None))
+                hand.tell(replace(doing[hand], loaded=None, spent=0.0))
             for hand in processes.ready(doing):
                 job, answer = doing.pop(hand), hand.answer()
                 if answer is None:

@@ -10,6 +10,7 @@ import re
 import shutil
 import sys
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import click
 from click.core import ParameterSource
 
 from orbitfinder._runtime.limit import limited
-from orbitfinder.errors import InputError
+from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.records.reading import finite
 
 FILES = click.Path(path_type=Path)
@@ -132,7 +133,18 @@ def coloured(line: str) -> str:
 
 
 def finish(kind: str, document: Mapping[str, Any], passed: bool = True) -> None:
-    """The end of a command: its document where --json was given, exit code 1 for what did not pass."""
+    """The end of a command: its document where --json was given, exit code 1 for what did not pass.
+
+    `OrbitfinderError` where one of the files that it says were written is not there, or is two results' at once.
+    """
+    entries = [document, *(one for one in document.get("results", ()) if isinstance(one, dict))]
+    written = Counter(
+        str(file) for one in entries if isinstance(one.get("written"), list | tuple) for file in one["written"]
+    )
+    for file, count in written.items():
+        if count > 1 or not Path(file).exists():
+            what = f"{count} results were written there, each over the one before" if count > 1 else "was not written"
+            raise OrbitfinderError(f"{file}: {what}; please report this, with the command")
     if wants_json():
         print_json({"format": f"orbitfinder/{kind}"} | dict(document))
     if not passed:
@@ -169,9 +181,10 @@ def _remember_compile(context: click.Context, _: click.Parameter, value: str | N
 
     context.call_on_close(restore)
     if value == "on":
-        from orbitfinder.integrate.compiled import available
+        with limited(context.params.get("limit")):
+            from orbitfinder.integrate.compiled import available
 
-        found, reason = available()
+            found, reason = available()
         if not found:
             click.echo(f"--compile on: {reason}; running interpreted", err=True)
 
@@ -193,5 +206,5 @@ def limit_option(default: float | None = None, each: str = "") -> click.Option:
     what = f"Stop {each or 'the command'} after this time; what is finished by then is kept."
     return click.Option(
         ["--limit"], type=click.FloatRange(0.0, min_open=True), default=default, show_default=default is not None,
-        metavar="SECONDS", callback=hold, expose_value=bool(each), help=what,
+        metavar="SECONDS", callback=hold, expose_value=bool(each), help=what, is_eager=True,
     )  # fmt: skip

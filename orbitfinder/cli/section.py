@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.continue_ import numbers, origin_of
 from orbitfinder.cli.jobs import check_writable, named_orbits
 from orbitfinder.cli.options import FILES, FINITE, Decorator, finish, json_option, out_option, text, trust_option
@@ -85,14 +86,15 @@ def section(
     together = drawn(others, trust)
     folder = out / origin.name
     check_writable(folder)
-    found = made(
-        origin, energy, **chosen_plane(**shown), seeds=seeds, returns=returns, ranges=limits(ranges), model=model
-    )
-    interrupt.check()
+    with kept(folder / "section.json", save_section):
+        found = made(
+            origin, energy, **chosen_plane(**shown), seeds=seeds, returns=returns, ranges=limits(ranges), model=model
+        )
+        interrupt.check()
+        written = [save_section(found, folder / "section.json")]
     if isinstance(origin, Orbit) and _level(found.energy, origin):
         together["orbits"].insert(0, origin)
     together["tori"] = [one for one in together["tori"] if _level(found.energy, one)]
-    written = [save_section(found, folder / "section.json")]
     model = model or getattr(origin, "model", None)
     written.append(draw_section(found, folder / "section.png", **together, model=model))
     regular, motions = int(found.regular.sum()), len(found.starts)

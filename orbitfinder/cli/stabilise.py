@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from orbitfinder._runtime.keeping import finished, kept
 from orbitfinder.cli.console import note
 from orbitfinder.cli.jobs import check_writable, orbit_and_model
 from orbitfinder.cli.options import (
@@ -87,11 +88,14 @@ def stabilise(
     made = stabilised(orbit, chosen, R=effort, limits=saturation, clock=clock or None, model=model)
     own = None if orbit.system.get("kind") in REBUILDABLE else model
     _print_design(made)
-    if made.stabilised and disturbances:
-        note(f"{orbit.name}: {len(sizes) * disturbances} motions of {periods} periods")
-        made = basin(made, sizes, disturbances, periods, noise=noise, rate=rate, seed=seed, model=own)
-        _print_basin(made)
-    written = [save_controller(made, folder / "controller.json")]
+    with kept(folder / "controller.json", save_controller):
+        designed = made
+        finished(lambda: designed)
+        if made.stabilised and disturbances:
+            note(f"{orbit.name}: {len(sizes) * disturbances} motions of {periods} periods")
+            made = basin(made, sizes, disturbances, periods, noise=noise, rate=rate, seed=seed, model=own)
+            _print_basin(made)
+        written = [save_controller(made, folder / "controller.json")]
     if made.stabilised:
         written += export_controller(made, folder, own)
         if animate:

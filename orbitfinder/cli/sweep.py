@@ -9,12 +9,14 @@ import click
 import numpy as np
 
 from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.keeping import kept
+from orbitfinder._runtime.limit import limited
 from orbitfinder.cli.console import display
 from orbitfinder.cli.options import FILES, compile_option, finish, json_option, out_option, text, trust_option
 from orbitfinder.errors import InputError
 
 if TYPE_CHECKING:
-    from orbitfinder.orbits.sweep import Row
+    from orbitfinder.orbits.sweep import Row, Sweep
 
 MOST_VALUES = 1_000_000
 
@@ -43,33 +45,40 @@ def sweep(
       orbitfinder sweep problems/gallery/spring-pendulum-swing.toml --parameter stiffness=26:34:100
       orbitfinder sweep problems/examples/double-mode-2.toml --parameter energy=-19,-18.5,-18 --no-orbits
     """
-    from orbitfinder.atlas.export import as_csv
-    from orbitfinder.cli.jobs import check_writable
-    from orbitfinder.orbits.sweep import sweep as swept
-    from orbitfinder.problemfile.read import load_problem_file
-    from orbitfinder.records.orbit import save_orbit
-    from orbitfinder.records.reading import finite, write_atomically, write_json
-
     values = dict(parameter(one) for one in given)
     if len(values) < len(given):
         raise InputError("--parameter: the same name twice; give each once")
-    loaded = load_problem_file(file, trust)
-    folder = out / loaded.wanted.name
-    check_writable(folder)
-    with display(f"{loaded.wanted.name}: {', '.join(values)} by turns") as shown:
+    with limited(limit):
+        from orbitfinder.atlas.export import as_csv
+        from orbitfinder.cli.jobs import check_writable
+        from orbitfinder.orbits.sweep import sweep as swept
+        from orbitfinder.problemfile.read import load_problem_file
+        from orbitfinder.records.orbit import save_orbit
+        from orbitfinder.records.reading import finite, write_atomically, write_json
 
-        def report(row: Row, done: int, total: int) -> None:
-            interrupt.check()
-            place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
-            shown.say(f"{done} of {total}: {place}, {said(row)}")
+        def save(found: Sweep, path: Path) -> list[Path]:
+            """The table and, in the folder that goes with it, the orbits; all of the files."""
+            home = path.parent if path.stem == "sweep" else path.with_suffix("")
+            files = [home / one.name / "orbit.json" for one in found.orbits if orbits]
+            for target, one in zip(files, found.orbits, strict=False):
+                save_orbit(one, target)
+            write_atomically(path.with_suffix(".csv"), as_csv(list(found.records[0]), found.records))
+            return [path.with_suffix(".csv"), write_json(path, finite(found.records)), *files]
 
-        found = swept(loaded.wanted, values, workers=workers, limit=limit, progress=report,
-                      folder=file.parent.resolve() if trust else None)  # fmt: skip
+        loaded = load_problem_file(file, trust)
+        folder = out / loaded.wanted.name
+        check_writable(folder)
+        with kept(folder / "sweep.json", save), display(f"{loaded.wanted.name}: {', '.join(values)} by turns") as shown:
+
+            def report(row: Row, done: int, total: int) -> None:
+                interrupt.check()
+                place = ", ".join(f"{name} = {value:.6g}" for name, value in row.values.items())
+                shown.say(f"{done} of {total}: {place}, {said(row)}")
+
+            found = swept(loaded.wanted, values, workers=workers, limit=None, progress=report,
+                          folder=file.parent.resolve() if trust else None)  # fmt: skip
+    written = save(found, folder / "sweep.json")
     records = found.records
-    written = [folder / "sweep.csv", write_json(folder / "sweep.json", finite(records))]
-    write_atomically(written[0], as_csv(list(records[0]), records))
-    if orbits:
-        written += [save_orbit(one, folder / one.name / "orbit.json") for one in found.orbits]
     for row in found.rows:
         if not row.certified:
             text(", ".join(f"{name} = {value:.9g}" for name, value in row.values.items()) + f": {row.reason}")

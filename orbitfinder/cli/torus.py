@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orbitfinder._runtime import interrupt
+from orbitfinder._runtime.keeping import kept
 from orbitfinder.cli.console import display
 from orbitfinder.cli.options import FILES, FINITE, compile_option, finish, json_option, out_option, text, trust_option
 from orbitfinder.errors import InputError
@@ -66,11 +67,12 @@ def torus(
             interrupt.check()
             shown.say(f"rotation {one.rotation:.9g}, energy {one.energy:.9g}, {len(one.curve)} states")
 
-        found = follow_tori(
-            origin, until=until, hold=hold, parameter=parameter, mode=mode, model=model, progress=report, name=label,
-            settings=TorusSettings(points=points, most_states=states),
-        )  # fmt: skip
-    written = [save_tori(found, folder / "tori.json")]
+        with kept(folder / "tori.json", save_tori):
+            found = follow_tori(
+                origin, until=until, hold=hold, parameter=parameter, mode=mode, model=model, progress=report,
+                name=label, settings=TorusSettings(points=points, most_states=states),
+            )  # fmt: skip
+            written = [save_tori(found, folder / "tori.json")]
     written += save_torus_figures(found, model, folder) if figures else []
     reached = until is None or abs(torus_value(found.tori[-1], found.parameter) - until) <= 1e-9 * max(1.0, abs(until))
     for one in found.tori[-1:]:

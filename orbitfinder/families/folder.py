@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from orbitfinder._runtime import limit, locks
+from orbitfinder._runtime import interrupt, limit, locks
 from orbitfinder.errors import InputError, LimitError, plural
 from orbitfinder.families.branches import Branch
 from orbitfinder.families.changes import checked_cycle
@@ -330,9 +330,10 @@ def _finish(
                     progress(batch)
                 if folder is not None and len(batches) % SAVE_EVERY == 0:
                     save_family(assemble(Journal(journal.header, tuple(batches))), folder)
-        except LimitError:
+        except (LimitError, KeyboardInterrupt):
             if folder is not None:
-                save_family(assemble(Journal(journal.header, tuple(batches))), folder)
+                with interrupt.held_back():
+                    save_family(assemble(Journal(journal.header, tuple(batches))), folder)
             raise
     family = assemble(Journal(journal.header, tuple(batches)))
     if settings.certify:

@@ -137,7 +137,8 @@ class Local:
         if not (error <= ROUND_OFF * 10 or order >= SECOND_ORDER) or not np.isfinite(error):
             raise ConvergenceError(
                 f"displacement: {error:.2g} off the manifold at {place:.2g} and {half:.2g} at half of it, not of "
-                "second order; the orbit's multiplier is not known well enough, find the orbit again"
+                "second order: its return loses too many digits to begin on; take one of the same family farther from "
+                "where its period has no bound (continue it), or an orbit with smaller multipliers"
             )
         return place, error, half
 

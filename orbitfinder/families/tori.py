@@ -14,6 +14,7 @@ from math import gcd
 import numpy as np
 
 from orbitfinder._runtime import limit
+from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.integrate.dop853 import STEPS_PER_PERIOD, integrate_in, vector_field
 from orbitfinder.integrate.equations import accelerations
@@ -194,11 +195,19 @@ def follow_tori(
         first, way = _from_orbit(origin, system, asked, mode), 1.0
         if asked == "rotation" and goals and _other_way_round(first, goals[0] if until is None else until):
             first = _from_orbit(origin, system, asked, mode, backwards=True)
-    found, end = _followed(first, asked, way, (until, goals), chosen, progress)
-    tori = tuple(certify_torus(one, system) if chosen.certify else one for one in found)
     held = {label: value / (2 * np.pi) if label == "rotation" else value for label, value in first.ring.held}
     label = name or (f"{origin.name}-tori" if isinstance(origin, Orbit) else "tori")
-    return Tori(label, dict(system.system), asked, held, tori, end)
+    tori = list[Torus]()
+
+    def note(place: _Place) -> Torus:
+        tori.append(certify_torus(_recorded(place), system) if chosen.certify else _recorded(place))
+        finished(lambda: Tori(label, dict(system.system), asked, held, tuple(tori), STOPPED))
+        if progress:
+            progress(tori[-1])
+        return tori[-1]
+
+    end = _followed(first, asked, way, (until, goals), chosen, note)
+    return Tori(label, dict(system.system), asked, held, tuple(tori), end)
 
 
 def _model(origin: Orbit | Torus, model: Model | None) -> Model:
@@ -395,20 +404,13 @@ def _followed(
     way: float,
     goals: tuple[float | None, tuple[float, ...]],
     settings: TorusSettings,
-    progress: Callable[[Torus], None] | None,
-) -> tuple[list[Torus], str]:
-    """The tori along a family and why it ends."""
+    note: Callable[[_Place], Torus],
+) -> str:
+    """The tori along a family noted one by one; why it ends."""
     until, exact = goals
-    found: list[Torus] = []
-
-    def note(place: _Place) -> None:
-        found.append(_recorded(place))
-        if progress:
-            progress(found[-1])
-
     place = _finer(first, settings.most_states)
     place = replace(place, tangent=way * place.tangent)
-    note(place)
+    found = [note(place)]
     step = settings.step
     while len(found) < settings.points:
         limit.check()
@@ -420,16 +422,16 @@ def _followed(
         except ConvergenceError as error:
             step /= 2
             if step < SHORTEST:
-                return found, _ending(found, asked, str(error))
+                return _ending(found, asked, str(error))
             continue
         for goal, one in zip(passed, between, strict=True):
-            note(one)
+            found.append(note(one))
             if goal == until:
-                return found, f"{asked} reached {until:.12g}"
-        note(after)
+                return f"{asked} reached {until:.12g}"
+        found.append(note(after))
         step = min(LONGEST, step * (1.5 if after.iterations <= QUICK else 0.6 if after.iterations > SLOW else 1.0))
         place = after
-    return found, f"point limit of {settings.points}"
+    return f"point limit of {settings.points}"
 
 
 def _passed(before: _Place, after: _Place, asked: str, goals: tuple[float, ...]) -> list[float]:

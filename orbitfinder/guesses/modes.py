@@ -413,7 +413,10 @@ def linkage_modes(
     theta = linkage_equilibrium(model) if equilibrium is None else np.asarray(equilibrium, float)
     _, jacobian, hessian, mass = stationary_terms(model, theta)
     basis = tangent_basis(jacobian)
-    squared, shapes = eigh(basis.T @ hessian @ basis, basis.T @ mass @ basis)
+    try:
+        squared, shapes = eigh(basis.T @ hessian @ basis, basis.T @ mass @ basis)
+    except ValueError as error:  # no numbers, or a motion that moves no mass (LinAlgError)
+        raise InputError(f"guess.mode: no modes at {theta.tolist()} ({error}); give a state and a period") from error
     return np.asarray(squared), np.asarray(basis @ shapes)
 
 

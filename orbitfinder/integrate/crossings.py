@@ -133,16 +133,20 @@ class Crossings:
         tolerance: float = FINE,
         times: np.ndarray | float = 0.0,
         path: Callable[[np.ndarray, np.ndarray, np.ndarray], None] | None = None,
+        seen: Callable[[Callable[[], Passing]], None] | None = None,
     ) -> Passing:
         """The next `count` crossings of motions from states (k x d), none of which takes longer than `longest`.
 
         `sense` -1 goes backwards in time; the plane's direction is that of the motion forwards. Motions that leave, end
-        in a singularity or do not come back have nan. `path(which, times, states)` is told every accepted step.
+        in a singularity or do not come back have nan. `path(which, times, states)` is told every accepted step,
+        `seen` after every step how to get the crossings so far.
         """
         run = _Run(self, plane, np.asarray(states, float), count, (longest, sense, tolerance), times)
         while run.alive.any():
             limit.check()
             run.step(path)
+            if seen is not None:
+                seen(run.passing)
         return run.passing()
 
     def sampled(self, states: np.ndarray, step: float, count: int, *, tolerance: float = SEEN) -> np.ndarray:

@@ -8,6 +8,7 @@ SciPy 1.17), four times faster than SciPy's DOP853 class steps in Python.
 
 from __future__ import annotations
 
+import threading
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -163,7 +164,7 @@ def integrate(
         end = _stepped(steps, start, times, settings, longest_step)
         inner = _between(steps, times[1:-1]) if times.size > 2 else np.zeros((0, start.size))
     finally:
-        vars(steps).clear()  # SciPy 1.17 never lets go of what it has called: the field, 0.1 MB and more of steps
+        vars(steps).clear()  # the field, 0.1 MB and more of steps, whoever still has it
     states = np.vstack([start, inner, end])
     if not np.all(np.isfinite(states)):
         raise IntegrationError("the state is not finite", time=float(times[-1]), state=start)
@@ -188,7 +189,7 @@ def _stepped(
     """The state at the last time; accepted steps are noted where states between are wanted."""
     # DOP853 adds up its steps: multiples of the clock's resolution add up exactly, others drift by 6e-14 in 800
     tick = float(np.spacing(np.abs(times[[0, -1]]).max()))
-    solver: Any = ode(steps.rate).set_integrator(
+    solver: Any = ode(_rate).set_integrator(
         "dop853",
         rtol=settings.relative_tolerance, atol=settings.absolute_tolerance,
         nsteps=max(1, settings.max_evaluations // EVALUATIONS_PER_STEP),
@@ -196,20 +197,36 @@ def _stepped(
     )  # fmt: skip
     if times.size > 2:
         solver.set_solout(steps.accepted)
+    solver._integrator._solout = _accepted
     solver.set_initial_value(start, times[0])
+    outer = getattr(_under_way, "steps", None)
+    _under_way.steps = steps
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # SciPy's, of failures: they are raised here
         try:
             end = solver.integrate(times[-1])
         except ValueError as error:  # an interrupt between two callbacks
             raise _root(error) from None
+        finally:
+            _under_way.steps = outer
     failed, code = not solver.successful(), solver.get_return_code()
-    vars(solver._integrator).clear()  # kept by SciPy 1.17 too, with its work space
     if steps.errors:
         raise _root(steps.errors[0])
     if failed:
         raise IntegrationError(FAILURES.get(code, f"DOP853 returned {code}"), time=float(solver.t), state=start)
     return np.asarray(end)
+
+
+_under_way = threading.local()
+"""The `_Steps` of this thread's integration: SciPy 1.17 never lets go of what it has called, so it calls these two"""
+
+
+def _rate(t: float, y: np.ndarray) -> np.ndarray:
+    return _under_way.steps.rate(t, y)  # type: ignore[no-any-return]
+
+
+def _accepted(t: float, y: np.ndarray) -> int:
+    return _under_way.steps.accepted(t, y)  # type: ignore[no-any-return]
 
 
 def _nowhere(_: float, y: np.ndarray) -> np.ndarray:

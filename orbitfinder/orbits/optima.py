@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
+from orbitfinder._runtime.keeping import STOPPED, finished
 from orbitfinder.errors import ConvergenceError, InputError, closest
 from orbitfinder.loops.control import Control, Task
 from orbitfinder.loops.controlled import AGREEMENT, MOST_STEPS, Program, Solution, coefficient_bounds, optimum
@@ -234,11 +235,14 @@ class _Walk:
                 break
         if self.every or not self.orbits:
             self._keep()
+        return self._optima(self.end or f"{self.parameter} reached {targets[-1]:g}")
+
+    def _optima(self, end: str) -> Optima:
+        """What there is of the family."""
         last = len(self.orbits) - 1
-        self.changes = [replace(one, index=min(one.index, last)) for one in self.changes]
-        end = self.end or f"{self.parameter} reached {targets[-1]:g}"
+        changes = tuple(replace(one, index=min(one.index, last)) for one in self.changes)
         return Optima(self.problem.name, self.parameter, tuple(self.orbits), np.array(self.values),
-                      tuple(self.descents), tuple(self.changes), end)  # fmt: skip
+                      tuple(self.descents), changes, end)  # fmt: skip
 
     def _plain(self, point: Point) -> tuple[Problem, Solution]:
         """The problem at a point, without theta among its unknowns, and its solution."""
@@ -277,10 +281,12 @@ class _Walk:
         )
         if self.every and self.descents and self.descents[-1] != descents and not told:
             self._changed("branch", f"before it: the cost falls in {descents} directions, not {self.descents[-1]}")
-        self.orbits.append(certified(orbit, model))
+        orbit = certified(orbit, model)
+        self.orbits.append(orbit)
         self.values.append(self.value)
         self.descents.append(descents)
         self.largest = max(self.largest, abs(self.system.cost(self.point)))
+        finished(lambda: self._optima(STOPPED))
         if self.progress:
             self.progress(self.value, self.orbits[-1])
 

@@ -10,12 +10,13 @@ where it parts exponentially.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import brief
 from orbitfinder.errors import InputError, IntegrationError, closest
 from orbitfinder.integrate.automaton import Automaton
@@ -127,10 +128,14 @@ class Surface:
             good = np.isfinite(found).all(axis=1) & (np.abs(missed) <= HELD * 10 * sizes).all(axis=1)
         return np.where(good[:, None], found, np.nan)
 
-    def passing(self, states: np.ndarray, count: int, *, sense: int = 1, tolerance: float = SEEN) -> Passing:
+    def passing(
+        self, states: np.ndarray, count: int, *, sense: int = 1, tolerance: float = SEEN,
+        seen: Callable[[Callable[[], Passing]], None] | None = None,
+    ) -> Passing:  # fmt: skip
         """The next crossings of motions that begin at states (k x d)."""
         longest = max(TIMES * self.clock, 2 * self.plane.cycle if self.plane.component < 0 else 0.0)
-        return self.motions.passing(self.plane, states, count, longest=longest, sense=sense, tolerance=tolerance)
+        return self.motions.passing(self.plane, states, count, longest=longest, sense=sense, tolerance=tolerance,
+                                    seen=seen)  # fmt: skip
 
 
 def surface(
@@ -213,7 +218,8 @@ def _axes(model: Model, plane: Plane, axes: Sequence[str] | None) -> tuple[int, 
         left = [i for i in range(len(names)) if i != plane.component]
         return (left[0], left[-1]) if half > 1 or len(left) > 1 else (left[0], left[0])
     given = tuple(axes)
-    if len(given) != 2 or given[0] == given[1]:
+    several = len(names) - (plane.component >= 0) > 1
+    if len(given) != 2 or (given[0] == given[1] and several):
         raise InputError(
             f"axes: need two different components, got {', '.join(map(str, given))}; one of {', '.join(names)}"
         )
@@ -300,25 +306,31 @@ def section(
         levels = {} if model.hybrid is not None else level_of(model, energy, state)
     found = surface(model, plane, axes, direction, levels=levels)
     starts = _starts(found, seeds, dict(ranges or {}), state)
-    if model.hybrid is not None:
-        times, states = _events(model, starts, returns)
-        growth = np.full(len(starts), np.inf)
-    else:
-        passing = found.passing(starts, returns)
-        times, states = passing.times, passing.states
-        growth = _divergence(found, starts, states)
-    if not np.isfinite(times).any():
-        raise InputError(f"plane: no motion comes to {found.name}; choose another plane, energy or direction")
-    if not model.conservative and not model.forced and returns > 2 * SETTLED:
-        times, states = times[:, SETTLED:], states[:, SETTLED:]
-    known = np.isfinite(times)
-    which = np.broadcast_to(np.arange(len(starts))[:, None], times.shape)[known]
     names, chosen = model.state_names, next(iter(levels.values()), float("nan"))
-    return Section(
-        name or own, dict(model.system), names, found.name, (names[found.axes[0]], names[found.axes[1]]), chosen,
-        wrapped(states[known], model.angular), times[known], which, starts,
-        growth,
-    )  # fmt: skip
+    unknown = np.full(len(starts), np.inf)
+
+    def made(passing: Passing, growth: np.ndarray = unknown) -> Section:
+        """The crossings so far as a Section."""
+        settled = SETTLED * (not model.conservative and not model.forced and returns > 2 * SETTLED)
+        times, states = passing.times[:, settled:], passing.states[:, settled:]
+        known = np.isfinite(times)
+        which = np.broadcast_to(np.arange(len(starts))[:, None], times.shape)[known]
+        return Section(
+            name or own, dict(model.system), names, found.name, (names[found.axes[0]], names[found.axes[1]]), chosen,
+            wrapped(states[known], model.angular), times[known], which, starts, growth,
+        )  # fmt: skip
+
+    def seen(so_far: Callable[[], Passing]) -> None:
+        finished(lambda: made(passing) if np.isfinite((passing := so_far()).times).any() else None)
+
+    growth, hybrid = unknown, model.hybrid is not None
+    passing = _events(model, starts, returns, seen) if hybrid else found.passing(starts, returns, seen=seen)
+    if not np.isfinite(passing.times).any():
+        raise InputError(f"plane: no motion comes to {found.name}; choose another plane, energy or direction")
+    if not hybrid:
+        seen(lambda: passing)
+        growth = _divergence(found, starts, passing.states)
+    return made(passing, growth)
 
 
 def _of(system: Model | Orbit | Problem, model: Model | None) -> tuple[Model, np.ndarray | None, str]:
@@ -462,7 +474,7 @@ def _closed(found: Surface, base: np.ndarray, low: np.ndarray, high: np.ndarray,
     return not np.isfinite(at_points(found, base, np.vstack(sides))).any()
 
 
-def _events(model: Model, starts: np.ndarray, returns: int) -> tuple[np.ndarray, np.ndarray]:
+def _events(model: Model, starts: np.ndarray, returns: int, seen: Callable[[Callable[[], Passing]], None]) -> Passing:
     """The states of a hybrid system after the event that ends its cycle, or any event where it has no cycle."""
     hybrid = model.hybrid
     last = hybrid.cycle[-1] if hybrid.cycle else None
@@ -478,7 +490,8 @@ def _events(model: Model, starts: np.ndarray, returns: int) -> tuple[np.ndarray,
                     found += 1
         except IntegrationError:
             continue  # it has left: what was seen of it stays
-    return times, states
+        seen(lambda: Passing(times, states))
+    return Passing(times, states)
 
 
 def _divergence(found: Surface, starts: np.ndarray, states: np.ndarray) -> np.ndarray:

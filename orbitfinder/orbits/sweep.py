@@ -19,6 +19,7 @@ import numpy as np
 
 from orbitfinder._runtime import limit as limited
 from orbitfinder._runtime import processes
+from orbitfinder._runtime.keeping import finished
 from orbitfinder._runtime.notebook import Shown, brief
 from orbitfinder.errors import (
     ConvergenceError,
@@ -150,14 +151,14 @@ def sweep(
             rows = study.rows() if workers == 1 else _shared(study, min(workers, len(study.values)), folder)
             for k, row in rows:
                 found[k] = row
+                finished(lambda: study.swept(found, time.monotonic() - began))
                 limited.note(f"{len(found)} of {len(study.values)} values are done")
                 if progress:
                     progress(row, len(found), len(study.values))
     except LimitError as error:
         late = {k: Row(study.named(k), None, str(error)) for k in range(len(study.values)) if k not in found}
         found |= late
-    ordered = tuple(found[k] for k in sorted(found))
-    return Sweep(study.names, ordered, problem.model.state_names, time.monotonic() - began)
+    return study.swept(found, time.monotonic() - began)
 
 
 def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
@@ -189,10 +190,16 @@ def _table(problem: Problem, given: Mapping[str, Sequence[float]]) -> dict[str, 
 
 
 class _Study:
-    """A problem whose parameters `names` go through `values` (k x p), walked outwards from its own orbit."""
+    """A problem whose parameters `names` go through `values` (k x p), walked outwards from its own orbit.
 
-    def __init__(self, problem: Problem, names: tuple[str, ...], values: np.ndarray) -> None:
+    `numbers` (k) are those of the values in the whole sweep, by which rows and orbits go.
+    """
+
+    def __init__(
+        self, problem: Problem, names: tuple[str, ...], values: np.ndarray, numbers: np.ndarray | None = None
+    ) -> None:
         self.problem, self.names, self.values = problem, names, values
+        self.numbers = np.arange(len(values)) if numbers is None else numbers
         model, pinned = problem.model, {one.name: one.value for one in problem.pin}
         own = {name: float(model.parameter_values[model.parameter_index(name)]) for name in names if name not in pinned}
         self.own = np.array([pinned.get(name, own.get(name)) for name in names], float)
@@ -200,6 +207,11 @@ class _Study:
         self._pin = (*problem.pin, *(Pin(name, value) for name, value in own.items()))
         self._here: tuple[np.ndarray, Refined] | None = None
         self._before: tuple[np.ndarray, Refined] | None = None
+
+    def swept(self, found: Mapping[int, Row], seconds: float) -> Sweep:
+        """Rows by number as a Sweep."""
+        rows = tuple(found[k] for k in sorted(found))
+        return Sweep(self.names, rows, self.problem.model.state_names, seconds)
 
     def named(self, k: int) -> dict[str, float]:
         """The k-th values by name."""
@@ -230,7 +242,7 @@ class _Study:
         for side in (order[along[order] >= 0], order[along[order] < 0][::-1]):
             self._here = self._before = None
             for k in side:
-                yield int(k), self._row(int(k))
+                yield int(self.numbers[k]), self._row(int(k))
 
     def _row(self, k: int) -> Row:
         limited.check()
@@ -238,7 +250,7 @@ class _Study:
             orbit = self.refiner.orbit(self._reached(self.values[k]))
         except (ConvergenceError, IntegrationError, InputError) as error:
             return Row(self.named(k), None, str(error))
-        orbit = replace(orbit, name=f"{self.problem.name}-{k + 1:04d}")
+        orbit = replace(orbit, name=f"{self.problem.name}-{self.numbers[k] + 1:04d}")
         failed = ", ".join(orbit.certificate.failures) if orbit.certificate else "no certificate"
         return Row(self.named(k), orbit, failed and f"not certified: {failed}")
 
@@ -309,19 +321,18 @@ def _shared(study: _Study, workers: int, folder: str | Path | None) -> Iterator[
     base, order = study.base, np.argsort(study.values[:, 0], kind="stable")
     plain = (dict(base.model.system), None if folder is None else Path(folder))
     build_model(*plain)  # or no process can
-    orders = np.array_split(order, workers)
-    hands = {}
-    for part in orders:
-        wanted = (plain, _described(study), study.names, study.values[part], limited.left())
-        hands[processes.hired(_serve, wanted)] = part
+    hands = list[processes.Hand]()
     try:
+        for part in np.array_split(order, workers):
+            wanted = (plain, _described(study), study.names, study.values[part], part, limited.left())
+            hands.append(processes.hired(_serve, wanted))
         while hands:
             for hand in processes.ready(hands):
                 answer = hand.answer()
                 if isinstance(answer, tuple):
-                    yield int(hands[hand][answer[0]]), answer[1]
+                    yield answer
                     continue
-                hands.pop(hand)
+                hands.remove(hand)
                 processes.dismissed([hand])
                 if isinstance(answer, BaseException):
                     raise answer
@@ -346,10 +357,10 @@ def _described(study: _Study) -> dict[str, Any]:
 
 def _serve(pipe: Connection, wanted: tuple[Any, ...]) -> None:
     """The life of a worker: its rows, one message each, then `DONE` or what went wrong."""
-    plain, described, names, values, left = wanted
+    plain, described, names, values, numbers, left = wanted
     try:
         with one_thread(), limited.limited(left if np.isfinite(left) else None):
-            for answer in _Study(Problem(build_model(*plain), **described), names, values).rows():
+            for answer in _Study(Problem(build_model(*plain), **described), names, values, numbers).rows():
                 pipe.send(answer)
         pipe.send(DONE)
     except OrbitfinderError as error:

@@ -126,6 +126,8 @@ def read_toml(source: Path) -> dict[str, Any]:
     try:
         document = tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
+        if data.startswith(b"SQLite format 3"):
+            raise InputError(f"{source}: an atlas database; give one orbit of it by its id: {source}#1") from error
         raise InputError(
             f"{source}: not UTF-8 text (byte {error.start}); save it as UTF-8, or give a problem file"
         ) from error

@@ -32,6 +32,7 @@ from orbitfinder.records.reading import (
     json_bytes,
     json_document,
     json_file,
+    named,
     plain_numbers,
     read_as,
     typed,
@@ -422,7 +423,7 @@ def start_journal(folder: Path, header: Mapping[str, Any]) -> None:
 
 def append(folder: Path, batch: Batch) -> None:
     """One batch as one line, on the disk when this returns."""
-    with open(folder / JOURNAL, "ab") as stream:
+    with named(folder / JOURNAL), open(folder / JOURNAL, "ab") as stream:
         stream.write(_line(plain(batch)))
         stream.flush()
         os.fsync(stream.fileno())

@@ -7,6 +7,7 @@ expanded, nested or counted beyond the bounds below, and only regular files are 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import io
@@ -26,6 +27,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from orbitfinder._runtime import interrupt
 from orbitfinder.errors import InputError, shortened
 
 LARGEST_FILE = 100_000_000
@@ -332,19 +334,31 @@ def read_as(kind: Any, value: Any, where: str, remedy: str) -> Any:
         raise InputError(f"{where}: {error}; {remedy}") from error
 
 
+@contextlib.contextmanager
+def named(path: Path) -> Iterator[None]:
+    """What cannot be written in the block is said of this file: of a full disk the system names none."""
+    try:
+        yield
+    except OSError as error:
+        raise type(error)(error.errno, error.strerror or str(error), str(path)) from error
+
+
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a file whole or not at all: a temporary file beside it, then a rename."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    temporary = ""
+    with interrupt.undisturbed(), named(path):
+        try:
+            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)
+            os.replace(temporary, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            raise
 
 
 def json_bytes(document: Any, compact: bool = False) -> bytes:

@@ -16,6 +16,8 @@ from orbitfinder.records.reading import arrays, finite, json_file, read_as, writ
 FORMAT, VERSION = "orbitfinder/section", 1
 PARTED = 50.0
 """Growth of a small distance in one return, at most, where it grows as the number of returns"""
+LARGEST = float(np.finfo(float).max)
+"""Stands in files, whose numbers are finite, for a growth that is not known"""
 AGAIN = "make the section again"
 
 
@@ -76,7 +78,8 @@ def save_section(section: Section, path: str | Path) -> Path:
     """Write section.json and, beside it, section.npz; returns the JSON's path."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    write_npz(target.with_suffix(".npz"), {name: getattr(section, name) for name in ARRAYS})
+    members = {name: getattr(section, name) for name in ARRAYS}
+    write_npz(target.with_suffix(".npz"), members | {"growth": np.minimum(section.growth, LARGEST)})
     document = {"format": FORMAT, "version": VERSION, **{name: getattr(section, name) for name in PLAIN}}
     return write_json(target, finite(document))
 
@@ -92,6 +95,7 @@ def load_section(path: str | Path) -> Section:
     if len(plain.axes) != 2 or not set(plain.axes) <= set(plain.state_names):
         raise InputError(f"{source}: axes: expected two of the components; {AGAIN}")
     energy = float("nan") if plain.energy is None else plain.energy
+    found["growth"] = np.where(found["growth"] < LARGEST, found["growth"], np.inf)
     return Section(
         plain.name, plain.system, plain.state_names, plain.plane, (plain.axes[0], plain.axes[1]), energy, **found
     )
