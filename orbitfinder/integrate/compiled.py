@@ -148,7 +148,7 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     `effort` is about how many seconds of interpreted work are to come; in mode "auto" a function that is not in the
     cache is compiled only if that is longer than compiling takes. None: the caller knows that it is.
     """
-    if mode() == "off":
+    if mode() == "off" or function.class_name() == "External":
         return function
     if mode() != "on" and effort is not None and effort < STARTING:
         return function
@@ -207,13 +207,17 @@ def _fetched(function: ca.Function, effort: float | None, code: str, compiler: C
 
 
 def _code(function: ca.Function) -> str:
-    """The function in C; `RuntimeError` for what CasADi cannot generate (CVODES, IDAS, IPOPT, Python callbacks)."""
+    """The function in C; `RuntimeError` for what CasADi cannot generate (CVODES, IDAS, IPOPT, Python callbacks).
+
+    Code that calls another library is refused: nothing links the two, and before CasADi 3.8.1 what calls a library by
+    its own name calls itself without end.
+    """
     generator = ca.CodeGenerator("code.c")
     generator.add(function)
     code = str(generator.dump())
-    refused = re.search(r"#error (.*)|#include (?!<math\.h>)(.*)", code)
+    refused = re.search(r"#error (.*)|#include (?!<math\.h>)(.*)|/\* (External functions) \*/", code)
     if refused:
-        raise Unavailable(refused.group(1) or f"its code needs {refused.group(2)}")
+        raise Unavailable(refused.group(1) or f"its code needs {refused.group(2) or 'another library'}")
     if len(code) > LARGEST:
         raise Unavailable(f"{len(code) / 2**20:.0f} MB of C")
     return code
