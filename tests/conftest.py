@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
@@ -94,6 +96,32 @@ def dop853(flow: Flow, state, times, s=(), free=()) -> np.ndarray:
     field = ca.Function("field", [t, x], [flow.field(t, x, ca.DM(list(s)), ca.DM(list(free)))])
     times = np.asarray(times, float)
     return integrate(vector_field(field), np.asarray(state, float), times, longest_step=float(np.ptp(times)) / 200 or 1)
+
+
+EXTRAS = {
+    "browser": ("selenium",),
+    "cluster": ("distributed",),
+    "docs": ("mkdocs", "material", "mkdocstrings", "griffe", "yaml", "nbformat", "sympy", "urdf_parser_py"),
+    "notebook": ("anywidget", "ipykernel", "nbclient", "nbformat"),
+    "parquet": ("pyarrow",),
+    "proof": ("flint",),
+    "robot": ("urdf_parser_py", "mujoco", "sympy"),
+    "studio": ("nicegui",),
+}
+"""Modules that an extra brings; `@pytest.mark.needs("proof")` skips a test where one of them is missing."""
+
+
+@cache
+def missing(extra: str) -> bool:
+    """Whether a module of an extra is not installed."""
+    return not all(map(find_spec, EXTRAS[extra]))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip what needs an extra that is not there: `.ci/run` runs exactly that once the extras are installed."""
+    for extra in [extra for mark in item.iter_markers("needs") for extra in mark.args]:
+        if missing(extra):
+            pytest.skip(f"needs the extra {extra}: pip install -e '.[{extra}]'")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,8 +14,12 @@ from orbitfinder.atlas.workers import Request
 from orbitfinder.errors import InputError, OrbitfinderError
 from orbitfinder.mechanics.chain import chain
 
-distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-pytestmark = [pytest.mark.filterwarnings("default"), pytest.mark.filterwarnings("ignore:unclosed")]
+distributed = pytest.importorskip("distributed")
+pytestmark = [
+    pytest.mark.needs("cluster"),
+    pytest.mark.filterwarnings("default"),
+    pytest.mark.filterwarnings("ignore:unclosed"),
+]
 STARTS = 40
 
 

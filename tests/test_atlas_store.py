@@ -143,9 +143,10 @@ def test_exports(book, triples):
         assert exported(atlas, "csv", Filter(period=(9, 9))).decode().count("\n") == 1
 
 
+@pytest.mark.needs("parquet")
 def test_parquet(book, triples):
-    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `parquet` is not installed")
     import pyarrow
+    from pyarrow import parquet
 
     with Atlas(book) as atlas:
         found = parquet.read_table(pyarrow.BufferReader(exported(atlas, "parquet"))).to_pydict()

@@ -363,7 +363,6 @@ def use_journal(path):
 
 def use_proof(path):
     """What `verify --proof` does before and after the replay itself, which is that of the sound file."""
-    pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
     from orbitfinder.proof.record import contradictions, options_of, read_entry
 
     found = read_entry(load_orbit(path), path)

@@ -308,7 +308,9 @@ def test_two_continuations_do_not_share_a_folder(tmp_path):
     assert not list((tmp_path / "f" / "swing").glob(".*"))
 
 
-@pytest.mark.parametrize("verb", ["continue", "export", "prove", "plot", "run"])
+@pytest.mark.parametrize(
+    "verb", ["continue", "export", pytest.param("prove", marks=pytest.mark.needs("proof")), "plot", "run"]
+)
 def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch, pendulum_orbit, verb):
     """Every file is put in its place by a rename; when that fails the command says so and what there was stays."""
     file = of.save_orbit(pendulum_orbit, tmp_path / "orbit.json")
@@ -320,8 +322,6 @@ def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch, pendulum_orbit, verb):
         "plot": ["plot", file, "-o", tmp_path / "figures"],
         "run": ["run", *problems(tmp_path, 1), "--out", tmp_path / "o"],
     }[verb]
-    if verb == "prove":
-        pytest.importorskip("flint")
 
     def full(source, target, **_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
@@ -332,8 +332,8 @@ def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch, pendulum_orbit, verb):
     assert file.read_bytes() == before and not list(tmp_path.rglob(".*"))
 
 
+@pytest.mark.needs("proof")
 def test_a_proof_is_not_begun_that_cannot_be_recorded(tmp_path, monkeypatch, pendulum_orbit):
-    pytest.importorskip("flint")
     file = of.save_orbit(pendulum_orbit, tmp_path / "orbit.json")
 
     def refused(**_):
