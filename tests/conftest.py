@@ -1,6 +1,9 @@
 """What the tests share: the report's orbits, the reference data, a few orbits found once."""
 
+import contextlib
 import json
+import sqlite3
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -79,6 +82,13 @@ def printed_problem(name: str, noise: float = 0.0, seed: int = 0) -> Problem:
 def reference(file: str) -> dict[str, dict]:
     """Entries of a reference file by name."""
     return {one["name"]: one for one in json.loads((DATA / file).read_text())["orbits"]}
+
+
+@contextlib.contextmanager
+def database(path: Path) -> Iterator[sqlite3.Connection]:
+    """A connection whose changes are committed and which is closed: `with sqlite3.connect(path)` leaves it open."""
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        yield connection
 
 
 def pendulum_period(amplitude: float) -> float:

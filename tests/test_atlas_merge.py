@@ -6,10 +6,10 @@ import json
 import multiprocessing
 import os
 import shutil
-import sqlite3
 from pathlib import Path
 
 import pytest
+from conftest import database
 from test_atlas_search import ENERGY, PERIODS, content
 from test_search_command import run
 
@@ -125,7 +125,7 @@ def test_what_is_wrong_is_refused_and_nothing_is_written(triple, shards, tmp_pat
         (newer, "PRAGMA user_version = 99"),
         (lost, "DELETE FROM orbits WHERE id = 1"),
     ):
-        with sqlite3.connect(path) as connection:
+        with database(path) as connection:
             connection.executescript(order)
         connection.close()
     out = tmp_path / "out.sqlite"

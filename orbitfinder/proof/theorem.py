@@ -133,8 +133,8 @@ def prove(
     """
     chosen, say = options or Options(), progress or (lambda line: None)
     began = time.perf_counter()
+    model = model or provable_model(orbit)
     with precision(chosen.bits):
-        model = model or provable_model(orbit)
         codes = programs(model)
         symmetry = chosen_symmetry(orbit, model, codes, chosen.symmetry)
         try:
