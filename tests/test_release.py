@@ -67,9 +67,20 @@ def test_forms_and_workflows_are_yaml_with_what_forges_ask_for():
         assert ("doctor" in fields) == ("bug" in name or "wrong" in name)
     jobs = yaml.safe_load(read(".github/workflows/ci.yml"))["jobs"]
     supported = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", line)]
-    assert jobs["check"]["strategy"]["matrix"]["python"] == supported == ["3.11", "3.12", "3.13"]
-    scripts = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    assert jobs["check"]["strategy"]["matrix"]["python"] == supported
+    scripts = [step["run"] for name in ("check", "oldest") for step in jobs[name]["steps"] if "run" in step]
     assert scripts == [".ci/run", ".ci/minimal"] and all((ROOT / one).is_file() for one in scripts)
+    assert jobs["elsewhere"]["strategy"]["matrix"]["system"] == ["macos-latest", "windows-latest"]
+
+
+def test_the_supported_versions_of_python_are_the_same_everywhere():
+    """Classifiers, README, badge (tests/test_readme.py), pages, the doctor, the recipe, the scripts."""
+    versions = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", line)]
+    assert versions == [f"3.{minor}" for minor in range(11, 16)]
+    said = f"Python {versions[0]} to {versions[-1]}"
+    pages = ("README.md", "CONTRIBUTING.md", "docs/how-to/install.md", "docs/tutorials/first-orbit.md", ".ci/package")
+    assert all(said in read(name) for name in (*pages, "orbitfinder/cli/doctor.py"))
+    assert f'python_min: "{versions[0]}"' in read("conda/recipe.yaml") and "3.1[1-5]) ;;" in read(".ci/package")
 
 
 @IN_CLONE

@@ -297,7 +297,7 @@ def test_a_search_that_is_killed_keeps_what_it_found_and_goes_on(tasks, session,
 @pytest.mark.parametrize(
     "file, pulls",
     [("hybrid/bouncing-ball", False), ("control/cart-pole-cycle", True), ("linkages/four-bar-rocking", True),
-     ("robots/a1-leg", True), ("mechanisms/furuta", True)],
+     pytest.param("robots/a1-leg", True, marks=pytest.mark.needs("robot")), ("mechanisms/furuta", True)],
 )  # fmt: skip
 def test_every_kind_of_system_opens_runs_and_is_found_by_its_own_file(tasks, tmp_path, file, pulls):
     given = opened(ROOT / "problems" / f"{file}.toml")

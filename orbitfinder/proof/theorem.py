@@ -134,8 +134,8 @@ def prove(
     chosen, say = options or Options(), progress or (lambda line: None)
     began = time.perf_counter()
     model = model or provable_model(orbit)
+    codes = programs(model)
     with precision(chosen.bits):
-        codes = programs(model)
         symmetry = chosen_symmetry(orbit, model, codes, chosen.symmetry)
         try:
             found = _prove(orbit, model, codes, symmetry, chosen, say)
