@@ -88,7 +88,7 @@ def test_a_worker_that_cannot_build_the_system(loopback):
     from orbitfinder.atlas.workers import Job
 
     crew.submit(Job(0))
-    with pytest.raises(OrbitfinderError, match=r"a worker of the cluster failed with InputError: .*nonsense"):
+    with pytest.raises(OrbitfinderError, match=r"a worker of the cluster cannot read the problem: .*nonsense"):
         while not crew.results(5.0):
             pass
     crew.close()
