@@ -1,7 +1,12 @@
 """What the tests share: the report's orbits, the reference data, a few orbits found once."""
 
+import contextlib
 import json
+import sqlite3
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
@@ -79,6 +84,13 @@ def reference(file: str) -> dict[str, dict]:
     return {one["name"]: one for one in json.loads((DATA / file).read_text())["orbits"]}
 
 
+@contextlib.contextmanager
+def database(path: Path) -> Iterator[sqlite3.Connection]:
+    """A connection whose changes are committed and which is closed: `with sqlite3.connect(path)` leaves it open."""
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        yield connection
+
+
 def pendulum_period(amplitude: float) -> float:
     """Exact period of chain(1) in s: 4 K(sin^2(a/2)) / w0, K the complete elliptic integral."""
     from scipy.special import ellipk
@@ -94,6 +106,32 @@ def dop853(flow: Flow, state, times, s=(), free=()) -> np.ndarray:
     field = ca.Function("field", [t, x], [flow.field(t, x, ca.DM(list(s)), ca.DM(list(free)))])
     times = np.asarray(times, float)
     return integrate(vector_field(field), np.asarray(state, float), times, longest_step=float(np.ptp(times)) / 200 or 1)
+
+
+EXTRAS = {
+    "browser": ("selenium",),
+    "cluster": ("distributed",),
+    "docs": ("mkdocs", "material", "mkdocstrings", "griffe", "yaml", "nbformat", "sympy", "urdf_parser_py"),
+    "notebook": ("anywidget", "ipykernel", "nbclient", "nbformat"),
+    "parquet": ("pyarrow",),
+    "proof": ("flint",),
+    "robot": ("urdf_parser_py", "mujoco", "sympy"),
+    "studio": ("nicegui",),
+}
+"""Modules that an extra brings; `@pytest.mark.needs("proof")` skips a test where one of them is missing."""
+
+
+@cache
+def missing(extra: str) -> bool:
+    """Whether a module of an extra is not installed."""
+    return not all(map(find_spec, EXTRAS[extra]))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip what needs an extra that is not there: `.ci/run` runs exactly that once the extras are installed."""
+    for extra in [extra for mark in item.iter_markers("needs") for extra in mark.args]:
+        if missing(extra):
+            pytest.skip(f"needs the extra {extra}: pip install -e '.[{extra}]'")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -233,13 +233,10 @@ ORBIT_FILE = str(RESULTS / "orbits" / "triple-1" / "orbit.json")
 )
 def test_a_command_names_the_option_that_was_given(words, said):
     """One message, raised where it is found, about an argument: the command says which option that was."""
-    if words[0] == "refine":
-        pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
     assert CliRunner().invoke(cli, words).stderr.startswith(f"Error: {said}")
 
 
 def test_python_names_the_argument():
-    pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
     from orbitfinder.proof.theorem import settings_for
 
     with pytest.raises(InputError, match="^digits: must be from 1 to"):

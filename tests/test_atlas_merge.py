@@ -6,10 +6,10 @@ import json
 import multiprocessing
 import os
 import shutil
-import sqlite3
 from pathlib import Path
 
 import pytest
+from conftest import database
 from test_atlas_search import ENERGY, PERIODS, content
 from test_search_command import run
 
@@ -125,7 +125,7 @@ def test_what_is_wrong_is_refused_and_nothing_is_written(triple, shards, tmp_pat
         (newer, "PRAGMA user_version = 99"),
         (lost, "DELETE FROM orbits WHERE id = 1"),
     ):
-        with sqlite3.connect(path) as connection:
+        with database(path) as connection:
             connection.executescript(order)
         connection.close()
     out = tmp_path / "out.sqlite"
@@ -258,3 +258,34 @@ def test_executors_that_cannot_work(triple, tmp_path, monkeypatch):
         with pytest.raises(OrbitfinderError, match="search: a worker of the executor failed with TypeError"):
             crew.results(20.0)
         crew.close()
+
+
+class Ends:
+    """An executor whose starts all end in one way."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def submit(self, *_):
+        ended = concurrent.futures.Future()
+        ended.set_exception(self.error)
+        return ended
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (concurrent.futures.CancelledError("Failed to reconnect"), "is gone or took its work back .*start it again"),
+        (
+            InputError("system.module: 'mine' cannot be imported"),
+            "cannot read the problem: .*must be where its workers run",
+        ),
+    ],
+)
+def test_what_workers_lack_is_named_rightly(triple, error, said):
+    """Neither a scheduler that was killed nor a module of the problem is mended by installing orbitfinder there."""
+    crew = Pool(Request(dict(triple.system), Target(ENERGY, PERIODS), 0), Ends(error), 1)
+    crew.submit(workers.Job(0))
+    with pytest.raises(OrbitfinderError, match=said) as caught:
+        crew.results(20.0)
+    assert "orbitfinder there" not in str(caught.value) and "with the same orbitfinder" not in str(caught.value)

@@ -1,5 +1,6 @@
 """Searches: the same orbits whoever does the work, whenever it is interrupted, whoever dies."""
 
+import contextlib
 import os
 import random
 import signal
@@ -13,6 +14,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import database
 
 from orbitfinder.atlas import attempt as refine
 from orbitfinder.atlas import search, solver, workers
@@ -38,7 +40,7 @@ STARTS = 16
 
 def content(path):
     """Everything that a search must reproduce: orbits to the last bit, starts with their outcomes."""
-    with sqlite3.connect(path) as connection:
+    with database(path) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
         orbits = connection.execute("SELECT id, period, document FROM orbits ORDER BY id").fetchall()
         starts = connection.execute(
@@ -409,10 +411,8 @@ def command(path, starts):
 def recorded(path):
     """Starts in an atlas that somebody may be writing, 0 before it has tables."""
     try:
-        connection = sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)
-        found = connection.execute("SELECT count(*) FROM starts").fetchone()[0]
-        connection.close()
-        return found
+        with contextlib.closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as connection:
+            return connection.execute("SELECT count(*) FROM starts").fetchone()[0]
     except sqlite3.OperationalError:
         return 0
 

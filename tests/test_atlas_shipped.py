@@ -27,7 +27,6 @@ SHEET = (PLACE / "DATASHEET.md").read_text(encoding="utf-8")
 @pytest.fixture(scope="module")
 def maker():
     """benchmarks/shipped_atlas.py, which made the files and pages."""
-    pytest.importorskip("flint", reason="the maker also proves")
     sys.path.insert(0, str(ROOT / "benchmarks"))
     import shipped_atlas
 
@@ -111,9 +110,11 @@ def test_the_pages_count_what_is_in_the_files(maker):
     assert re.search(r"lorenz, 5 letters: 6 words, 6 orbits in the atlas with 6 of them", SHEET)
 
 
+@pytest.mark.needs("parquet")
 def test_parquet_says_what_sqlite_says():
     """Every number of every row, units and system in the metadata."""
-    parquet = pytest.importorskip("pyarrow.parquet")
+    from pyarrow import parquet
+
     assert sorted(path.stem for path in PLACE.glob("*.parquet")) == [file.stem for file in FILES]
     for file in FILES:
         table = parquet.read_table(file.with_suffix(".parquet"))
@@ -166,11 +167,11 @@ def test_all_pass_verify(part, tmp_path):
     assert not failed
 
 
+@pytest.mark.needs("proof")
 @pytest.mark.slow
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_proofs_are_replayed(file):
     """A third of the recorded proofs of each system, others every time."""
-    pytest.importorskip("flint")
     from orbitfinder.proof.record import read_entry, replay
 
     with Atlas(file) as atlas:

@@ -1,6 +1,7 @@
 """The atlas file: what goes in comes out, the same orbit goes in once, and no accident damages it."""
 
 import csv
+import gc
 import json
 import os
 import sqlite3
@@ -10,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import database
 
 from orbitfinder.atlas import store, tables
 from orbitfinder.atlas.export import exported
@@ -37,7 +39,7 @@ def book(tmp_path, triples):
 
 
 def intact(path):
-    with sqlite3.connect(path) as connection:
+    with database(path) as connection:
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
         count = connection.execute("SELECT count(*) FROM orbits").fetchone()[0]
     connection.close()
@@ -143,9 +145,10 @@ def test_exports(book, triples):
         assert exported(atlas, "csv", Filter(period=(9, 9))).decode().count("\n") == 1
 
 
+@pytest.mark.needs("parquet")
 def test_parquet(book, triples):
-    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `parquet` is not installed")
     import pyarrow
+    from pyarrow import parquet
 
     with Atlas(book) as atlas:
         found = parquet.read_table(pyarrow.BufferReader(exported(atlas, "parquet"))).to_pydict()
@@ -164,7 +167,7 @@ def test_another_system_is_refused(book):
 
 
 def test_a_newer_atlas_is_refused_untouched(book):
-    with sqlite3.connect(book) as connection:
+    with database(book) as connection:
         connection.execute(f"PRAGMA user_version = {tables.VERSION + 1}")
     connection.close()
     before = book.read_bytes()
@@ -176,7 +179,7 @@ def test_a_newer_atlas_is_refused_untouched(book):
 
 def older(book, version):
     """The file as it was in a version: without what later migrations added."""
-    with sqlite3.connect(book) as connection:
+    with database(book) as connection:
         for column in ("signature", "proof")[: 2 * (version < 3)]:
             connection.execute(f"ALTER TABLE orbits DROP COLUMN {column}")
         for index in ("orbits_by_energy", "starts_by_orbit")[: 2 * (version < 2)]:
@@ -207,7 +210,7 @@ def test_an_older_atlas_is_read_as_it_is_and_migrated_by_a_writer(book, triples,
 
 def test_a_table_that_was_tampered_with_is_refused(book):
     """A view in place of a column, a table that lacks one."""
-    with sqlite3.connect(book) as connection:
+    with database(book) as connection:
         connection.execute("ALTER TABLE orbits DROP COLUMN proof")
     connection.close()
     with pytest.raises(InputError, match="table 'orbits' is not as orbitfinder makes it; restore a copy"):
@@ -309,7 +312,7 @@ def test_a_full_disk_loses_nothing(book, triples):
 def test_other_files_are_refused(tmp_path, content, message):
     path = tmp_path / "other.sqlite"
     if content is None:
-        with sqlite3.connect(path) as connection:
+        with database(path) as connection:
             connection.execute("CREATE TABLE songs (title TEXT)")
         connection.close()
     else:
@@ -331,7 +334,7 @@ def test_paths_that_are_no_files(tmp_path):
 
 
 def test_a_damaged_document_is_named(book):
-    with sqlite3.connect(book) as connection:
+    with database(book) as connection:
         connection.execute("UPDATE orbits SET document = x'00' WHERE id = 2")
     connection.close()
     with Atlas(book) as atlas, pytest.raises(InputError, match=r"orbit 2: damaged .*; restore a copy"):
@@ -408,3 +411,13 @@ def test_the_cost_of_an_insertion_stays_flat(tmp_path, triples, monkeypatch):
             times.append(time.perf_counter() - began)
     early, late = np.median(times[500:1500]), np.median(times[99_500:100_500])
     assert late < 1.5 * early, f"{early * 1e6:.0f} and {late * 1e6:.0f} microseconds"
+
+
+def test_an_atlas_that_nobody_closed_is_closed_with_its_last_name(book):
+    """Python warns of an open connection since 3.13: `of.Atlas(path).orbit(1)` is what the reference shows."""
+    atlas = Atlas(book)
+    connection = atlas.connection
+    del atlas
+    gc.collect()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        connection.execute("SELECT 1")

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -236,7 +235,14 @@ def test_simulate_calls_a_change_of_energy_what_it_is():
 FOREIGN = "from orbitfinder.systems import FUNCTIONS\ndef make(cubic):\n    return FUNCTIONS['duffing'](1.0, cubic)\n"
 
 
-def test_commands_run_foreign_systems_only_with_trust(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "commands",
+    [
+        (["plot"], ["animate"], ["export", "--to", "c"]),
+        pytest.param((["prove"], ["refine", "--digits", "20"]), marks=pytest.mark.needs("proof"), id="proofs"),
+    ],
+)
+def test_commands_run_foreign_systems_only_with_trust(tmp_path, monkeypatch, commands):
     """Every command looks beside the orbit, then in the current folder; without --trust nothing of it is run."""
     (tmp_path / "mine.py").write_text(FOREIGN)
     text = (
@@ -252,8 +258,7 @@ def test_commands_run_foreign_systems_only_with_trust(tmp_path, monkeypatch):
     assert missing.exit_code == 2 and "cannot be imported" in missing.stderr
     monkeypatch.chdir(tmp_path)
     assert invoke("verify", orbit, "--trust").exit_code == 0
-    provable = [["prove"], ["refine", "--digits", "20"]] if find_spec("flint") else []
-    for words in (*provable, ["plot"], ["animate"], ["export", "--to", "c"]):
+    for words in commands:
         assert "--trust" in invoke(*words, orbit).stderr
         taken = invoke(*words, orbit, "--trust")
         assert taken.exit_code == 0, taken.output

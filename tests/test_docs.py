@@ -13,7 +13,7 @@ differ by a fifth, `any` any number (times, versions), `ends` that only the firs
 the same (searches: a start that fails on one processor may succeed on another).
 `ORBITFINDER_WRITE_DOCS=1 python -m pytest tests/test_docs.py -k page_runs` writes what was printed into the pages,
 and the figures that a page's commands drew (`<!-- picture: FILE -->` before an image) into docs/pictures.
-`<!-- slow -->` on a page moves it to the slow tests, `<!-- needs: flint -->` skips it where that module is
+`<!-- slow -->` on a page moves it to the slow tests, `<!-- needs: proof -->` skips it where that extra is
 missing; pages in `PARSED_ONLY` are checked without being run. Lines of shell that are not ours are in `NOT_RUN`.
 """
 
@@ -99,6 +99,7 @@ def parameters():
         runs = [block for block in blocks(page) if block.language in ("python", "sh")]
         if page.name not in GENERATED | PARSED_ONLY and runs:
             marks = [pytest.mark.slow] if is_slow(page) else []
+            marks += map(pytest.mark.needs, re.findall(r"<!-- needs: (\w+) -->", page.read_text(encoding="utf-8")))
             yield pytest.param(page, id=str(page.relative_to(DOCS).with_suffix("")), marks=marks)
 
 
@@ -237,8 +238,6 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize("page", list(parameters()))
 def test_page_runs(page, folder):
     """The blocks of a page, in order, do and print what the page says."""
-    for module in re.findall(r"<!-- needs: (\w+) -->", page.read_text(encoding="utf-8")):
-        pytest.importorskip(module)
     if "results/atlas/" in page.read_text(encoding="utf-8"):
         shutil.copytree(ROOT / "results" / "atlas", folder / "results" / "atlas")
     namespace, printed = {"__name__": "__main__"}, None
@@ -425,11 +424,9 @@ OUR_WORDS = ("Commun", "fro", "regraded", "Numer", "inout", "oint")
 """Words and names that codespell takes for others."""
 
 
+@pytest.mark.needs("docs")
 def test_the_site_builds(tmp_path):
     """mkdocs --strict: no warning, no dead link; the reference is there and the pages ask the network for nothing."""
-    pytest.importorskip("mkdocs")
-    pytest.importorskip("material")
-    pytest.importorskip("mkdocstrings")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
     few = {
         **os.environ,

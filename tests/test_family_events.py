@@ -250,10 +250,14 @@ def test_random_families_against_brute_force(seed):
 
 
 def test_steps_on_which_indices_cannot_be_told_apart_are_refused():
-    """Indices matched across each other at a resonance, though they keep apart: a shorter step is asked for."""
+    """Indices matched across each other at a resonance, though they keep apart: a shorter step is asked for.
+
+    Half-way they are expected nearer to where they began: changed places exactly, they would be expected in one point.
+    """
     interval = one_step(lambda s: symplectic(0.51 + 0.0 * s, 0.49, 0.002), 0.0, 0.1)
     last = interval.last
-    swapped = Sample(0.1, None, None, last.about, last.indices[::-1], np.zeros(2, int), {})
+    crossed = 0.98 * last.indices[::-1] + 0.02 * last.indices
+    swapped = Sample(0.1, None, None, last.about, crossed, np.zeros(2, int), {})
     with pytest.raises(ConvergenceError, match="cannot be told apart"):
         bifurcations(Planted(None, interval.first, swapped, np.zeros(0), np.zeros(0), family=interval.family), 6)
 

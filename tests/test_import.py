@@ -4,6 +4,7 @@ import copy
 import functools
 import importlib
 import pickle
+import re
 import subprocess
 import sys
 import tomllib
@@ -12,12 +13,14 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import EXTRAS
 
 import orbitfinder
 from orbitfinder.loops.conditions import Variables
 from orbitfinder.problemfile.read import load_problem_file
 
 ROOT = Path(__file__).parents[1]
+SKIPPED = re.compile(r"^( *)(?:\w+ = )?pytest\.importorskip\(\"([\w.]+)\"", re.MULTILINE)
 HEAVY = ("casadi", "numpy", "scipy", "matplotlib", "rich", "pydantic", "click")
 
 
@@ -38,6 +41,41 @@ def test_every_exported_name_resolves_and_is_documented(name):
     """Each public name exists and, unless it is the version, has a docstring."""
     value = getattr(orbitfinder, name)
     assert name == "__version__" or (value.__doc__ or "").strip()
+
+
+def test_a_name_whose_extra_is_missing_exists_and_says_what_to_install_when_it_is_called():
+    """No extra is installed here: everything is there, is documented and shows itself; only a call is refused."""
+    hidden = sorted({module for extra in EXTRAS.values() for module in extra} | {"imageio_ffmpeg", "traitlets"})
+    said = fresh(
+        f"import sys; sys.modules |= dict.fromkeys({hidden!r})\n"
+        "import inspect, pydoc, orbitfinder as of\n"
+        "from orbitfinder import *\n"
+        "names = set(of.__all__)\n"
+        "assert all(hasattr(of, name) for name in names) and names <= dict(inspect.getmembers(of)).keys()\n"
+        "assert 'Needs the extra `[proof]`' in pydoc.render_doc(of) and inspect.signature(of.prove)\n"
+        "orbit = of.load_orbit('results/orbits/triple-1/orbit.json')\n"
+        "for call in (lambda: of.prove(orbit), lambda: of.robot('problems/robots/iiwa.urdf'), orbit.widget):\n"
+        "    try: call()\n"
+        "    except of.errors.InputError as error: print(error)\n"
+    ).splitlines()
+    assert [re.search(r"pip install '?orbitfinder\[(\w+)\]", line)[1] for line in said] == [
+        "proof",
+        "robot",
+        "notebook",
+    ]
+
+
+def test_tests_say_which_extra_they_need():
+    """A marker, never a silent importorskip: `.ci/run` selects by it what it runs once the extras are installed."""
+    modules = {module for extra in EXTRAS.values() for module in extra}
+    for path in sorted(Path(__file__).parent.glob("test_*.py")):
+        text = path.read_text(encoding="utf-8")
+        asked = [(indent, name.partition(".")[0]) for indent, name in SKIPPED.findall(text)]
+        wanted = [(indent, name) for indent, name in asked if name in modules]
+        marked = re.search(r"^pytestmark = (?:\[\s*)?pytest\.mark\.needs\(", text, re.MULTILINE)
+        assert not wanted or (marked and not any(indent for indent, _ in wanted)), path.name
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(EXTRAS) == set(project) - {"test", "mp4"}
 
 
 @pytest.mark.parametrize("room", ["flows", "guesses", "linkages"])

@@ -363,7 +363,6 @@ def use_journal(path):
 
 def use_proof(path):
     """What `verify --proof` does before and after the replay itself, which is that of the sound file."""
-    pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
     from orbitfinder.proof.record import contradictions, options_of, read_entry
 
     found = read_entry(load_orbit(path), path)
@@ -387,6 +386,7 @@ def use_atlas(path):
 
 USES = {"problem": use_problem, "orbit": use_result, "family": use_result, "npz": use_result, "journal": use_journal,
         "proof": use_proof, "atlas": use_atlas}  # fmt: skip
+KINDS = [pytest.param(kind, marks=pytest.mark.needs("proof")) if kind == "proof" else kind for kind in FORMATS]
 
 
 def tried(kind, number, sound, folder):
@@ -421,14 +421,14 @@ def all_tried(kind, count, sound, tmp_path):
     return [end for end in ends if end not in counts]
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_some_damaged_files(kind, sound, tmp_path):
     """The first mutants of every format."""
     assert not all_tried(kind, FEW, sound, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_ten_thousand_damaged_files(kind, sound, tmp_path):
     """All of them."""
     assert not all_tried(kind, MANY[kind], sound, tmp_path)
@@ -439,5 +439,10 @@ def test_sound_files_are_read(sound):
     for path in [*sound.glob("orbits/*/orbit.json"), *sound.glob("*/family.json")]:
         use_result(path)
     use_journal(sound / "mode-1")
-    use_proof(sound / "proof.json")
     use_atlas(sound / "atlas.sqlite")
+
+
+@pytest.mark.needs("proof")
+def test_a_sound_proof_is_read(sound):
+    """The same of proofs."""
+    use_proof(sound / "proof.json")

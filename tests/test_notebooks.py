@@ -185,9 +185,9 @@ def five_bar():
     return replace(whole, points=whole.points[::9], events=whole.events[3:4])
 
 
+@pytest.mark.needs("notebook")
 def test_a_family_on_a_stage(five_bar):
     """Every point and event with its motion at its own length, its numbers and its place on the curve; one scale."""
-    pytest.importorskip("anywidget")
     stage = five_bar.widget()
     items = stage.shown["items"]
     assert len(items) == len(stage.members) == 6 and stage.picked is five_bar.points[0]
@@ -210,9 +210,9 @@ def test_a_family_on_a_stage(five_bar):
         replace(five_bar, points=()).widget()
 
 
+@pytest.mark.needs("notebook")
 def test_a_stage_shows_the_static_picture_where_no_widget_runs(triple):
     """GitHub reads text/html; a notebook that runs prefers the view. Nothing of either comes from a network."""
-    pytest.importorskip("anywidget")
     stage = triple.widget()
     data, _ = stage._repr_mimebundle_()
     assert data["text/html"] == triple._repr_html_() and "application/vnd.jupyter.widget-view+json" in data
@@ -225,8 +225,8 @@ def test_a_stage_shows_the_static_picture_where_no_widget_runs(triple):
     assert ":root" not in stage._css and "--link" in stage._css  # the host keeps its own
 
 
+@pytest.mark.needs("notebook")
 def test_an_orbit_that_no_file_describes_has_a_stage_with_its_numbers(triple):
-    pytest.importorskip("anywidget")
     bare = replace(triple, system={"kind": "custom"}, times=np.zeros(0), samples=np.zeros((0, 6)))
     (item,) = bare.widget().shown["items"]
     assert item["motion"] is None and item["portrait"] == "" and item["period"] == triple.period
@@ -252,10 +252,12 @@ def test_axes_have_round_numbers_inside_their_range():
     assert len(texts) >= 6 and max(texts) <= 5.5e3 and "rate of x (m/s)" in tags.text
 
 
+@pytest.mark.needs("notebook")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_show_what_they_did_and_need_only_the_front_door(path):
     """Stored as `notebooks/run.py` leaves them: with displays, without widgets, paths and deep imports; below 1 MB."""
-    nbformat = pytest.importorskip("nbformat")
+    import nbformat
+
     notebook = nbformat.read(path, 4)
     nbformat.validate(notebook)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
@@ -280,11 +282,11 @@ def _read(text):
 
 
 @pytest.mark.slow
+@pytest.mark.needs("notebook")
 @pytest.mark.filterwarnings("ignore")  # of Jupyter's own
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run_and_show_what_they_hold(path):
     """Each cell runs and says what is stored: the same words, the same numbers."""
-    pytest.importorskip("nbclient"), pytest.importorskip("ipykernel"), pytest.importorskip("anywidget")
     spec = importlib.util.spec_from_file_location("run_notebooks", ROOT / "notebooks" / "run.py")
     run = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(run)

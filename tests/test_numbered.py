@@ -266,8 +266,8 @@ def test_a_point_moves(tmp_path):
     assert (tmp_path / "point.gif").name in run("animate", f"{QUICK[0]}#40", "-o", tmp_path / "point.gif")
 
 
+@pytest.mark.needs("proof")
 def test_a_point_is_proved_and_not_recorded():
-    pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
     before = QUICK[0].read_bytes()
     said = run("prove", f"{QUICK[0]}#40")
     assert "proved in" in said and "the proof is not recorded" in said and QUICK[0].read_bytes() == before

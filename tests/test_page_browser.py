@@ -19,12 +19,15 @@ from orbitfinder.site.build import Settings, build_site
 from orbitfinder.site.gather import gather
 from orbitfinder.site.writing import write_site
 
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed; pip install '.[browser]'")
+webdriver = pytest.importorskip("selenium.webdriver")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 DRIVER = shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None or DRIVER is None, reason="no browser: install chromium and chromedriver (Debian: chromium-driver)"
-)
+pytestmark = [
+    pytest.mark.needs("browser"),
+    pytest.mark.skipif(
+        None in (CHROMIUM, DRIVER), reason="no browser: install chromium and chromedriver (Debian: chromium-driver)"
+    ),
+]
 KINDS = {
     "gallery": "index.html",
     "orbit": "orbits/triple-1.html",
@@ -556,7 +559,6 @@ window.gone = render({{ model, el: host }});
 @pytest.fixture(scope="module")
 def notebook(tmp_path_factory):
     """A page with the widget of a family, and the family."""
-    pytest.importorskip("anywidget")
     whole = load_family(SHIPPED.parent / "families" / "five-bar-length" / "family.json")
     family = replace(whole, points=whole.points[::9], events=whole.events[3:4])
     stage = family.widget()
@@ -583,6 +585,7 @@ SLIDE = """const s = host.querySelector(`input[aria-label="${arguments[0]}"]`);
 s.value = arguments[1]; s.dispatchEvent(new Event("input"));"""
 
 
+@pytest.mark.needs("notebook")
 def test_the_widget_slides_keeps_phase_and_scale_and_tells_the_kernel(browser, notebook):
     page, family = notebook
     run = mounted(browser, page)
@@ -617,6 +620,7 @@ def test_the_widget_slides_keeps_phase_and_scale_and_tells_the_kernel(browser, n
     assert run("return model.get('index')") == 5
 
 
+@pytest.mark.needs("notebook")
 @pytest.mark.parametrize("width", [360, 900])
 def test_the_widget_takes_the_colours_of_its_host_and_leaves_nothing_behind(browser, notebook, width):
     run = mounted(browser, notebook[0], width)

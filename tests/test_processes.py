@@ -16,6 +16,7 @@ from click.testing import CliRunner
 import orbitfinder as of
 from orbitfinder._runtime import interrupt, locks
 from orbitfinder.cli.group import cli
+from orbitfinder.records import reading
 
 ROOT = Path(__file__).parents[1]
 COMMAND = [sys.executable, "-m", "orbitfinder"]
@@ -308,7 +309,9 @@ def test_two_continuations_do_not_share_a_folder(tmp_path):
     assert not list((tmp_path / "f" / "swing").glob(".*"))
 
 
-@pytest.mark.parametrize("verb", ["continue", "export", "prove", "plot", "run"])
+@pytest.mark.parametrize(
+    "verb", ["continue", "export", pytest.param("prove", marks=pytest.mark.needs("proof")), "plot", "run"]
+)
 def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch, pendulum_orbit, verb):
     """Every file is put in its place by a rename; when that fails the command says so and what there was stays."""
     file = of.save_orbit(pendulum_orbit, tmp_path / "orbit.json")
@@ -320,8 +323,6 @@ def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch, pendulum_orbit, verb):
         "plot": ["plot", file, "-o", tmp_path / "figures"],
         "run": ["run", *problems(tmp_path, 1), "--out", tmp_path / "o"],
     }[verb]
-    if verb == "prove":
-        pytest.importorskip("flint")
 
     def full(source, target, **_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
@@ -332,8 +333,8 @@ def test_a_full_disk_is_a_sentence(tmp_path, monkeypatch, pendulum_orbit, verb):
     assert file.read_bytes() == before and not list(tmp_path.rglob(".*"))
 
 
+@pytest.mark.needs("proof")
 def test_a_proof_is_not_begun_that_cannot_be_recorded(tmp_path, monkeypatch, pendulum_orbit):
-    pytest.importorskip("flint")
     file = of.save_orbit(pendulum_orbit, tmp_path / "orbit.json")
 
     def refused(**_):
@@ -360,3 +361,50 @@ def test_a_lock_file_that_leads_elsewhere_is_not_followed(tmp_path):
     with pytest.raises(OSError), locks.held(tmp_path / "lock"):
         pass
     assert (tmp_path / "victim").read_text() == "precious"
+
+
+AS_ON_WINDOWS = """
+import fcntl, sys, types
+from pathlib import Path
+import orbitfinder.errors
+
+def locking(handle, how, size):
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise PermissionError(13, "Permission denied") from None
+
+sys.modules["msvcrt"], sys.modules["fcntl"] = types.SimpleNamespace(locking=locking, LK_NBLCK=2), None
+sys.platform = "win32"
+from orbitfinder._runtime import locks
+path = Path(sys.argv[1])
+with locks.held(path) as mine, locks.held(path) as another:
+    print(mine, another)
+with locks.held(path) as again:
+    print(again, path.exists())
+print(path.exists())
+"""
+
+
+def test_the_lock_of_windows_is_held_by_one_at_a_time(tmp_path):
+    """With msvcrt in fcntl's place; without either everybody held it."""
+    words = [sys.executable, "-c", AS_ON_WINDOWS, str(tmp_path / "lock")]
+    said = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    assert said.split() == ["True", "False", "True", "True", "False"]
+
+
+def test_a_file_that_somebody_reads_is_replaced_a_moment_later(tmp_path, monkeypatch):
+    """Windows replaces no file that is open; elsewhere a refusal is one at once."""
+    replace, refusals = os.replace, [PermissionError(errno.EACCES, "Permission denied")] * 2
+
+    def busy(source, target):
+        if refusals:
+            raise refusals.pop()
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", busy)
+    with pytest.raises(PermissionError):
+        reading.write_json(tmp_path / "one.json", [1])
+    monkeypatch.setattr(reading, "BUSY", 5.0)
+    assert reading.write_json(tmp_path / "one.json", [2]).read_text() == "[\n 2\n]\n"
+    assert len(list(tmp_path.iterdir())) == 1 and not refusals

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+pytest.importorskip("flint")
 
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
@@ -25,6 +25,7 @@ from orbitfinder.proof.trajectory import stability
 from orbitfinder.records.orbit import digest, save_orbit
 from orbitfinder.records.store import load_orbit
 
+pytestmark = pytest.mark.needs("proof")
 ROOT = Path(__file__).parents[1]
 REPORT = ("triple-1", "triple-2", "quadruple-1", "quadruple-2")
 PROBLEMS = {  # name: (file, symmetry, verdict)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+pytest.importorskip("flint")
 
 from orbitfinder.mechanics.chain import chain
 from orbitfinder.proof import along as module
@@ -14,6 +14,7 @@ from orbitfinder.proof.balls import arb, arb_poly, precision
 from orbitfinder.proof.enclosure import Settings, cloud, integrate
 from orbitfinder.proof.field import make_field
 
+pytestmark = pytest.mark.needs("proof")
 PLACES = np.linspace(-1.0, 1.0, 9)
 FUNCTIONS = {
     "product": (lambda x: x * x * x * x * x, lambda x: x**5),

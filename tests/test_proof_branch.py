@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+pytest.importorskip("flint")
 
 from click.testing import CliRunner
 
@@ -24,6 +24,7 @@ from orbitfinder.proof.branch import (
 )
 from orbitfinder.records.family import load_family
 
+pytestmark = pytest.mark.needs("proof")
 FAMILIES = Path(__file__).parents[1] / "results" / "families"
 BREAKING = -37.516214081097964
 """Energy (J) at which the reflection of the triple pendulum's second mode breaks, as the family's event has it"""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+pytest.importorskip("flint")
 
 import orbitfinder as of
 from orbitfinder.cli.group import cli
@@ -18,6 +18,7 @@ from orbitfinder.proof.balls import arb, precision
 from orbitfinder.proof.field import programs
 from orbitfinder.proof.theorem import Options, prove, refine, settings_for
 
+pytestmark = pytest.mark.needs("proof")
 ROOT = Path(__file__).parents[1]
 LORENZ = "1.5586522107161747275678702092126960705284805489972439358895215783190198756258880854355851082660142374"
 """period for beta = 8/3: D. Viswanath, Physica D 190 (2004) 115-128"""

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.special import ellipj, ellipk
 
-pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+pytest.importorskip("flint")
 
 from orbitfinder.errors import InputError, IntegrationError
 from orbitfinder.integrate.dop853 import TIGHTEST, integrate, vector_field
@@ -21,6 +21,7 @@ from orbitfinder.proof.program import Ring, program
 from orbitfinder.proof.series import coefficients, outputs, recurrence, whole_series
 from orbitfinder.proof.taylormodel import remainders
 
+pytestmark = pytest.mark.needs("proof")
 FAST = Settings(order=14, bits=96, tolerance=1e-14)
 FLOATS = Ring(
     float,

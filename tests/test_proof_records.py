@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-pytest.importorskip("flint", reason="proofs need python-flint (the extra 'proof')")
+pytest.importorskip("flint")
 
 from orbitfinder.atlas.store import Atlas
 from orbitfinder.cli.group import cli
@@ -15,6 +15,7 @@ from orbitfinder.proof.record import read_entry, replay
 from orbitfinder.records.orbit import digest
 from orbitfinder.records.store import load_orbit
 
+pytestmark = pytest.mark.needs("proof")
 RESULTS = Path(__file__).parents[1] / "results"
 RECORDS = sorted((RESULTS / "proofs").glob("*.json"))
 WANTED = 50

@@ -7,10 +7,14 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+
+pytest.importorskip("griffe")
+
 from griffe import Docstring, parse_google
 
 import orbitfinder as of
 
+pytestmark = pytest.mark.needs("docs")
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs" / "reference" / "python").glob("*.md"))
 NAMES = [name for name in of.__all__ if name != "__version__" and not inspect.ismodule(getattr(of, name))]

@@ -4,7 +4,6 @@ import io
 import json
 import os
 import shutil
-import sqlite3
 import tracemalloc
 import zipfile
 import zlib
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import database
 
 from orbitfinder.cli.group import cli
 from orbitfinder.errors import InputError
@@ -224,7 +224,7 @@ SELECT id, 0 energy, 1 period, 0 action, '' symmetry, '' stability, 1 instabilit
     ],
 )
 def test_a_tampered_atlas_is_one_sentence(book, script, said):
-    with sqlite3.connect(book) as connection:
+    with database(book) as connection:
         connection.executescript(script)
     connection.close()
     assert said in refused("atlas", "list", book)

@@ -34,9 +34,11 @@ def test_one_version_everywhere():
     assert len(notes) > 1000 and {"### Added", "### Changed", "### Fixed"} <= set(notes.splitlines())
 
 
+@pytest.mark.needs("docs")
 def test_the_recipe_asks_for_what_pyproject_asks():
     """Same dependencies with the same bounds, by conda-forge's names; same Python, same build system, same command."""
-    yaml = pytest.importorskip("yaml")
+    import yaml
+
     recipe = yaml.safe_load(read("conda/recipe.yaml"))
     wanted = [re.fullmatch(r"([\w-]+)(\S+)", line).groups() for line in PROJECT["dependencies"]]
     asked = [f"{CONDA_NAMES.get(name, name)} {bounds}" for name, bounds in wanted]
@@ -50,9 +52,11 @@ def test_the_recipe_asks_for_what_pyproject_asks():
     assert all((ROOT / name).is_file() for name in PROJECT["license-files"])
 
 
+@pytest.mark.needs("docs")
 def test_forms_and_workflows_are_yaml_with_what_forges_ask_for():
     """Each form has a name, a description and fields; bugs and wrong answers want the doctor's output."""
-    yaml = pytest.importorskip("yaml")
+    import yaml
+
     forms = {
         path.stem: yaml.safe_load(path.read_text()) for path in (ROOT / ".github/ISSUE_TEMPLATE").glob("[0-9]*.yml")
     }
@@ -63,9 +67,20 @@ def test_forms_and_workflows_are_yaml_with_what_forges_ask_for():
         assert ("doctor" in fields) == ("bug" in name or "wrong" in name)
     jobs = yaml.safe_load(read(".github/workflows/ci.yml"))["jobs"]
     supported = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", line)]
-    assert jobs["check"]["strategy"]["matrix"]["python"] == supported == ["3.11", "3.12", "3.13"]
-    scripts = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    assert jobs["check"]["strategy"]["matrix"]["python"] == supported
+    scripts = [step["run"] for name in ("check", "oldest") for step in jobs[name]["steps"] if "run" in step]
     assert scripts == [".ci/run", ".ci/minimal"] and all((ROOT / one).is_file() for one in scripts)
+    assert jobs["elsewhere"]["strategy"]["matrix"]["system"] == ["macos-latest", "windows-latest"]
+
+
+def test_the_supported_versions_of_python_are_the_same_everywhere():
+    """Classifiers, README, badge (tests/test_readme.py), pages, the doctor, the recipe, the scripts."""
+    versions = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", line)]
+    assert versions == [f"3.{minor}" for minor in range(11, 16)]
+    said = f"Python {versions[0]} to {versions[-1]}"
+    pages = ("README.md", "CONTRIBUTING.md", "docs/how-to/install.md", "docs/tutorials/first-orbit.md", ".ci/package")
+    assert all(said in read(name) for name in (*pages, "orbitfinder/cli/doctor.py"))
+    assert f'python_min: "{versions[0]}"' in read("conda/recipe.yaml") and "3.1[1-5]) ;;" in read(".ci/package")
 
 
 @IN_CLONE

@@ -17,6 +17,7 @@ from orbitfinder.errors import InputError
 
 pytest.importorskip("urdf_parser_py")
 mujoco = pytest.importorskip("mujoco")
+pytestmark = pytest.mark.needs("robot")
 ARM = Path("problems/robots/iiwa.urdf").resolve()
 GRAVITY = 9.80665
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from conftest import database
 from test_atlas_search import content
 
 from orbitfinder.atlas.search import Limits, Statistics
@@ -80,7 +81,7 @@ def test_show_trusts_a_module_beside_the_atlas(book, tmp_path):
     path = tmp_path / "own.sqlite"
     path.write_bytes(book[0].read_bytes())
     system = {"kind": "python", "module": "homemade", "function": "made", "arguments": {}}
-    with sqlite3.connect(path) as connection:
+    with database(path) as connection:
         connection.execute("UPDATE about SET value = ? WHERE key = 'system'", [json.dumps(system)])
     connection.close()
     assert "theta3dot" in run("atlas", "show", path, 1, "--trust")[0]
@@ -223,7 +224,6 @@ def test_interrupt(tmp_path):
 
 
 def content_or_nothing(path):
-    import sqlite3
 
     try:
         return content(path)[1]

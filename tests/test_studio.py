@@ -11,7 +11,6 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -298,7 +297,7 @@ def test_a_search_that_is_killed_keeps_what_it_found_and_goes_on(tasks, session,
 @pytest.mark.parametrize(
     "file, pulls",
     [("hybrid/bouncing-ball", False), ("control/cart-pole-cycle", True), ("linkages/four-bar-rocking", True),
-     ("robots/a1-leg", True), ("mechanisms/furuta", True)],
+     pytest.param("robots/a1-leg", True, marks=pytest.mark.needs("robot")), ("mechanisms/furuta", True)],
 )  # fmt: skip
 def test_every_kind_of_system_opens_runs_and_is_found_by_its_own_file(tasks, tmp_path, file, pulls):
     given = opened(ROOT / "problems" / f"{file}.toml")
@@ -329,8 +328,7 @@ def test_a_linkage_without_a_guess_is_put_together(tmp_path):
 
 # ---------------------------------------------------------------------- in a browser
 
-nicegui = pytest.mark.skipif(find_spec("nicegui") is None, reason="no NiceGUI; pip install '.[studio]'")
-browsing = pytest.mark.skipif(not BROWSER, reason="no browser, or no selenium; pip install '.[browser]'")
+browsing = pytest.mark.skipif(not BROWSER, reason="no browser: install chromium and chromedriver")
 
 
 @pytest.fixture
@@ -342,7 +340,7 @@ def server(tmp_path):
     one.log.close()
 
 
-@nicegui
+@pytest.mark.needs("studio")
 def test_the_page_is_served_to_whoever_knows_the_address_here_only(server, tmp_path):
     base, token = re.fullmatch(r"(http://127\.0\.0\.1:\d+)/([\w-]{20,})", server.address).groups()
 
@@ -373,7 +371,7 @@ def tab(server, tmp_path):
     one.driver.quit()
 
 
-@nicegui
+@pytest.mark.needs("studio", "browser")
 @browsing
 @pytest.mark.slow
 def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_path):
@@ -431,7 +429,7 @@ def test_from_a_dragged_mechanism_to_a_saved_tree_of_families(server, tab, tmp_p
             assert np.abs(np.array(a["state"]) - b["state"]).max() < 1e-12
 
 
-@nicegui
+@pytest.mark.needs("studio", "browser")
 @browsing
 @pytest.mark.slow
 def test_a_click_on_a_return_finds_it_and_two_tabs_do_not_meet(server, tab, tmp_path):
@@ -459,7 +457,7 @@ def test_a_click_on_a_return_finds_it_and_two_tabs_do_not_meet(server, tab, tmp_
     assert "double-pendulum-3" in names and "double-pendulum-2" not in names
 
 
-@nicegui
+@pytest.mark.needs("studio", "browser")
 @browsing
 @pytest.mark.slow
 def test_a_section_to_start_from_and_a_search_beside_that_loses_nothing_when_it_is_killed(server, tab, tmp_path):
@@ -508,7 +506,7 @@ def _command(process):
     return Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode()
 
 
-@nicegui
+@pytest.mark.needs("studio", "browser")
 @browsing
 @pytest.mark.slow
 def test_joints_of_a_linkage_are_pulled_as_far_as_its_bars_reach(tmp_path):
@@ -531,7 +529,7 @@ def test_joints_of_a_linkage_are_pulled_as_far_as_its_bars_reach(tmp_path):
         server.log.close()
 
 
-@nicegui
+@pytest.mark.needs("studio", "browser")
 @browsing
 @pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])

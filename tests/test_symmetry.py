@@ -234,9 +234,9 @@ def test_a_problem_file_names_what_its_system_declares(tmp_path):
         load_problem(path)
 
 
+@pytest.mark.needs("proof")
 def test_a_declared_mirror_proves_a_lyapunov_orbit():
     """Half of it in ball arithmetic: its symmetry is read off the equations' graph, coordinate by coordinate."""
-    pytest.importorskip("flint")
     from orbitfinder.proof.theorem import prove
 
     model, guess = restricted_three_body(0.0121505856), Guess([0.8234, 0.0, 0.0, 0.1263], 2.743)

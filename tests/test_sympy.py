@@ -9,6 +9,7 @@ import orbitfinder as of
 from orbitfinder.errors import InputError
 
 sympy = pytest.importorskip("sympy")
+pytestmark = pytest.mark.needs("robot")
 from sympy.physics.mechanics import (  # noqa: E402
     KanesMethod,
     LagrangesMethod,

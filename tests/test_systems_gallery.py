@@ -11,6 +11,8 @@ import pytest
 import orbitfinder as of
 
 sympy = pytest.importorskip("sympy")
+pytest.importorskip("urdf_parser_py")
+pytestmark = pytest.mark.needs("docs")
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "docs"))
 

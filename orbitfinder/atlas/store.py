@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import weakref
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -182,6 +183,7 @@ class Atlas(Shown):
         self.path, self._model, self._trusted = Path(path), model, trusted
         self._loops: dict[int, Signature] = {}
         self.connection = connect(self.path, write)
+        weakref.finalize(self, self.connection.close)  # since Python 3.13 who forgets `close` is warned
         try:
             with explained(self.path):
                 asked = system if model is None else model.system

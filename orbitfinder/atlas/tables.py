@@ -125,10 +125,11 @@ def _checked(path: Path, connection: sqlite3.Connection) -> sqlite3.Connection:
             return connection
         with contextlib.closing(connection):
             copy = sqlite3.connect(":memory:", isolation_level=None)
-            copy.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_FILE)
-            connection.backup(copy)
-        _migrate(copy, found)
-        return copy
+            connection, left = copy, connection
+            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_FILE)
+            left.backup(connection)
+        _migrate(connection, found)
+        return connection
     except BaseException:
         connection.close()
         raise

@@ -16,7 +16,7 @@ import threading
 import time
 import uuid
 from collections.abc import Mapping
-from concurrent.futures import BrokenExecutor, Executor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from multiprocessing.connection import Connection, wait
@@ -304,6 +304,16 @@ class Futures(Workers):
             return [(job, future.result(timeout=CONNECTING))]
         except self.lost:
             return [(job, Attempt(job.number, "", reason=DIED))]
+        except CancelledError as error:
+            raise OrbitfinderError(
+                f"search: the {self.name} is gone or took its work back ({error}); start it again and give the same "
+                "command, which goes on from here"
+            ) from error
+        except InputError as error:  # of the problem, read there: a module or a file that only this machine has
+            raise OrbitfinderError(
+                f"search: a worker of the {self.name} cannot read the problem: {error}; what it imports and names must "
+                "be where its workers run, too"
+            ) from error
         except Exception as error:  # whatever a worker can raise: it lacks the package, or has another one
             raise OrbitfinderError(
                 f"search: a worker of the {self.name} failed with {type(error).__name__}: {error}; {self.remedy}, "

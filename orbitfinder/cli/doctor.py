@@ -55,7 +55,7 @@ def examine() -> list[Finding]:
 def essential() -> Iterator[Finding]:
     """What the main job cannot do without, the main job included."""
     fits = sys.version_info[:2] >= (3, 11)
-    yield finding("python", fits, platform.python_version(), "use Python 3.11 to 3.13", BROKEN)
+    yield finding("python", fits, platform.python_version(), "use Python 3.11 to 3.15", BROKEN)
     for name in (
         "casadi", "numpy", "scipy", "matplotlib", "pillow", "click", "pydantic", "rich", "threadpoolctl",
         "platformdirs", "jinja2", "lazy_loader",

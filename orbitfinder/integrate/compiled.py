@@ -29,6 +29,7 @@ import shutil
 import signal
 import stat
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -55,7 +56,7 @@ REMEMBERED = 32
 AGREEMENT = 1e-6
 """Relative difference from the interpreter, at one point, beyond which a new library is thrown away"""
 
-ALWAYS = ("-std=c99", "-fPIC", "-shared", "-ffp-contract=off")
+ALWAYS = ("-std=c99", *(() if sys.platform == "win32" else ("-fPIC",)), "-shared", "-ffp-contract=off")
 NATIVE = "-march=native"
 SMALL = 256 * 1024
 """Bytes of C up to which -O3 is worth its time: on 560 KB even -O2 takes 2.7 s against 2.1 s by -O1 for nothing"""
@@ -148,7 +149,7 @@ def compiled(function: ca.Function, *, effort: float | None = None) -> ca.Functi
     `effort` is about how many seconds of interpreted work are to come; in mode "auto" a function that is not in the
     cache is compiled only if that is longer than compiling takes. None: the caller knows that it is.
     """
-    if mode() == "off":
+    if mode() == "off" or function.class_name() == "External":
         return function
     if mode() != "on" and effort is not None and effort < STARTING:
         return function
@@ -207,13 +208,17 @@ def _fetched(function: ca.Function, effort: float | None, code: str, compiler: C
 
 
 def _code(function: ca.Function) -> str:
-    """The function in C; `RuntimeError` for what CasADi cannot generate (CVODES, IDAS, IPOPT, Python callbacks)."""
+    """The function in C; `RuntimeError` for what CasADi cannot generate (CVODES, IDAS, IPOPT, Python callbacks).
+
+    Code that calls another library is refused: nothing links the two, and before CasADi 3.8.1 what calls a library by
+    its own name calls itself without end.
+    """
     generator = ca.CodeGenerator("code.c")
     generator.add(function)
     code = str(generator.dump())
-    refused = re.search(r"#error (.*)|#include (?!<math\.h>)(.*)", code)
+    refused = re.search(r"#error (.*)|#include (?!<math\.h>)(.*)|/\* (External functions) \*/", code)
     if refused:
-        raise Unavailable(refused.group(1) or f"its code needs {refused.group(2)}")
+        raise Unavailable(refused.group(1) or f"its code needs {refused.group(2) or 'another library'}")
     if len(code) > LARGEST:
         raise Unavailable(f"{len(code) / 2**20:.0f} MB of C")
     return code

@@ -97,7 +97,7 @@ class March(Refining):
     def _varied(self) -> ca.Function:
         """The field of (x, vec Y, S); in another form where it is interpreted."""
         whole = variational_field(self.field, self.integrand)
-        if compiled(step_of(whole), effort=self._effort).is_a("External"):
+        if compiled(step_of(whole), effort=self._effort).class_name() == "External":
             return whole
         return variational_field(self.field, self.integrand, products=True)
 

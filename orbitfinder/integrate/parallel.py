@@ -102,7 +102,7 @@ def _pool() -> ThreadPoolExecutor:
 
 def _lanes(function: ca.Function, pieces: int, evaluations: int) -> int:
     """How many lanes so many pieces of work are shared between."""
-    work = evaluations * function.size1_out(0) * (1.0 if function.is_a("External") else INTERPRETED)
+    work = evaluations * function.size1_out(0) * (1.0 if function.class_name() == "External" else INTERPRETED)
     return min(LANES, pieces) if work >= WORTH else 1
 
 

@@ -36,7 +36,6 @@ from orbitfinder.proof.series import coefficients
 
 DEGREE = 8
 """D, the highest power of e that is carried"""
-UNIT = arb(0, 1)
 
 
 class Along:
@@ -55,14 +54,14 @@ class Along:
         if self._short is None:
             self._short = self.whole
             if self.whole.length() > DEGREE + 1:
-                rest = self.whole.right_shift(DEGREE + 1)(UNIT)
+                rest = self.whole.right_shift(DEGREE + 1)(arb(0, 1))
                 self._short = self.whole.truncate(DEGREE + 1) + arb(0, abs(rest).upper())
         return self._short
 
     @property
     def range(self) -> Any:
         """A ball that holds every value."""
-        return self.short(UNIT)
+        return self.short(arb(0, 1))
 
     @property
     def thin(self) -> Along:

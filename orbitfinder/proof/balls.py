@@ -16,13 +16,28 @@ import numpy as np
 
 from orbitfinder.errors import InputError
 
+
+class _Missing:
+    """Stands for python-flint, and for each of its names, where it is not installed: it says so when it is used."""
+
+    __version__ = "none"
+
+    def __getattr__(self, name: str) -> _Missing:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self() if name == "ctx" else self
+
+    def __call__(self, *_: Any) -> _Missing:
+        raise InputError(
+            "proofs need python-flint (ball arithmetic), which is not installed; "
+            "install orbitfinder with its extra 'proof': pip install 'orbitfinder[proof]'"
+        )
+
+
 try:
     import flint
-except ImportError as error:  # pragma: no cover - depends on what is installed
-    raise InputError(
-        "proofs need python-flint (ball arithmetic), which is not installed; "
-        "install orbitfinder with its extra 'proof': pip install 'orbitfinder[proof]'"
-    ) from error
+except ImportError:  # pragma: no cover - depends on what is installed
+    flint = _Missing()
 
 arb, arb_mat, arb_poly, arb_series, fmpq = flint.arb, flint.arb_mat, flint.arb_poly, flint.arb_series, flint.fmpq
 FLINT = flint.__version__

@@ -143,9 +143,9 @@ def proved_until(
 ) -> Proof:
     """The proof, its enclosures made smaller until they are `enough`, `SHARPENINGS` times at most."""
     began, say = time.perf_counter(), progress or (lambda line: None)
+    model = model or provable_model(orbit)
+    codes = programs(model)
     with precision(options.bits):
-        model = model or provable_model(orbit)
-        codes = programs(model)
         symmetry = chosen_symmetry(orbit, model, codes, options.symmetry)
         try:
             found = _prove(orbit, model, codes, symmetry, options, say, enough)

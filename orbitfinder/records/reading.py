@@ -15,7 +15,9 @@ import json
 import math
 import os
 import stat
+import sys
 import tempfile
+import time
 import typing
 import zipfile
 import zlib
@@ -39,6 +41,8 @@ MOST_VALUES = 10_000_000
 DEEPEST = 64
 """Levels of lists and tables."""
 LARGEST_INTEGER = 2**63 - 1
+BUSY = 2.0 if sys.platform == "win32" else 0.0
+"""s to wait for others to close the file that is to be replaced"""
 MOST_MEMBERS = 100
 """Arrays in one npz file."""
 
@@ -354,11 +358,23 @@ def write_atomically(path: Path, data: bytes) -> None:
             umask = os.umask(0)
             os.umask(umask)
             os.chmod(temporary, 0o666 & ~umask)
-            os.replace(temporary, path)
+            _replace(temporary, path)
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             raise
+
+
+def _replace(temporary: str, path: Path) -> None:
+    """A rename over what is there; who reads it keeps Windows from that for a moment."""
+    until = time.monotonic() + BUSY
+    while True:
+        try:
+            return os.replace(temporary, path)
+        except PermissionError:
+            if time.monotonic() >= until:
+                raise
+        time.sleep(0.02)
 
 
 def json_bytes(document: Any, compact: bool = False) -> bytes:
